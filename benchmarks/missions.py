@@ -18,12 +18,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from polaris.certificate.checker import verify
+from polaris.model.scene.state_limits import SpeedLimit
+from polaris.model.system import LinearSystem
 from polaris.report.figures import draw_run
+from polaris.report.figures.style import new_figure, save_all, style
+from polaris.report.scene.palette import BLACK, RED, VERMILION, tint
 from polaris.runs.run import read_run
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.baselines import compare
+from polaris.simulation.baselines import Flown, compare
 from polaris.synthesis.schedule.synthesize import synthesize
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,6 +53,7 @@ PUBLISHED = {  # velocity change [m/s]; None where the source prints none
     "sroc-leg1": 0.458,  # two impulses, sum of 2-norms
     "keep-out-sphere": None,
     "adras-j": None,
+    "afrl-docking": 45.3,  # measured with the authors' code: thrust over mass, sum of 2-norms
 }
 
 
@@ -67,19 +74,24 @@ class Mission:
         until = "for all time" if claim["horizon"] == "infinite" else f"until {claim['until_s']:.0f} s"
         cells = (
             f"[`{self.name}`](#{self.name})",
-            "none" if published is None else f"{published:.3f}",
+            "none" if published is None else f"{published:g}",
             f"{flown['delta_v_m_s']:.3f}",
             f"{flown['delta_v_max_m_s']:.3f}",
             f"{claim['goal']['delta_v_max_m_s']:.3f}",
             until if claim["kind"] == "proved" else claim["kind"],
             f"{100 * self.summary['synthesis']['experimental_share']:.1f} %",
             str(flown["switches"]),
-            f"{alone['min_distance_m']:.1f}, {alone['collided_runs']} of {alone['runs']} runs enter",
-            f"{flown['min_distance_m']:.1f}",
+            f"{distance(alone)}, {alone['collided_runs']} of {alone['runs']} runs enter",
+            distance(flown),
             f"{self.seconds:.0f}",
             self.checked,
         )
         return f"| {' | '.join(cells)} |"
+
+
+def distance(flown: Mapping[str, Any]) -> str:
+    """Return the least distance [m] to an unsafe set, or "none" where no place is unsafe, only a speed."""
+    return "none" if flown["min_distance_m"] is None else f"{flown['min_distance_m']:.1f}"
 
 
 def run(name: str, out: Path, draw: bool = False) -> Mission:
@@ -93,7 +105,33 @@ def run(name: str, out: Path, draw: bool = False) -> Mission:
     checked = verify(folder.path).outcome
     if draw:
         draw_run(read_run(folder.path))
+        by_distance = [one for one in scenario.obstacles() if getattr(one, "per_distance", 0.0)]
+        if by_distance:
+            draw_speeds(schedule.safety.problem.system, by_distance[0], flown, folder.path / "figures")
     return Mission(name, folder.summary, checked, seconds)
+
+
+def draw_speeds(system: LinearSystem, limit: SpeedLimit, flown: Mapping[str, Flown], folder: Path) -> None:
+    """Draw speed over distance, with its limit, in the place of the scene: U alone and under the schedule."""
+    with style():
+        figure = new_figure(2.4)
+        ax = figure.add_subplot()
+        top = 1.0
+        looks = {"experimental": ("U alone", VERMILION), "polaris": ("under the schedule", BLACK)}
+        for key, (label, colour) in looks.items():
+            states = flown[key].flights.states[0]  # the nominal flight
+            far = np.linalg.norm(states @ system.position.T, axis=1)
+            speed = np.linalg.norm(states @ system.velocity.T, axis=1)
+            ax.loglog(far, speed, color=colour, lw=1.0, label=label)
+            top = max(top, far.max())
+        far = np.geomspace(0.1, top, 200)
+        allowed = limit.top + limit.per_distance * far
+        ax.loglog(far, allowed, color=RED, lw=1.0, ls="--", label="limit")
+        ax.fill_between(far, allowed, 1e3, color=tint(RED, 0.16), lw=0)
+        ax.set(xlim=(0.1, top), ylim=(1e-3, 100.0), xlabel="Distance (m)", ylabel="Speed (m/s)")
+        ax.legend(loc="lower right")
+        ax.grid(True)
+    save_all([("scene", figure)], folder)
 
 
 def table(rows: Mapping[str, str]) -> str:
