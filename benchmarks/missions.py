@@ -54,6 +54,7 @@ PUBLISHED = {  # velocity change [m/s]; None where the source prints none
     "keep-out-sphere": None,
     "adras-j": None,
     "afrl-docking": 45.3,  # measured with the authors' code: thrust over mass, sum of 2-norms
+    "arch-rendezvous": None,
 }
 
 

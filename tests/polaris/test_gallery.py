@@ -107,6 +107,15 @@ def test_docking_keeps_the_limit_of_speed_that_its_primary_controller_breaks():
     )
 
 
+def test_rendezvous_drifts_clear_of_the_target_wherever_thrust_stops_after_the_first_step():
+    schedule = polaris.synthesize(polaris.load_scenario(missions.FOLDER / "arch-rendezvous.toml"))
+    passive = schedule.passive
+    assert schedule.guarantee == "proved" and schedule.share() == 1.0
+    assert np.array_equal(passive.clear, np.arange(60) > 0)
+    assert passive.flight.abort.horizon == 300 * 60
+    assert passive.least == pytest.approx(0.8, abs=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_what_a_run_gives(name, tmp_path):
