@@ -443,7 +443,7 @@ def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_chang
         correcting=arb,
         _first=7,
         _last=2 * checked.MOST,
-        _state=lambda node: node,
+        state=lambda node: node,
     )
     claim = {"distance_m": 2.0, "delta_v_max_m_s": 7.0}
     assert checked.Arrival._likely(tail, rows, None, claim) == [5, 4, 3, 2, 1, 0]

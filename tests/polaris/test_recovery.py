@@ -126,10 +126,10 @@ def test_what_is_over_is_over():
         check(recovery((3, 2)), 3, after=1)
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(late):
+@pytest.mark.parametrize(("late", "code"), [(False, False), (True, False), (False, True)])
+def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(late, code):
     asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
-    argument = SimpleNamespace(document=doc, stated=Stated(), K=3, record=Record())
+    argument = SimpleNamespace(document=doc, stated=Stated(), K=3, record=Record(), code=code)
     flight = SimpleNamespace(
         keeps=lambda reached, claimed: asked.update(reached) or 1.0,
         recovery=SimpleNamespace(nodes=9),
@@ -138,7 +138,7 @@ def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(l
     Argument.recoverability(
         argument, flight, "abcd", [SimpleNamespace(nodes=each) for each in ("pq", "rs", "tu")]
     )
-    within = {1: "p", 2: "q", 7: "t", 8: "u"} if late else {}
+    within = {1: "p", 2: "q", 7: "t", 8: "u"} if late or code else {}
     assert asked == {0: "a", 3: "b", 6: "c"} | within
 
 

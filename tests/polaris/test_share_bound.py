@@ -69,8 +69,8 @@ def flights_of(problem, law, held, count, seed):
 def least_room(flights, states):
     """Largest clearance every set is kept at all nodes, over the flights [m]."""
     room = np.full(len(states), np.inf)
-    for normals, b in zip(flights.normals, flights.offsets, strict=True):
-        away = states @ flights.system.position.T @ normals.T - b
+    for rows, b in zip(flights.rows, flights.offsets, strict=True):
+        away = states @ rows.T - b
         room = np.minimum(room, away.max(axis=2).min(axis=1))
     return float(room.max())
 

@@ -433,7 +433,7 @@ def test_every_error_source_can_be_swept():
         "navigation.phases[0]": (Phase, ["state_error"]),
         "thrusters": (
             Thrusters,
-            ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation"],
+            ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation", "varies"],
         ),
         "timing": (Timing, []),
         "chaser": (Chaser, []),
