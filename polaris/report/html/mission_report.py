@@ -5,6 +5,7 @@ from markupsafe import Markup
 
 from ...runs.files.folder import RunFolder
 from ...runs.missions.mission import MissionPicture
+from ...synthesis.safety.recoverable import directed
 from ..missions import joint_tables, legs_table, rows_flown
 from ..scene.palette import mode_colour
 from ..tables import Cell, Table
@@ -17,7 +18,7 @@ def mission_page(folder: RunFolder) -> Page:
     summary, picture = folder.summary, folder.picture()
     claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
     spent = claim["delta_v_max_m_s"]
-    told = "no bound" if spent is None else f"{spent:.4g} m/s"
+    told = "no bound" if spent is None else f"{directed(spent, '.4g', up=True)} m/s"
     cards = (
         (
             "Is it safe?",
