@@ -394,6 +394,7 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
     naive = load_scenario(TINY).with_assignments([*SOFT, twos, "thrusters.thrust_max_N=1.0", STUCK, OWN])
     late = naive.with_assignments([STUCK.replace("off", "on").replace("}", ",isolation_s=3.0}")])
     schedule = synthesize(naive)
+    assert schedule.powered is not None  # proven before the fault is told of
     object.__setattr__(schedule.safety.problem.system, "transients", late.problem().system.transients)
     assert least(schedule) < -0.1
 
