@@ -98,7 +98,7 @@ def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run:
             raise Rejected("joint", f"nothing was derived of where leg {leg.name} ends")
         if own.sampled or leg.document.guarantee != "proved":
             raise Rejected("guarantee", f"leg {leg.name} is not proved")
-        record.checked += [(f"{leg.name}: {claim}", told) for claim, told in own.checked]
+        record.checked += [(f"{leg.name}: {claim}", statement) for claim, statement in own.checked]
         record.unchecked += [line for line in own.unchecked if line not in record.unchecked]
     record.holds("delta_v", _sums(legs, stated))
     _check_summary(folder / SUMMARY, stated)
@@ -128,8 +128,8 @@ def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -
             raise Rejected(
                 "legs", f"the run of leg {known['name']} is not the one that the mission was made of"
             )
-        told = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
-        scenario = {**shared, **told, **spec}
+        heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
+        scenario = {**shared, **heading, **spec}
         stay = _number(scenario.pop("stay_s", 0.0))
         _same(scenario, _toml(own / SCENARIO), start, known["name"])
         claim = strict_json(contents(own / "schedule.json"))["guarantee"]
@@ -159,8 +159,8 @@ def _same(asked: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, nam
             raise Rejected("legs", f"leg {name}: {a.get('name')} is another set than in the mission")
         for x, y in zip(moved or (), there, strict=True) if moved is not None else ():
             if abs(x - y) > PLACED * (1 + abs(x)):
-                told = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
-                raise Rejected("legs", told, float(abs(x - y)))
+                message = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
+                raise Rejected("legs", message, float(abs(x - y)))
 
 
 def _place(obstacle: Mapping[str, Any], place: str, t: Fraction) -> list[Fraction] | None:
@@ -276,8 +276,8 @@ def _within(joint: Mapping[str, Any], node: int, leg: Leg) -> bool:
 def _no_less(what: str, claimed: float | None, derived: arb | None) -> None:
     """Refuse a figure that is less than what is derived; null claims nothing."""
     if claimed is not None and not (derived is not None and derived <= arb(claimed) * (1 + PLACED)):
-        told = "nothing" if derived is None else plain(derived)
-        raise Rejected("delta_v", f"{what}: {claimed:g} claimed, {told} derived")
+        shown = "nothing" if derived is None else plain(derived)
+        raise Rejected("delta_v", f"{what}: {claimed:g} claimed, {shown} derived")
 
 
 def _check_summary(path: Path, stated: Mapping[str, Any]) -> None:

@@ -30,7 +30,7 @@ def stated_rounding(document: Document, tables: Tables, precision: str) -> float
         context.prec = DIGITS
         handed = u if precision == "float" else Decimal(0)
         gain, reach, limit = (np.abs(_exact(x)) for x in (tables.gain, tables.range, tables.limit))
-        path, most = _path(document), Decimal(0)
+        path, worst = _path(document), Decimal(0)
         starts = _exact(tables.waypoints)
         feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
         feeds[: len(tables.feed)] = _exact(tables.feed)
@@ -42,8 +42,8 @@ def stated_rounding(document: Document, tables: Tables, precision: str) -> float
             apart = size + error + reach
             error = error + apart * u + reach * handed
             spread = gain @ (apart + error) + np.abs(feeds).max(axis=0) + limit
-            most = max(most, *(gain @ error + spread * (u * (n + 3) + 2 * handed)))
-        return float(most) * MORE
+            worst = max(worst, *(gain @ error + spread * (u * (n + 3) + 2 * handed)))
+        return float(worst) * MORE
 
 
 def disturbance_taken(document: Document, error: float) -> float:

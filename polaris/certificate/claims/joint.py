@@ -54,12 +54,14 @@ class _Check:
         along = (self.needs.rows * self.arrival.state(node)).entries()
         if spec.assured:
             need = sums(need, [2 * x for x in self.off])
-        for i, (at, most) in enumerate(zip(along, need, strict=True)):
+        for i, (at, needed) in enumerate(zip(along, need, strict=True)):
             sign = 1 if i < n else -1
             room = sign * arb(spec.center[i % n]) + spec.half_widths[i % n] - at
-            told = "estimates" if spec.assured else "states"
+            subject = "estimates" if spec.assured else "states"
             require(
-                "joint", room - most, f"{told} {where}, coordinate {i % n}: beyond the next leg's start set"
+                "joint",
+                room - needed,
+                f"{subject} {where}, coordinate {i % n}: beyond the next leg's start set",
             )
 
     def run(self) -> str:
@@ -94,8 +96,8 @@ class _Check:
         A, n = plant.A, len(self.joint.center)
         grown = exponential(absolute(A), plant.h)[0]
         curved = [magnitude(A * A * self.arrival.state(node)).entries() for node in range(self.last + 1)]
-        most = column([largest(x) for x in zip(*curved, strict=True)]) if curved else arb_mat(n, 1)
-        return [x * plant.h * plant.h / 8 for x in (grown * most).entries()]
+        curvature = column([largest(x) for x in zip(*curved, strict=True)]) if curved else arb_mat(n, 1)
+        return [x * plant.h * plant.h / 8 for x in (grown * curvature).entries()]
 
 
 def check_joint(arrival: Arrival, joint: Joint) -> str:

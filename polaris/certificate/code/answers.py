@@ -30,7 +30,7 @@ class Call:
 
 @dataclass(frozen=True)
 class FlightAnswer:
-    """Who flies, faults, the command [N], and the share of the limits that it leaves."""
+    """Mode that flies, faults, the command [N], and the share of the limits that it leaves."""
 
     mode: int
     fault: int
@@ -85,7 +85,7 @@ class FlightStep:
         self.latched |= fault > 0
         mode = 0 if self.latched else scheduled
         fault |= LATCHED * self.latched | ENDED * (self.last >= tables.covered)
-        if not all(-most <= x <= most for x, most in zip(self.state, tables.range, strict=True)):
+        if not all(-bound <= x <= bound for x, bound in zip(self.state, tables.range, strict=True)):
             fault |= RANGE
         self.answer = self._clipped(command if mode else self.safety(cell, part, self.state), mode, fault)
         return self.answer

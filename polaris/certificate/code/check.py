@@ -36,8 +36,8 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
     plant = plant_of(document)
     _check_tables(document, plant, tables, precision)
     record.holds("code", f"{prefix}: text, tables and self-test in {precision} are the certificate's")
-    assumed, told = _check_rounding(document, plant, tables, precision)
-    record.holds("rounding", told)
+    assumed, statement = _check_rounding(document, plant, tables, precision)
+    record.holds("rounding", statement)
     return [
         "the flight code is called once at the start of every control period, with the estimate that the"
         " scenario declares; its compiler and processor keep to C99 and IEEE 754",
@@ -69,17 +69,17 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
         "rounding", stated - error, f"commands may be {float(error):.4g} N off, {float(stated):.4g} is stated"
     )
     require("rounding", error * 2 - stated, f"{float(stated):.4g} N is stated, twice the bound or more")
-    taken, told = (
+    taken, statement = (
         disturbance_taken(document, plant, stated),
         f"commands in {precision} are within {float(stated):.3g} N",
     )
     if taken is None or not document.w_max > 0:
-        return f"{told} of the exact ones: no disturbance bound covers that", told
+        return f"{statement} of the exact ones: no disturbance bound covers that", statement
     share = float((taken / document.w_max).upper())
     require("rounding", document.w_max - taken, f"rounding takes {share:.3g} of the disturbance bound")
-    told += f" of the exact ones, {share:.3g} of the disturbance bound"
+    statement += f" of the exact ones, {share:.3g} of the disturbance bound"
     left = f"the disturbance is at most 1 - {share:.3g} of its bound: rounding on board takes the rest"
-    return f"{left}, while states are within the range of the code", told
+    return f"{left}, while states are within the range of the code", statement
 
 
 def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
@@ -125,9 +125,9 @@ def _same(name: str, given: Table, value: Table, precision: str) -> None:
 
 def _range(document: Document, gain: Table) -> list[float]:
     """The range of states for which rounding is bounded: the reference's, and errors about it."""
-    found = []
+    ranges = []
     for j in range(len(document.A)):
         slopes = [(abs(row[j]), limit) for row, limit in zip(gain, document.u_max, strict=True)]
         error = min((2 * limit / slope for slope, limit in slopes if slope), default=FARTHEST)
-        found.append(min(max(abs(state[j]) for state in document.states) + error, FARTHEST))
-    return found
+        ranges.append(min(max(abs(state[j]) for state in document.states) + error, FARTHEST))
+    return ranges

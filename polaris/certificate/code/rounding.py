@@ -30,7 +30,7 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
     feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(path.arcs) - len(tables.feed))
     starts = [column(x) for x in tables.waypoints]
     top = _tops(starts), _tops(feeds)
-    most = [arb(0)] * m
+    worst = [arb(0)] * m
     for part in range(q):
         moved, pushed = matrix(tables.moved[part]), matrix(tables.pushed[part])
         sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
@@ -45,8 +45,8 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
         spread = magnitude(gain) * apart + top[1] + limit
         total = magnitude(gain) * error + spread * (_several(n + 1, precision) + 2 * exact)
         total += _least(m, n + 1, precision)
-        most = [largest(pair) for pair in zip(most, total.entries(), strict=True)]
-    return largest(most)
+        worst = [largest(pair) for pair in zip(worst, total.entries(), strict=True)]
+    return largest(worst)
 
 
 def _tops(columns: list[arb_mat]) -> arb_mat:

@@ -54,8 +54,8 @@ class Tables:
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes by their names in the templates."""
-        found = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
-        return dict(zip(SIZES, (*found, len(self.waypoints), self.covered), strict=True))
+        counts = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
+        return dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
 
     def rounded(self, precision: str) -> "Tables":
         """Return the tables with every number rounded to a precision."""
@@ -137,17 +137,17 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
     sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in SIZES}
     if not precision or head is None:
         raise ValueError("the header names no precision, or no certificate")
-    found = dict[str, Any]()
+    arrays = dict[str, Any]()
     for name, shape in SHAPES.items():
         texts = _literals(source, f"static const {prefix}_real {name}[")
         count = [sizes[one] for one in shape]
         if len(texts) != prod(count):
             raise ValueError(f"the table {name} has {len(texts)} numbers, not {prod(count)}")
-        found[name] = _nested([float.fromhex(text.rstrip("f")) for text in texts], count)
+        arrays[name] = _nested([float.fromhex(text.rstrip("f")) for text in texts], count)
     modes = [int(text.rstrip("U")) for text in _literals(source, "static const uint8_t modes[")]
     bound = re.search(rf"#define {prefix.upper()}_ROUNDING \((\S+?)f?\)", header)
-    found["rounding"] = float.fromhex(bound[1]) if bound else 0.0
-    tables = Tables(covered=sizes["COVERED"], modes=modes, **found)
+    arrays["rounding"] = float.fromhex(bound[1]) if bound else 0.0
+    tables = Tables(covered=sizes["COVERED"], modes=modes, **arrays)
     for name, text in files(tables, prefix, precision, head[1]).items():
         given = header if name.endswith(".h") else source
         if given != text:
@@ -158,10 +158,10 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
 
 
 def _size(header: str, name: str) -> int:
-    found = re.search(rf"#define {name} \((\d{{1,9}})\)", header, re.ASCII)
-    if found is None:
+    match = re.search(rf"#define {name} \((\d{{1,9}})\)", header, re.ASCII)
+    if match is None:
         raise ValueError(f"the header has no {name}")
-    return int(found[1])
+    return int(match[1])
 
 
 def _literals(source: str, start: str) -> list[str]:

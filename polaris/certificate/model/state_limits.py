@@ -155,13 +155,13 @@ def _of_kind(document: Document, spec: dict[str, Any], inside: bool) -> list[lis
         E, share = directions(d, count)
         tops = [arb(top)] * len(E)
     if growth.is_zero():
-        return [[(-(_row(e) * V), sizes, -share * most)] for e, most in zip(E, tops, strict=True)]
+        return [[(-(_row(e) * V), sizes, -share * top)] for e, top in zip(E, tops, strict=True)]
     aims = spec["towards"] if "towards" in spec else directions(d, count)[0]
     aims = [[arb(x) for x in aim] for aim in aims]
     far = [_row([x * share * growth / dot(aim, aim).sqrt() for x in aim]) * C for aim in aims]
     sizes = sizes + matrix([[1.0] * d]) * magnitude(C) * growth
     pairs = zip(E, tops, strict=True)
-    return [[(row - _row(e) * V, sizes, -share * most) for row in far] for e, most in pairs]
+    return [[(row - _row(e) * V, sizes, -share * top) for row in far] for e, top in pairs]
 
 
 def _row(entries: list[arb]) -> arb_mat:

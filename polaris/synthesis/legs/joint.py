@@ -19,7 +19,7 @@ Windows = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Joint:
-    """When S may hand over to the next leg, and which estimates flight software is to see then.
+    """Instants at which S may hand over to the next leg, and the estimates required of flight software then.
 
     Nodes count from the end of the horizon, T.
     """
