@@ -240,6 +240,7 @@ def layout(seed):
     limits = 10.0 ** rng.uniform(-0.5, 0.5, len(ways))
     faults = [Fault("stuck_off", 0.0)] * (seed % 3 == 2)
     limits *= 1.1 / Allocation.of(ways, limits, np.full(2, 1e3), faults).u_max.min()
+    limits = np.ceil(100 * limits / limits.min()) / 100 * limits.min()  # a whole number of bits in a period
     table = {"thrusters.directions": ways.tolist(), "thrusters.thrust_max_N": limits.tolist()}
     table |= {"thrusters.magnitude_error": 0.02, "thrusters.mass_error": 0.01 * (seed % 2)}
     table |= {"thrusters.impulse_bit_N_s": 1e-3 * float(limits.min())}
