@@ -16,7 +16,7 @@ PACKAGES = ("polaris", "reach")
 
 LINES = {
     # rooms: (limit, aim)
-    ("reach",): (9219, 8400),
+    ("reach",): (9228, 8400),
     ("polaris/certificate",): (11131, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9332, 5000),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (9942, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8136, 6400),
     ("polaris/planning",): (2514, 2200),
-    ("polaris", "reach"): (69991, 48000),
+    ("polaris", "reach"): (70000, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

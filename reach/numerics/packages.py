@@ -3,9 +3,11 @@
 The ranges stand in the project file; an installed copy reads them from its metadata.
 """
 
+import ast
+import sys
 from collections.abc import Callable
 from functools import cache
-from importlib import metadata
+from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -44,9 +46,14 @@ def project() -> dict[str, Any]:
 
 
 def untested(requirement: str) -> str:
-    """Say which version of a package is installed that a requirement excludes; empty if none is."""
-    from packaging.requirements import Requirement
+    """Say which version of a package is installed that a requirement excludes; empty if none is.
 
+    Without the package `packaging`, of which `reach` has no need, versions are not checked.
+    """
+    try:
+        from packaging.requirements import Requirement
+    except ModuleNotFoundError:
+        return ""
     wanted = Requirement(requirement)
     try:
         version = metadata.version(wanted.name)
@@ -98,13 +105,15 @@ def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], li
     tuple
         ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
     """
-    import lazy_loader
-
-    attach, names, public = lazy_loader.attach_stub(package, file)
+    stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    homes = {alias.name: f"{package}.{node.module}" for node in imports for alias in node.names}
 
     def find(name: str) -> Any:
-        if name in public:  # first of all: the import itself may fail with another version
-            check()
-        return attach(name)
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        check()  # first of all: the import itself may fail with another version
+        value = vars(sys.modules[package])[name] = getattr(import_module(homes[name]), name)
+        return value
 
-    return find, names, public
+    return find, lambda: sorted(homes), sorted(homes)
