@@ -363,7 +363,7 @@ def test_recipes_name_files_that_exist():
 
 
 def test_readme_is_short():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 190
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
 
 def test_version_is_the_same_everywhere():
