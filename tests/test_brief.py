@@ -1,4 +1,4 @@
-"""What results say of themselves in a session and in a notebook: a few lines, and never markup of a user."""
+"""Texts of results in a session and in a notebook: a few lines, and never markup of a user."""
 
 import dataclasses
 import importlib
@@ -17,10 +17,10 @@ from .test_doors import PACKAGES
 
 LONGEST = MOST_TEXT + 60
 PUBLIC = {
-    found
+    thing
     for package in PACKAGES
     for name in importlib.import_module(package).__all__
-    if inspect.isclass(found := getattr(importlib.import_module(package), name))
+    if inspect.isclass(thing := getattr(importlib.import_module(package), name))
 }
 DATA = sorted(
     (one for one in PUBLIC if dataclasses.is_dataclass(one)),
@@ -52,10 +52,10 @@ def results():
         *(words(one.__annotations__.get("return", "")) for one in doors if inspect.isfunction(one))
     )
     while True:
-        found = [one for one in DATA if one.__name__ in known]
-        more = set().union(*(words(field.type) for one in found for field in dataclasses.fields(one)))
+        reached = [one for one in DATA if one.__name__ in known]
+        more = set().union(*(words(field.type) for one in reached for field in dataclasses.fields(one)))
         if more <= known:
-            return found
+            return reached
         known |= more
 
 
@@ -79,17 +79,17 @@ def test_every_public_result_has_a_short_text(cls):
     assert len(repr(made)) <= LONGEST and repr(made).count("\n") <= 3
 
 
-def reachable(found, seen, depth=0):
+def reachable(result, seen, depth=0):
     """All objects of these packages within a result."""
-    if depth > 8 or id(found) in seen:
+    if depth > 8 or id(result) in seen:
         return
-    seen[id(found)] = found
-    if dataclasses.is_dataclass(found) and not isinstance(found, type):
-        parts = [getattr(found, field.name) for field in dataclasses.fields(found)]
-    elif isinstance(found, dict):
-        parts = list(found.values())
+    seen[id(result)] = result
+    if dataclasses.is_dataclass(result) and not isinstance(result, type):
+        parts = [getattr(result, field.name) for field in dataclasses.fields(result)]
+    elif isinstance(result, dict):
+        parts = list(result.values())
     else:
-        parts = list(found) if isinstance(found, (tuple, list)) else []
+        parts = list(result) if isinstance(result, (tuple, list)) else []
     for part in parts:
         reachable(part, seen, depth + 1)
 

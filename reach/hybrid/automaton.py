@@ -175,17 +175,17 @@ class HybridAutomaton:
 
     def __getitem__(self, name: str) -> Mode:
         """The mode of a name."""
-        found = [mode for mode in self.modes if mode.name == name]
-        if not found:
+        matches = [mode for mode in self.modes if mode.name == name]
+        if not matches:
             raise ReachError(f"there is no mode {name!r}")
-        return found[0]
+        return matches[0]
 
     def leaving(self, name: str) -> list[Transition]:
         """Transitions out of a mode."""
         return [t for t in self.transitions if t.source == name]
 
     def longest_stay(self, name: str, first: Array | float, last: Array | float) -> Array:
-        """How long a mode entered between two times (...) may last by its urgent transitions."""
+        """Return the longest stay (...) that urgent transitions allow in a mode entered in [first, last]."""
         stay = np.full(np.shape(first), np.inf)
         for t in self.leaving(name):
             if t.urgent and t.window is not None:

@@ -1,4 +1,4 @@
-"""What a tube of a hybrid automaton is made of: stretches of one mode from many start sets."""
+"""Tube of a hybrid automaton and its segments: stretches of one mode from many start sets."""
 
 from dataclasses import dataclass
 
@@ -100,18 +100,18 @@ class HybridTube:
         """
         if not 0 <= t <= self.horizon:
             raise ReachError(f"the time must lie in [0, {self.horizon:g}], got {t!r}")
-        found = []
+        sections = []
         for segment in self.segments:
             k, i = segment.steps
             span = segment.span(k, i)
             now = (span[:, 0] <= t) & (t <= span[:, 1])
             sets, meets = segment.cut(k[now], i[now])
             if np.any(meets):
-                found.append((segment.mode.name, sets[meets]))
-        return found
+                sections.append((segment.mode.name, sets[meets]))
+        return sections
 
     def support(self, mode: str, directions: ArrayLike) -> Array:
         """Upper bound of each direction over all a mode's segments, shape (r,); -inf if never entered."""
         D = np.atleast_2d(np.asarray(directions, dtype=float))
-        found = [np.full(len(D), -np.inf), *(segment.support(D) for segment in self.of(mode))]
-        return np.asarray(np.max(found, axis=0))
+        bounds = [np.full(len(D), -np.inf), *(segment.support(D) for segment in self.of(mode))]
+        return np.asarray(np.max(bounds, axis=0))

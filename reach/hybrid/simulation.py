@@ -166,14 +166,14 @@ class _Motion:
             states[-1, : self.n] = self.at(end)
         return times, states[:, : self.n]
 
-    def leaves(self, most: float) -> tuple[float, bool]:
-        """Last time in the invariant, and whether it is left before `most`."""
-        times, states = self.samples(most)
+    def leaves(self, end: float) -> tuple[float, bool]:
+        """Return the last time in the invariant, at most `end`, and True if it is left before."""
+        times, states = self.samples(end)
         self.size = np.abs(states).max(axis=0)
         region = self._relaxed()
         outside = ~inside(region, states, self.size)
         if not np.any(outside):
-            return most, False
+            return end, False
         k = int(np.argmax(outside))
         return (0.0 if k == 0 else self.bisect(times[k - 1], times[k], region, True)), True
 
@@ -202,7 +202,7 @@ class _Motion:
 
 
 def inside(region: HPolytope | None, states: Array, size: Array, slack: float = TOUCH) -> NDArray[np.bool_]:
-    """Whether states (m, n) are in a polytope, or beyond it by a share of the size of its terms only."""
+    """Return True for states (m, n) in a polytope, or out of it by `slack` times the size of its terms."""
     if region is None:
         return np.ones(len(states), dtype=bool)
     room = slack * (np.abs(region.A) @ size + np.abs(region.b))
@@ -213,7 +213,7 @@ def _options(
     automaton: HybridAutomaton, move: _Motion, t: float, end: float
 ) -> list[tuple[Transition, float, float]]:
     """Transitions with stretches of time in which they may be taken, in time since entry."""
-    found = []
+    options = []
     for transition in automaton.leaving(move.mode.name):
         window, dwell = transition.window or (0.0, np.inf), transition.dwell or (0.0, np.inf)
         low = max(window[0] - t, dwell[0], 0.0)
@@ -223,7 +223,7 @@ def _options(
         if low > high:
             continue
         if transition.guard is None:
-            found.append((transition, low, high))
+            options.append((transition, low, high))
             continue
         times, states = move.samples(end)
         hit = inside(transition.guard, states, move.size)
@@ -235,8 +235,8 @@ def _options(
             if after < len(times):
                 stop = move.bisect(stop, times[after], transition.guard, True)
             if max(begin, low) <= min(stop, high):
-                found.append((transition, float(max(begin, low)), float(min(stop, high))))
-    return found
+                options.append((transition, float(max(begin, low)), float(min(stop, high))))
+    return options
 
 
 def _choose(

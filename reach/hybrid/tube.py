@@ -33,7 +33,7 @@ from .segments import HybridTube, Segment
 
 @dataclass(frozen=True, eq=False)
 class HybridOptions:
-    """How a hybrid automaton is followed.
+    """Settings of `reach.hybrid_tube`: steps, merging and reduction of start sets, limits.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Starts:
 
 @dataclass(frozen=True, eq=False)
 class Worklist:
-    """What `reach.hybrid_tube` was asked for, and the steps of its worklist."""
+    """Arguments of `reach.hybrid_tube`, and the steps of its worklist."""
 
     automaton: HybridAutomaton
     horizon: float
@@ -245,8 +245,8 @@ class Worklist:
             same = [s for s in entered if s.mode is mode]
             if not same:
                 continue
-            most = self.options.of("clusters", mode)
-            same = [s if most is None or len(s.sets) <= most else _merged(s, int(most)) for s in same]
+            limit = self.options.of("clusters", mode)
+            same = [s if limit is None or len(s.sets) <= limit else _merged(s, int(limit)) for s in same]
             width = max(s.sets.order_count for s in same)
             padded = [s.sets._pad(width) for s in same]
             sets = Zonotope(np.concatenate([p.c for p in padded]), np.concatenate([p.G for p in padded]))
@@ -258,7 +258,7 @@ class Worklist:
 
 
 def meets(flow: Flowpipes, H: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Whether each step of each start may meet strips, shape (K, N)."""
+    """Return True for each step of each start that may meet ``low <= H x <= high``, shape (K, N)."""
     out = np.ones(flow.shape, dtype=bool)
     if len(H) == 0:
         return out
@@ -267,10 +267,10 @@ def meets(flow: Flowpipes, H: Array, low: Array, high: Array) -> NDArray[np.bool
     return np.asarray(out & np.all(-bounds[..., len(H) :] <= high, axis=-1))
 
 
-def _merged(starts: Starts, most: int) -> Starts:
-    """At most so many sets, each around those that are entered in one stretch of time."""
+def _merged(starts: Starts, count: int) -> Starts:
+    """Merge start sets into `count` hulls, each around those that are entered in one stretch of time."""
     times = starts.entered
     rank = np.argsort(times.sum(axis=1), kind="stable")
-    groups = np.array_split(rank, most)
+    groups = np.array_split(rank, count)
     hulls = Zonotope.stack([hull_of(starts.sets[g]) for g in groups])
     return Starts(starts.mode, hulls, np.array([[times[g, 0].min(), times[g, 1].max()] for g in groups]))

@@ -96,7 +96,7 @@ def verify_hybrid(
     require_single("the initial set", initial)
 
     def verdict(status: str, reason: str) -> HybridVerdict:
-        return HybridVerdict(status, found, tube, perf_counter() - begun, reason)
+        return HybridVerdict(status, run, tube, perf_counter() - begun, reason)
 
     for name, asked in specs.items():
         for spec in asked:
@@ -104,23 +104,23 @@ def verify_hybrid(
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
     rng, jumps = np.random.default_rng(as_count("seed", seed)), options.jumps
     tube: HybridTube | None = None
-    found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=jumps)
-    if found is None:
+    run = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=jumps)
+    if run is None:
         tube = hybrid_tube(automaton, initial, horizon, options)
         every = ((name, spec) for name, asked in specs.items() for spec in asked)
         doubt = next(filter(None, (unproven(tube, name, spec) for name, spec in every)), "")
         doubt = doubt if tube.complete else "the limit on jumps cut trajectories off"
         if not doubt:
             return verdict("proven", "the tube meets all of it")
-        found = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=jumps)
-        if found is None:
+        run = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=jumps)
+        if run is None:
             return verdict("unknown", doubt)
-    last = found.visits[-1]
+    last = run.visits[-1]
     return verdict("violated", f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}")
 
 
 def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
-    """What keeps a tube from proving a specification in a mode, in a sentence; empty if proved."""
+    """Return a sentence on why a tube does not prove a specification in a mode; empty if it does."""
     for segment in tube.of(mode):
         k, i = doubtful(segment, spec)
         if len(k):

@@ -82,9 +82,9 @@ class Activation:
         slope = np.clip(slope, 0.0, self.steepest)
         places = np.stack([lo, hi, *(np.clip(y, lo, hi) for y in self._turns(slope))])
         rest = self(places) - slope * places
-        most, least = rest.max(axis=0), rest.min(axis=0)
+        upper, lower = rest.max(axis=0), rest.min(axis=0)
         scale = np.maximum(np.abs(top), np.abs(bottom)) + np.maximum(np.abs(lo), np.abs(hi))
-        return slope, (most + least) / 2, (most - least) / 2 + SLACK * scale
+        return slope, (upper + lower) / 2, (upper - lower) / 2 + SLACK * scale
 
     def _turns(self, slope: Array) -> list[Array | float]:
         """Return points at which ``f(y) - slope y`` may turn: kinks, and those with that slope of f."""

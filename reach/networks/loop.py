@@ -59,8 +59,8 @@ class NetworkTube:
         k, _ = locate(self.times, t)
         n = self.nodes.dim
         rows = np.vstack([np.eye(n), -np.eye(n)])
-        most = self.support(rows)[k]
-        return Zonotope.box((most[:, :n] - most[:, n:]) / 2, (most[:, :n] + most[:, n:]) / 2)
+        bounds = self.support(rows)[k]
+        return Zonotope.box((bounds[:, :n] - bounds[:, n:]) / 2, (bounds[:, :n] + bounds[:, n:]) / 2)
 
 
 def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) -> tuple[Zonotope, Array]:

@@ -155,8 +155,8 @@ class Network:
             if isinstance(layer, Activation):
                 entries = len(c) * (G.shape[1] + len(c))
                 if entries > MOST_ENTRIES:
-                    told = f"its enclosure has {entries:,} numbers, more than {MOST_ENTRIES:,}"
-                    raise Unresolved(f"the network is too wide or too deep: {told}")
+                    detail = f"its enclosure has {entries:,} numbers, more than {MOST_ENTRIES:,}"
+                    raise Unresolved(f"the network is too wide or too deep: {detail}")
                 spread = (extent - np.abs(c)) * (1 + gamma(G.shape[1])) + off
                 lo, hi = c - spread, c + spread
                 slope, offset, radius = layer.band(lo, hi)

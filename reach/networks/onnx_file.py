@@ -81,8 +81,8 @@ def _require_known(model: Any) -> None:
             raise ReachError(f"the operator {f'{node.domain}.{node.op_type}'.lstrip('.')} is not understood")
 
 
-def _layers(graph: Any, most: int) -> list[Layer]:
-    """One walk along the chain of operators, from the input to the output; `most` numbers in all layers."""
+def _layers(graph: Any, budget: int) -> list[Layer]:
+    """Read the chain of operators, from the input to the output; at most `budget` numbers in all layers."""
     from onnx import TensorProto, helper
 
     tensors = {tensor.name: tensor for tensor in graph.initializer}
@@ -125,10 +125,10 @@ def _layers(graph: Any, most: int) -> list[Layer]:
             made = _made(kind, inputs, more, width)
             layers += made
             width = made[-1].shape[0] if not isinstance(made[-1], Activation) else width
-            most -= sum(value.size for value in inputs if value is not None)
-        if len(layers) > DEEPEST or most < 0:
-            told = f"at most {DEEPEST} layers, with no more numbers than the file has bytes, are read"
-            raise ReachError(f"the network is larger than its file: {told}")
+            budget -= sum(value.size for value in inputs if value is not None)
+        if len(layers) > DEEPEST or budget < 0:
+            detail = f"at most {DEEPEST} layers, with no more numbers than the file has bytes, are read"
+            raise ReachError(f"the network is larger than its file: {detail}")
         at = node.output[0]
         sizes = dims.get(at) or [0]  # as the package infers them
         if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):

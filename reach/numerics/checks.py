@@ -41,7 +41,7 @@ def checked(function: F) -> F:
 
 
 def check_fields(value: Any) -> None:
-    """The same for the fields of a dataclass, which are replaced by what they are converted to."""
+    """Check the fields of a dataclass by their annotations, and replace each by its converted value."""
     for field in fields(value):
         given = as_kind(field.name, str(field.type), getattr(value, field.name))
         object.__setattr__(value, field.name, given)
@@ -56,9 +56,9 @@ def as_kind(name: str, kind: str, value: Any) -> Any:
     for option in options:
         if option in _KINDS:
             words, convert = _KINDS[option]
-            found = convert(value)
-            if found is not _WRONG:
-                return found
+            converted = convert(value)
+            if converted is not _WRONG:
+                return converted
             wanted.append(words)
         elif option in ("Any",) or not option.isidentifier() or _is_a(value, option):
             return value
@@ -74,7 +74,7 @@ _WRONG: Any = object()
 
 
 def _is_a(value: Any, *names: str) -> bool:
-    """Whether a value's class, or one it derives from, has one of some names."""
+    """Return True if a value's class, or one it derives from, has one of some names."""
     return any(base.__name__ in names for base in type(value).__mro__)
 
 
@@ -99,12 +99,12 @@ def _numbers(value: Any) -> Any:
 
 
 def _finite(value: Any) -> Any:
-    found = _numbers(value)
-    return found if found is not _WRONG and np.isfinite(found).all() else _WRONG
+    array = _numbers(value)
+    return array if array is not _WRONG and np.isfinite(array).all() else _WRONG
 
 
 def _is_specs(value: Any) -> bool:
-    """Whether a value maps names of modes to sequences of specifications."""
+    """Return True if a value maps names of modes to sequences of specifications."""
     if not isinstance(value, Mapping):
         return False
     good = all(isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
@@ -112,7 +112,7 @@ def _is_specs(value: Any) -> bool:
 
 
 def is_set(value: Any) -> bool:
-    """Whether a value answers as a convex set does (see `reach.ConvexSet`)."""
+    """Return True if a value answers as a convex set does (see `reach.ConvexSet`)."""
     return hasattr(type(value), "support") and hasattr(type(value), "interval_hull")
 
 
@@ -144,21 +144,21 @@ def as_numbers(name: str, value: Any) -> Array:
     try:
         if value is None or isinstance(value, str | bytes | Mapping) or is_set(value):
             raise TypeError("they are not numbers")
-        found = np.asarray(value)
-        if found.dtype.kind not in "biufO":
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufO":
             raise TypeError("they are not real numbers")
-        return np.asarray(found, dtype=float)
+        return np.asarray(array, dtype=float)
     except (TypeError, ValueError, OverflowError) as exc:
         raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
 
 
 def as_shaped(name: str, value: Any, wanted: str, fits: Callable[[tuple[int, ...]], bool]) -> Array:
     """An array of finite floats whose shape fits what is wanted."""
-    found = as_numbers(name, value)
-    shaped = fits(found.shape)
-    if not shaped or not np.isfinite(found).all():
-        raise ReachError(f"{name} must be {wanted}, got {'nan or inf' if shaped else f'shape {found.shape}'}")
-    return found
+    array = as_numbers(name, value)
+    shaped = fits(array.shape)
+    if not shaped or not np.isfinite(array).all():
+        raise ReachError(f"{name} must be {wanted}, got {'nan or inf' if shaped else f'shape {array.shape}'}")
+    return array
 
 
 def as_array(name: str, value: Any, *shape: int) -> Array:
@@ -169,24 +169,24 @@ def as_array(name: str, value: Any, *shape: int) -> Array:
 
 def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
     """Fields of a frozen dataclass as arrays of finite floats, which replace what was given."""
-    found = tuple(as_numbers(name, getattr(X, name)) for name in names)
-    for name, values in zip(names, found, strict=True):
+    arrays = tuple(as_numbers(name, getattr(X, name)) for name in names)
+    for name, values in zip(names, arrays, strict=True):
         if not np.isfinite(values).all():
             raise ReachError(f"{' and '.join(names)} must be finite numbers")
         object.__setattr__(X, name, values)
-    return found
+    return arrays
 
 
 def as_vector(value: ArrayLike, n: int, single: bool = False) -> Array:
     """A finite vector of n entries, or a stack of them if there need not be a single one."""
-    most = 1 if single else np.inf
-    return as_shaped("vectors", value, f"of {n} finite entries", lambda s: s[-1:] == (n,) and len(s) <= most)
+    axes = 1 if single else np.inf
+    return as_shaped("vectors", value, f"of {n} finite entries", lambda s: s[-1:] == (n,) and len(s) <= axes)
 
 
 def as_map(value: ArrayLike, n: int, single: bool = False) -> Array:
     """A finite matrix that acts on dimension n, or a stack of them if there need not be a single one."""
-    wanted, most = f"finite and act on dimension {n}", 2 if single else np.inf
-    return as_shaped("a map", value, wanted, lambda s: s[-1:] == (n,) and 2 <= len(s) <= most)
+    wanted, axes = f"finite and act on dimension {n}", 2 if single else np.inf
+    return as_shaped("a map", value, wanted, lambda s: s[-1:] == (n,) and 2 <= len(s) <= axes)
 
 
 def as_frame(value: ArrayLike | None, n: int) -> Array:

@@ -6,7 +6,7 @@ class ReachError(ValueError):
 
 
 class Unresolved(ReachError):
-    """What was asked for is well posed, but steps, time or floating point do not suffice for it."""
+    """Error raised if steps, time or floating point do not suffice for a well-posed request."""
 
 
 class ReachWarning(UserWarning):

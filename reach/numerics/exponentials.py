@@ -110,8 +110,8 @@ class Action:
             terms[j] = N @ terms[j - 1]
             terms[j] /= j
         weights = shares[:, None] ** np.arange(degree + 1) * np.exp(self.shift * t * shares)[:, None]
-        found: Array = (weights @ terms.reshape(degree + 1, -1)).reshape(len(shares), *terms.shape[1:])
-        return np.asarray(np.moveaxis(found, 2, 1))
+        sums: Array = (weights @ terms.reshape(degree + 1, -1)).reshape(len(shares), *terms.shape[1:])
+        return np.asarray(np.moveaxis(sums, 2, 1))
 
 
 def _degree(norm: float) -> int:

@@ -31,8 +31,8 @@ def equilibrated(A: Array) -> tuple[Array, Array]:
         return rows, columns
     for _ in range(SWEEPS):
         for axis, scale in ((1, rows), (0, columns)):
-            most = size.max(axis=axis)
-            step = np.exp2(np.round(np.log2(np.where(most > 0, most, 1.0)) / (1 if axis else 2)))
+            largest = size.max(axis=axis)
+            step = np.exp2(np.round(np.log2(np.where(largest > 0, largest, 1.0)) / (1 if axis else 2)))
             size = size / np.expand_dims(step, axis)
             scale *= step
     return rows, 1 / columns

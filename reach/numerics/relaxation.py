@@ -53,11 +53,11 @@ def clip_relaxation(
     # clip(y) - slope * y is piecewise affine: its extremes are at the ends and at the limits.
     corners = np.stack([lo, hi, np.clip(-limit, lo, hi), np.clip(limit, lo, hi)])
     values = np.clip(corners, -limit, limit) - slope * corners
-    most, least = values.max(axis=0), values.min(axis=0)
-    radius = (most - least) / 2
+    upper, lower = values.max(axis=0), values.min(axis=0)
+    radius = (upper - lower) / 2
     exact = np.where((lo >= -limit) & (hi <= limit), True, (lo >= limit) | (hi <= -limit))
     inside = (lo >= -limit) & (hi <= limit)
-    offset = np.where(inside, 0.0, np.where(exact, top, (most + least) / 2))
+    offset = np.where(inside, 0.0, np.where(exact, top, (upper + lower) / 2))
     slope = np.where(inside, 1.0, np.where(exact, 0.0, slope))
     # The rounding of the differences above, covered.
     slack = 8 * np.finfo(float).eps * (np.abs(lo) + np.abs(hi) + limit)

@@ -31,7 +31,7 @@ def add_down(a: Array, b: Array) -> Array:
 
 
 def integers(*arrays: Array) -> list[Whole]:
-    """The same numbers times one common power of two, as Python integers."""
+    """Return all entries of arrays times one common power of two, as Python integers."""
     parts = [np.frexp(np.asarray(a, dtype=float)) for a in arrays]
     used = [e[m != 0] for m, e in parts if np.any(m != 0)]
     lowest = min((int(e.min()) for e in used), default=0)
@@ -44,7 +44,7 @@ def integers(*arrays: Array) -> list[Whole]:
 
 
 def is_product(product: Array, left: Array, right: Array) -> bool:
-    """Whether ``product = left @ right`` holds without rounding; not where something is not finite."""
+    """Return True if ``product = left @ right`` without rounding, `product` and `left` being finite."""
     if not (np.all(np.isfinite(product)) and np.all(np.isfinite(left))):
         return False
     whole, first, second, one = integers(product, left, right, np.ones(1))

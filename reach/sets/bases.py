@@ -94,18 +94,18 @@ class Bases:
             left, tried = left[np.isnan(values[left])], known
             if len(left):
                 at, left = left[0], left[1:]
-                found = self.program(D[at].tobytes())
-                values[at], points[at], multipliers[at] = found.value, found.point, found.multipliers
-                if np.isfinite(found.value) and known < MOST_BASES:
-                    self._add(self.basis(found))
+                maximum = self.program(D[at].tobytes())
+                values[at], points[at], multipliers[at] = maximum.value, maximum.point, maximum.multipliers
+                if np.isfinite(maximum.value) and known < MOST_BASES:
+                    self._add(self.basis(maximum))
         return values, points, multipliers
 
-    def basis(self, found: Maximum) -> NDArray[np.intp]:
+    def basis(self, maximum: Maximum) -> NDArray[np.intp]:
         """N independent rows that meet in the solution of a linear program, those with multipliers first."""
         n = self.A.shape[1]
-        gap = self.b / self.norms - self.rows @ (found.point * self.columns)
-        room = 1e-9 * (np.abs(self.b) / self.norms + np.abs(self.rows) @ np.abs(found.point * self.columns))
-        used = found.multipliers * self.norms
+        gap = self.b / self.norms - self.rows @ (maximum.point * self.columns)
+        room = 1e-9 * (np.abs(self.b) / self.norms + np.abs(self.rows) @ np.abs(maximum.point * self.columns))
+        used = maximum.multipliers * self.norms
         order = np.lexsort((gap, -used))
         picked: list[int] = []
         frame = np.zeros((0, n))
@@ -119,15 +119,15 @@ class Bases:
         return np.zeros((0, n), dtype=np.intp)
 
     def proves(self, row: Array, offset: float) -> bool:
-        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas)."""
+        """Return True if rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas)."""
         if self.A.shape[1] > EXACT_MOST:
             return False
         if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):
             return True
-        found = self.program(np.asarray(row, dtype=float).tobytes())
-        if not np.isfinite(found.value):
+        maximum = self.program(np.asarray(row, dtype=float).tobytes())
+        if not np.isfinite(maximum.value):
             return False
-        for used in (*self.basis(found), np.flatnonzero(found.multipliers > 0)):
+        for used in (*self.basis(maximum), np.flatnonzero(maximum.multipliers > 0)):
             level = mixed_level(self.A[used], self.b[used], row) if len(used) <= self.A.shape[1] else None
             if level is not None and level <= Fraction(offset):
                 return True

@@ -77,13 +77,13 @@ def _narrow(Z: Zonotope, H: Array, low: Array, high: Array, meets: Flags) -> tup
         for _ in range(SWEEPS):
             for j in range(H.shape[-2]):
                 w = a[:, j]
-                least, most = np.minimum(w * lo, w * hi), np.maximum(w * lo, w * hi)
-                total_least, total_most = least.sum(1, keepdims=True), most.sum(1, keepdims=True)
+                least, largest = np.minimum(w * lo, w * hi), np.maximum(w * lo, w * hi)
+                total_least, total_most = least.sum(1, keepdims=True), largest.sum(1, keepdims=True)
                 room_high, room_low = high[:, j] - d[:, j], low[:, j] - d[:, j]
                 meets &= (total_least[:, 0] <= room_high) & (total_most[:, 0] >= room_low)
                 # w b_l <= room_high - what the others take at least, and the same from below
                 above = room_high[:, None] - (total_least - least)
-                below = room_low[:, None] - (total_most - most)
+                below = room_low[:, None] - (total_most - largest)
                 upper, lower = np.maximum(above / w, below / w), np.minimum(above / w, below / w)
                 tiny = np.abs(w) < 1e-9 * np.abs(w).max(axis=1, keepdims=True, initial=0.0)
                 widen = 1e-12

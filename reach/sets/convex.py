@@ -1,4 +1,4 @@
-"""What every convex set answers, and the operators that follow from it."""
+"""Interface of every convex set, and the operators that follow from it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ConvexSet(Protocol):
 
     @abstractmethod
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, shape (...) for points (..., n)."""
+        """Return True for each point that lies in the set, shape (...) for points (..., n)."""
 
 
 class SetOperators(ConvexSet, ABC):
@@ -141,7 +141,7 @@ class SetOperators(ConvexSet, ABC):
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, to `slack` times its size; shape (...) for points (..., n).
+        """Return True for each point in the set, to `slack` times its size; shape (...) for points (..., n).
 
         Half-widths, coefficients and norms are taken ``1 + slack`` times, of a row the sizes of its terms. A
         (single) zonotope takes one linear program for each point.
@@ -186,7 +186,7 @@ class SetOperators(ConvexSet, ABC):
         return intersect(self, other)
 
     def __le__(self, other: Any) -> bool:
-        """Whether this set is proved to lie in the other one; see `reach.contains`."""
+        """Return True if this set is proved to lie in the other one; see `reach.contains`."""
         from .relations.pairs import contains
 
         return bool(contains(other, self))

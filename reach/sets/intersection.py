@@ -53,7 +53,7 @@ class Intersection(OfParts):
 
     @cached_property
     def proved_empty(self) -> bool:
-        """Whether it is proved that there is no point in all parts."""
+        """True if it is proved that no point is in all parts."""
         from .relations.pairs import disjoint, intersect
 
         if any(getattr(part, "is_empty", False) and part.proved_empty for part in self.parts):
@@ -67,7 +67,7 @@ class Intersection(OfParts):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no point is in all parts, as far as that is proved."""
+        """True if it is proved that no point is in all parts; see `proved_empty`."""
         return self.proved_empty
 
     @cached_property
@@ -195,13 +195,13 @@ class Search:
         A = np.vstack([np.c_[A, room], np.eye(A.shape[1] + 1)[-1:]])
         goal = np.zeros(A.shape[1])
         goal[:n], goal[-1] = direction * size, float(depth)
-        found = maximise(goal, A, np.r_[np.hstack(offsets), 1.0])
-        if not np.isfinite(found.value):
+        optimum = maximise(goal, A, np.r_[np.hstack(offsets), 1.0])
+        if not np.isfinite(optimum.value):
             raise ReachError("the intersection has no point, or none that was found")
         ends = np.cumsum([len(part) for part in rows])
-        weights = np.split(found.multipliers[: ends[-1]], ends[:-1])
+        weights = np.split(optimum.multipliers[: ends[-1]], ends[:-1])
         split = [w @ part for w, part in zip(weights, rows, strict=True)]
-        return self.middle + size * found.point[:n], np.array(split), float(found.point[-1])
+        return self.middle + size * optimum.point[:n], np.array(split), float(optimum.point[-1])
 
     @cached_property
     def inner(self) -> tuple[Array, float]:

@@ -127,13 +127,13 @@ class Interval(SetStack):
         return Interval(np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi))
 
     def to_zonotope(self) -> Zonotope:
-        """The same box as a zonotope (exact; half-widths rounded up)."""
+        """Return the box as a zonotope (exact; half-widths rounded up)."""
         from .zonotope import Zonotope
 
         return Zonotope.box(self.center, self.half_widths)
 
     def to_polytope(self) -> HPolytope:
-        """The same box by inequalities (exact)."""
+        """Return the box as inequalities (exact)."""
         from .polytope import HPolytope
 
         checks.require_single("a set to convert", self)

@@ -146,7 +146,7 @@ def inverse(M: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OfParts(OfSets):
-    """What is made of single sets of one dimension, kept unevaluated."""
+    """Base of sets that are made of single sets of one dimension, kept unevaluated."""
 
     parts: tuple[Any, ...]
 

@@ -60,14 +60,14 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
     if isinstance(X, Ellipsoid):
         return _s_lemma(X)
     if isinstance(X, AffineImage) and isinstance(X.base, Ellipsoid | Zonotope):
-        found = largest_norm(X.M @ X.base + X.v, most, level)  # but for the rounding of the image
+        bracket = largest_norm(X.M @ X.base + X.v, most, level)  # but for the rounding of the image
         booked = gamma(2 * X.terms) * float(np.linalg.norm(X.extent))
-        return NormBracket(found.lower - booked, found.upper + booked, found.point)
-    found = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
+        return NormBracket(bracket.lower - booked, bracket.upper + booked, bracket.point)
+    bracket = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
     if isinstance(X, MinkowskiSum):
         total = sum(largest_norm(part, most).upper for part in X.parts) * (1 + gamma(len(X.parts)))
-        return replace(found, upper=min(found.upper, total))
-    return found
+        return replace(bracket, upper=min(bracket.upper, total))
+    return bracket
 
 
 def _bracket(X: SetOperators, point: Array, upper: float) -> NormBracket:
@@ -86,7 +86,7 @@ def _climb(X: SetOperators, start: Array) -> Array:
     return point
 
 
-def _over_signs(Z: Zonotope, most: int, level: float | None) -> NormBracket:
+def _over_signs(Z: Zonotope, branches: int, level: float | None) -> NormBracket:
     """Branch and bound: signs are fixed from the longest generator to the shortest, level by level."""
     G = Z.G[:, np.argsort(-np.linalg.norm(Z.G, axis=0), kind="stable")]
     G = G[:, np.any(G != 0, axis=0)]
@@ -112,7 +112,7 @@ def _over_signs(Z: Zonotope, most: int, level: float | None) -> NormBracket:
         fixed, bounds = fixed[keep], bounds[keep]
         if len(fixed) == 0:
             return _bracket(Z, best, upper)
-        if len(fixed) > most or j == R.shape[1]:
+        if len(fixed) > branches or j == R.shape[1]:
             return _bracket(Z, best, max(upper, float(bounds.max())))
         fixed = np.vstack([fixed + R[:, j], fixed - R[:, j]])
     raise AssertionError("the last level always returns")

@@ -17,7 +17,7 @@ SAME = 1e-9  # points this close, in sizes of the set, are one vertex
 
 
 def is_round(X: Any) -> bool:
-    """Whether there is an ellipsoid in the set."""
+    """Return True if the set is an ellipsoid or made of one."""
     return isinstance(X, Ellipsoid) or (isinstance(X, OfSets) and any(map(is_round, X.made_of)))
 
 

@@ -60,18 +60,18 @@ class HPolytope(SetOperators):
         scale = np.abs(self.A).max(axis=0, initial=0.0)
         rows = self.A / np.where(scale > 0, scale, 1.0)
         norms = np.linalg.norm(rows, axis=1)
-        found = maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[rows, norms], self.b)
+        ball = maximise(np.r_[np.zeros(self.dim), 1.0], np.c_[rows, norms], self.b)
         level = float(np.max(np.abs(self.b) / norms, initial=0.0)) or 1.0
-        return found.point[:-1] / np.where(scale > 0, scale, 1.0), found.value / level, found.multipliers
+        return ball.point[:-1] / np.where(scale > 0, scale, 1.0), ball.value / level, ball.multipliers
 
     @property
     def is_empty(self) -> bool:
-        """Whether no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
+        """True if no point satisfies all rows (thinner than `FLATNESS` counts as flat, not empty)."""
         return self._ball[1] < -FLATNESS
 
     @checked
     def is_empty_within(self, sizes: Array) -> bool:
-        """Whether it is proved that no point with ``|x| <= sizes``, shape (n,), is in the set (Farkas)."""
+        """Return True if the set is proved to have no point with ``|x| <= sizes``, shape (n,) (Farkas)."""
         if not self.is_empty:
             return False
         level, residual = self.weak_duality(np.zeros((1, self.dim)), self._ball[2][None])
@@ -79,7 +79,7 @@ class HPolytope(SetOperators):
 
     @cached_property
     def proved_empty(self) -> bool:
-        """Whether rows, mixed without rounding, leave ``0 <= negative`` (Farkas)."""
+        """True if rows, mixed without rounding, leave ``0 <= negative`` (Farkas)."""
         if not self.is_empty or self.dim > EXACT_MOST:
             return False
         used = np.argsort(-self._ball[2] * np.linalg.norm(self.A, axis=1), kind="stable")[: self.dim + 1]
@@ -128,8 +128,8 @@ class HPolytope(SetOperators):
         """Weak duality along the positive, then the negative axes; levels (2 n,) are nan without a bound."""
         axes = np.vstack([np.eye(self.dim), -np.eye(self.dim)])
         self._refuse_empty()
-        found = [self.bases.program(axis.tobytes()) for axis in axes]
-        return self.weak_duality(axes, np.array([one.multipliers for one in found]))
+        maxima = [self.bases.program(axis.tobytes()) for axis in axes]
+        return self.weak_duality(axes, np.array([one.multipliers for one in maxima]))
 
     @property
     def terms(self) -> int:

@@ -58,9 +58,9 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
     G, size = zonotope.G / size, np.where(half == 0, 0.0, size)
     if method != "auto":
         return Zonotope(zonotope.c, METHODS[method](G, budget) * size)
-    found = [one(G, budget) for one in METHODS.values()]
-    least = _ranks(np.stack([mean_width(one) for one in found]), 0).argmin(axis=0)
-    best = np.take_along_axis(np.stack(found), least[None, ..., None, None], axis=0)[0]
+    candidates = [one(G, budget) for one in METHODS.values()]
+    least = _ranks(np.stack([mean_width(one) for one in candidates]), 0).argmin(axis=0)
+    best = np.take_along_axis(np.stack(candidates), least[None, ..., None, None], axis=0)[0]
     return Zonotope(zonotope.c, best * size)
 
 
@@ -112,8 +112,8 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
 def _ranks(keys: Array, axis: int = -1) -> Array:
     """Keys to choose by without their last digits: rounding differs between processors, choices must not."""
     known = np.isfinite(keys)
-    most = np.abs(np.where(known, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
-    mantissa, exponent = np.frexp(np.where(known, keys, 0.0) / np.where(most > 0, most, 1.0))
+    largest = np.abs(np.where(known, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
+    mantissa, exponent = np.frexp(np.where(known, keys, 0.0) / np.where(largest > 0, largest, 1.0))
     coarse = np.ldexp(np.rint(mantissa * 2.0**24), exponent - 24)
     return np.asarray(np.where(known, np.where(np.abs(coarse) < 2.0**-40, 0.0, coarse), keys))
 

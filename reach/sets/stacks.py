@@ -1,4 +1,4 @@
-"""What boxes, zonotopes and ellipsoids share: two arrays, leading axes as a stack, images of a fixed body."""
+"""Base of boxes, zonotopes and ellipsoids: two arrays, leading axes as a stack, images of a fixed body."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

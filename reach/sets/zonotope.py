@@ -195,7 +195,7 @@ class Zonotope(Generated):
         return self
 
     def to_polytope(self, most: int = 20_000) -> HPolytope:
-        """The same (single) set by inequalities, one pair for each pair of facets.
+        """Return the (single) set as inequalities, one pair for each pair of facets.
 
         Exact but for the offsets, which are rounded up; a flat set gets its equations as pairs.
 
@@ -213,15 +213,15 @@ class Zonotope(Generated):
         """Volume, by ``comb(g, n)`` determinants (at most `most` of them), shape (...)."""
         n, g = self.G.shape[-2:]
         if comb(g, n) > checks.as_count("most", most):
-            found = f"{g} generators in dimension {n} have {comb(g, n)} determinants"
-            raise ReachError(f"{found}, more than {most}")
+            detail = f"{g} generators in dimension {n} have {comb(g, n)} determinants"
+            raise ReachError(f"{detail}, more than {most}")
         groups = np.array(list(combinations(range(g), n)), dtype=int).reshape(-1, n)
         minors = np.moveaxis(self.G[..., groups], -3, -2)
         return np.asarray(2.0**n * np.abs(np.linalg.det(minors)).sum(axis=-1))
 
 
 def combination_count(G: Array) -> int:
-    """How many groups of n - 1 vectors `facet_normals` looks at."""
+    """Return the number of groups of n - 1 vectors that `facet_normals` looks at."""
     return comb(_spanning(G).shape[1], len(G) - 1)
 
 
@@ -236,8 +236,8 @@ def facet_normals(G: Array, most: int) -> Whole:
     n, candidates = len(G), _spanning(G)
     count = comb(candidates.shape[1], n - 1)
     if count > most:
-        found = f"{candidates.shape[1]} generators in dimension {n} span up to {count} facets"
-        raise ReachError(f"{found}, more than {most}")
+        detail = f"{candidates.shape[1]} generators in dimension {n} span up to {count} facets"
+        raise ReachError(f"{detail}, more than {most}")
     (whole,) = integers(candidates)
     groups = np.array(list(combinations(range(candidates.shape[1]), n - 1)), dtype=int).reshape(count, n - 1)
     normals = cross(np.transpose(whole[:, groups], (2, 0, 1)))

@@ -79,8 +79,8 @@ class Adjoint:
 
     def along(self, rows: Array) -> Array:
         """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
-        found = times(rows, self._force)
-        return np.moveaxis(found.reshape(*rows.shape[:-1], 3, -1), -2, 0)
+        products = times(rows, self._force)
+        return np.moveaxis(products.reshape(*rows.shape[:-1], 3, -1), -2, 0)
 
     def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
         """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
@@ -151,12 +151,12 @@ class Adjoint:
 
 
 def is_symmetric(body: ConvexSet) -> bool:
-    """Whether a set is known to be symmetric about its centre."""
+    """Return True if a set is known to be symmetric about its centre."""
     return isinstance(body, Interval | Generated)
 
 
 def attained_support(body: Any, rows: Array, support: Array) -> Array:
-    """What is proved to be attained, where the support is found by a program and is an upper bound."""
+    """Return the support proved to be attained: a lower bound where `support` is an upper one."""
     return support if is_symmetric(body) or not hasattr(body, "support_down") else body.support_down(rows)
 
 

@@ -40,7 +40,7 @@ class RowBounds:
 
     @property
     def below(self) -> Array:
-        """What is attained at the nodes, rounding included, shape (K+1, r)."""
+        """Values attained at the nodes, less the rounding, shape (K+1, r)."""
         return self.attained + self.lower - self.rounding
 
     @property
@@ -51,7 +51,7 @@ class RowBounds:
         return np.asarray(over.reshape(-1, self.parts, over.shape[1]).max(axis=1))
 
     def coarse(self) -> RowBounds:
-        """The same bounds over the steps that were asked for."""
+        """Return the bounds over the steps that were asked for."""
         s = self.parts
         if s == 1:
             return self
@@ -87,18 +87,18 @@ def collect(
     known: KnownResponse | None = None,
 ) -> RowBounds:
     """Put blocks together: sums of the steps, shifted for every input set, the known motion, the rounding."""
-    found = [(h, block if keep else replace(block, rows=block.first)) for h, block in blocks]
+    pairs = [(h, block if keep else replace(block, rows=block.first)) for h, block in blocks]
 
     def at_nodes(values: list[Array]) -> Array:
         return np.concatenate([values[0], *(part[1:] for part in values[1:])])
 
     first, attained, rows = (
-        at_nodes([getattr(block, name) for _, block in found]) for name in ("first", "attained", "rows")
+        at_nodes([getattr(block, name) for _, block in pairs]) for name in ("first", "attained", "rows")
     )
-    states, rates = (at_nodes([block.size[i] for _, block in found]) for i in (0, 1))
-    steps = np.repeat([h for h, _ in found], [len(block.bow) for _, block in found])
+    states, rates = (at_nodes([block.size[i] for _, block in pairs]) for i in (0, 1))
+    steps = np.repeat([h for h, _ in pairs], [len(block.bow) for _, block in pairs])
     upper, lower, bow, bend = (
-        np.concatenate([getattr(block, name) for _, block in found])
+        np.concatenate([getattr(block, name) for _, block in pairs])
         for name in ("upper", "lower", "bow", "bend")
     )
     # Where steps differ they are powers of two of the horizon, so that their sum is exact.

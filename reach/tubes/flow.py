@@ -145,8 +145,8 @@ class LinearFlow:
         """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)``, by the scaled root's condition."""
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
-            found = f"spectral radius {radius:.6g} per period of {self.h:g}"
-            raise ReachError(f"the closed loop is not stable: {found}")
+            detail = f"spectral radius {radius:.6g} per period of {self.h:g}"
+            raise ReachError(f"the closed loop is not stable: {detail}")
         rate = -np.log(radius) / self.h
         scale = state_scale(self.A_c)
         # Asking for half the slowest rate keeps the norm well conditioned.
@@ -215,10 +215,10 @@ class LinearFlow:
     def period_zonotope(self) -> Zonotope:
         """Zonotope enclosing ``{int_0^h e^{A_x s} (D w(s) + E v(s)) ds}`` (the disturbance of one period)."""
         ball = ball_generators(self.D.shape[1], self.w_max)
-        found = self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
+        zonotope = self.input_zonotope(self.D, ball, np.linalg.norm(self.D, axis=1) * self.w_max)
         if self.E is None:
-            return found
-        return found + self.input_zonotope(self.E, np.eye(self.E.shape[1]), np.abs(self.E).sum(axis=1))
+            return zonotope
+        return zonotope + self.input_zonotope(self.E, np.eye(self.E.shape[1]), np.abs(self.E).sum(axis=1))
 
     @checked
     def disturbance_nodes(self, count: int, order: float = 30.0, together: int = 1) -> Zonotope:

@@ -81,11 +81,11 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
     D2 = times(times(np.hstack([D, np.zeros((len(D), 2 * m))]), A), A)
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
     y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))
-    most = max(ENTRIES // (n + 2 * m), 64)
+    chunk = max(ENTRIES // (n + 2 * m), 64)
     alike = groupby(range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i]))
     for indices in (list(run) for _, run in alike):
-        for k in range(0, len(indices), most):
-            i, count = indices[k], len(indices[k : k + most])
+        for k in range(0, len(indices), chunk):
+            i, count = indices[k], len(indices[k : k + chunk])
             h = float(substeps.length[i])
             z = np.concatenate([y[i], substeps.u[i], substeps.w[i]])
             Z = across.carry(z[None] * across.scale, h, count)[:, 0] / across.scale

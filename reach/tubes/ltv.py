@@ -175,11 +175,11 @@ def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Arr
     if bound is None:
         return np.full((len(times) - 1, *shape), np.inf)
     over = bound if callable(bound) else lambda a, b: bound
-    found = [as_numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
-    for values in found:
+    bounds = [as_numbers(name, over(float(a), float(b))) for a, b in zip(times[:-1], times[1:], strict=True)]
+    for values in bounds:
         if values.shape != shape or not np.all(values >= 0):
             raise ReachError(f"the {name} must be >= 0 and of shape {shape}, got {values!r}")
-    return np.stack(found)
+    return np.stack(bounds)
 
 
 def _consistent(name: str, seen: Array, bound: Array) -> None:
@@ -223,8 +223,8 @@ class Sweep:
         W, Y = (exponential(_growing(M, more), h) for more in (0.0, D))
         missed = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
         # Inputs: the trapezoid of V(s) = Phi(t_k+1, s) G(s), G = [B c], whose V'' bounds its rest.
-        first, force_most, rate, most = np.abs(G[:-1]) @ u, force("most"), force("rate"), A.most
-        curved = A.rate @ force_most + 2 * most @ rate + most @ most @ force_most
+        first, force_most, rate, size = np.abs(G[:-1]) @ u, force("most"), force("rate"), A.most
+        curved = A.rate @ force_most + 2 * size @ rate + size @ size @ force_most
         driven = Y @ force_most
         rest = Y @ (h**3 / 12 * curved + force("area")) + h / 2 * missed @ first[..., None]
         self.missed, self.rest = missed + ROUNDING * n * W, (rest + ROUNDING * n * h * driven)[..., 0]
@@ -232,8 +232,8 @@ class Sweep:
         # Between the nodes: y'' = (A^2 + A') y, and the input's share by its Lipschitz constant.
         self.curve = M @ M + S
         self.more = np.abs(M) @ D + D @ np.abs(M) + D @ D + A.swing
-        self.more = self.more @ Y + h * np.abs(self.curve) @ most @ Y
-        slide = most @ driven + Y @ (most @ force_most + rate) / 2
+        self.more = self.more @ Y + h * np.abs(self.curve) @ size @ Y
+        slide = size @ driven + Y @ (size @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
     def run(self, D: Array, effort: Effort) -> RowBounds:

@@ -119,8 +119,8 @@ class Rows:
                 dense = isinstance(self.A, np.ndarray)
                 M = abs(self.A) + (np.diag(less) if dense else sparse.diags(less, format="csr"))
                 self._closings[h] = Action(M) if self.action is not None else self._exponential(M, h)
-            found = self._closings[h]
-            out = found @ vectors if self.action is None else found(vectors.T, h, 1)[-1].T
+            growth = self._closings[h]
+            out = growth @ vectors if self.action is None else growth(vectors.T, h, 1)[-1].T
         return np.where(np.isnan(out), np.inf, out)
 
     def lags(self, h: float, horizon: float) -> list[float]:
@@ -157,8 +157,8 @@ class Rows:
         for i, t in enumerate(lags):
             grown = np.asarray(abs(self.map(t)) @ weights)
             ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
-            most = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
-            logs[i] = np.log(np.maximum(most, 1e-300))
+            factors = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
+            logs[i] = np.log(np.maximum(factors, 1e-300))
         # To the end it goes on as between the last two lags.
         slope = np.maximum(logs[-1] - logs[-2], 0) / (lags[-1] - lags[-2]) if len(lags) > 1 else 0.0
         logs = np.concatenate([logs, [logs[-1] + slope * (horizon - lags[-1])]])
@@ -185,8 +185,8 @@ class Rows:
                     path[i + 1] = path[i] @ self.A.T
             else:
                 path = self._sampled_path(start, horizon)
-            most, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
-        ratio = np.divide(most, first, out=np.ones_like(first), where=first > 0)
+            peak, first = np.abs(path).max(axis=(0, 2)), weights.max(axis=0)
+        ratio = np.divide(peak, first, out=np.ones_like(first), where=first > 0)
         return np.asarray(10 * np.clip(np.nan_to_num(ratio, nan=1e299, posinf=1e299), 1.0, 1e299))
 
     def _sampled_path(self, start: Array, horizon: float) -> Array:
@@ -196,8 +196,8 @@ class Rows:
             return Action(self.A)(start, horizon / SAMPLES, SAMPLES)
         while m > 3 and self.map(horizon / 2 ** (m - 1)) is not None:
             m -= 1
-        x, most = start.T, np.abs(start.T)
+        x, peak = start.T, np.abs(start.T)
         for _ in range(2**m):
             x = self.map(horizon / 2**m) @ x
-            most = np.maximum(most, np.abs(x))
-        return np.stack([start, most.T])
+            peak = np.maximum(peak, np.abs(x))
+        return np.stack([start, peak.T])

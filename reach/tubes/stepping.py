@@ -83,10 +83,10 @@ def substeps(adjoint: Adjoint, step: float, horizon: float = 0.0, rows: int = 1)
     """Parts (a power of two, up to `PARTS`, more while the run stays `CHEAP`) in which little turns."""
     if adjoint.system.discrete or not step > 0:
         return 1
-    most = np.log2(PARTS)
+    limit = np.log2(PARTS)
     if horizon > 0:
-        most = max(most, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
-    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, most))
+        limit = max(limit, np.floor(np.log2(CHEAP / max(rows * adjoint.system.dim * horizon / step, 1.0))))
+    return int(2 ** np.clip(np.ceil(np.log2(max(2 * step * adjoint.rows.norm, 1.0))), 0, limit))
 
 
 def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:

@@ -175,7 +175,7 @@ class LinearSystem:
 
     @property
     def sparse(self) -> bool:
-        """Whether A is kept sparse."""
+        """True if A is kept sparse."""
         return bool(sparse.issparse(self.A))
 
     def holding_inputs(self) -> LinearSystem:

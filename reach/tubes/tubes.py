@@ -67,7 +67,7 @@ class SupportTube:
 
     @property
     def reached(self) -> Array:
-        """What some trajectory reaches at a node, shape (r,): ``reached <= exact <= most``."""
+        """Largest value of a trajectory at a node, shape (r,): ``reached <= exact <= most``."""
         return np.asarray(self.attained.max(axis=0))
 
 

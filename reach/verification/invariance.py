@@ -36,8 +36,8 @@ class Motions:
 
     def sizes(self, rows: Array, limits: Array) -> Array:
         """Sizes in which rows (r, n) are measured, shape (r,): of their limits and over the initial set."""
-        most = np.maximum(self.initial.support(rows), self.initial.support(-rows))
-        size = np.maximum(np.abs(limits), most)
+        extent = np.maximum(self.initial.support(rows), self.initial.support(-rows))
+        size = np.maximum(np.abs(limits), extent)
         return np.where(size > 0, size, 1.0)
 
     @cached_property
@@ -45,10 +45,10 @@ class Motions:
         """Largest absolute values of the states up to the end of the window, never too small, shape (n,)."""
         n, end = self.system.dim, self.window[1]
         axes = np.vstack([np.eye(n), -np.eye(n)])
-        most = self.initial.support(axes)
+        bounds = self.initial.support(axes)
         if end > 0:
-            most = self._support_tube(axes).most
-        return np.asarray(np.maximum(most[:n], most[n:]).clip(min=0))
+            bounds = self._support_tube(axes).most
+        return np.asarray(np.maximum(bounds[:n], bounds[n:]).clip(min=0))
 
     def _support_tube(self, C: Array, **how: Any) -> SupportTube:
         return tube_of(self.system, self.initial, self.window[1], C, Steps(effort=self.effort, **how))

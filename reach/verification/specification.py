@@ -1,4 +1,4 @@
-"""What is asked of all trajectories, and the answer."""
+"""Requirements on all trajectories, and the verdict on them."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ..tubes.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Specification:
-    """What is asked of the state at all times of an interval.
+    """Requirement on the state at all times of an interval.
 
     Parameters
     ----------

@@ -72,14 +72,14 @@ def verify(
     begun, region = perf_counter(), spec.region
     motions = Motions(system, initial, window, Effort(max_effort))
     if len(region.b) == 0:
-        found = _without_limits(motions, spec)
+        verdict = _without_limits(motions, spec)
     elif isinstance(spec, Always):
-        found = verify_always(motions, region)
+        verdict = verify_always(motions, region)
     elif len(region.b) == 1:  # out of one halfspace is inside the opposite one, its boundary excluded
-        found = verify_always(motions, HPolytope(-region.A, np.nextafter(-region.b, -np.inf)))
+        verdict = verify_always(motions, HPolytope(-region.A, np.nextafter(-region.b, -np.inf)))
     else:
-        found = verify_never(motions, region)
-    return replace(found, seconds=perf_counter() - begun)
+        verdict = verify_never(motions, region)
+    return replace(verdict, seconds=perf_counter() - begun)
 
 
 def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, float]:
@@ -112,13 +112,13 @@ def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
 
 @dataclass
 class Reached:
-    """What rows are at one time, asked through trajectories, whose mixtures are trajectories again."""
+    """Values of rows at one time, a set given by trajectories, whose mixtures are trajectories again."""
 
     motions: Motions
     rows: Array
     time: float
     step: float | None
-    found: list[Trajectory] = field(default_factory=list)
+    paths: list[Trajectory] = field(default_factory=list)
 
     @property
     def center(self) -> Array:
@@ -129,14 +129,14 @@ class Reached:
         """The values of the rows that go furthest in one direction, shape (r,)."""
         d = np.asarray(directions, dtype=float) @ self.rows
         motions = self.motions
-        self.found.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
-        motions.effort.spend(self.found[-1].states.size)
-        return np.asarray(self.rows @ self.found[-1].states[-1])
+        self.paths.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
+        motions.effort.spend(self.paths[-1].states.size)
+        return np.asarray(self.rows @ self.paths[-1].states[-1])
 
     @property
     def answers(self) -> Array:
         """Every point found so far, shape (k, r)."""
-        return np.array([self.rows @ path.states[-1] for path in self.found])
+        return np.array([self.rows @ path.states[-1] for path in self.paths])
 
     def leading_to(self, point: Array) -> Trajectory:
         """The trajectory that mixes the answers so as to end closest to a point."""
@@ -148,11 +148,11 @@ class Reached:
         except RuntimeError as exc:
             raise Unresolved(f"no mixture of trajectories was found: {exc}") from None
         weights = weights / weights.sum()
-        x0 = np.tensordot(weights, np.array([path.states[0] for path in self.found]), axes=1)
-        inputs = np.tensordot(weights, np.array([path.inputs for path in self.found]), axes=1)
+        x0 = np.tensordot(weights, np.array([path.states[0] for path in self.paths]), axes=1)
+        inputs = np.tensordot(weights, np.array([path.inputs for path in self.paths]), axes=1)
         if self.time == 0:
-            return replace(self.found[0], states=x0[None])
-        return simulate(self.motions.system, x0, self.found[0].times, inputs)
+            return replace(self.paths[0], states=x0[None])
+        return simulate(self.motions.system, x0, self.paths[0].times, inputs)
 
 
 def verify_never(motions: Motions, region: HPolytope) -> Verdict:
@@ -184,8 +184,8 @@ def verify_never(motions: Motions, region: HPolytope) -> Verdict:
             if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
                 # In the region -mix A x >= -mix b, but for the rounding of the products.
                 level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
-                most = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
-                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -most]
+                bound = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
+                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -bound]
             else:
                 share /= SHARPER
     except Unresolved as exc:
@@ -195,7 +195,7 @@ def verify_never(motions: Motions, region: HPolytope) -> Verdict:
 
 
 def _is_new(d: Array, D: Array) -> bool:
-    """Whether a direction differs from all those in use."""
+    """Return True if a direction differs from all those in use."""
     cosines = D @ d / np.linalg.norm(D, axis=1) / np.linalg.norm(d)
     return bool(np.max(cosines) < 1 - 1e-9)
 

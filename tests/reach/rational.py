@@ -9,7 +9,7 @@ from reach import AffineImage, Ellipsoid, HPolytope, Intersection, Interval, Min
 
 
 def exact(values):
-    """The same numbers as fractions, in an object array."""
+    """Return numbers as fractions, in an object array."""
     values = np.asarray(values)
     out = np.empty(values.shape, dtype=object)
     for i in np.ndindex(values.shape):
@@ -109,7 +109,7 @@ def rows(X):
 
 
 def inside(X, p):
-    """Whether a point of fractions is in a set, without rounding; None if that is not known here."""
+    """Return True if a point of fractions is in a set, without rounding; None if that is not known here."""
     if isinstance(X, Ellipsoid):
         u = solve(exact(X.L), p - exact(X.c)) if X.L.shape[0] == X.L.shape[1] else None
         return None if u is None else bool(u @ u <= 1)

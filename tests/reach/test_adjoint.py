@@ -135,9 +135,9 @@ def test_thin_expms_are_those_of_scipy(length):
     A = sparse.bmat([[None, sparse.identity(200)], [chain, 0.1 * chain]], format="csr")
     want = expm(A.toarray() * length)
     half = thin_expm(A, length / 2, Action(A))
-    found = [thin_expm(A, length, Action(A)), None if half is None else thin_expm(A, length, Action(A), half)]
-    assert length > 0.3 or found[0] is not None
-    for one in found:
+    exps = [thin_expm(A, length, Action(A)), None if half is None else thin_expm(A, length, Action(A), half)]
+    assert length > 0.3 or exps[0] is not None
+    for one in exps:
         if one is not None:
             assert sparse.issparse(one) and one.nnz < A.shape[0] ** 2 * (0.2 if length < 1 else 0.6)
             assert np.abs(one.toarray() - want).max() < 1e-13 * (1 + 4 * length)

@@ -243,13 +243,13 @@ WRONG = [
 
 
 def _first(X):
-    """What the set, or the first of a stack, is made of."""
+    """Return the fields of a set, or of the first of a stack."""
     one = X[0] if getattr(X, "batch", ()) else X
     return [getattr(one, field.name) for field in fields(one)]
 
 
 def attempt(call, args, more):
-    """What went wrong other than by a `ReachError`."""
+    """Return the error of a call that is no `ReachError`, as text; None without one."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", reach.ReachWarning)
         warnings.simplefilter("error", RuntimeWarning)
@@ -263,11 +263,11 @@ def attempt(call, args, more):
 
 
 def faults(name, call, args, more=None):
-    """Every wrong value in every place."""
-    found, more = [], more or {}
+    """Return the faults of a call with every wrong value in every place."""
+    texts, more = [], more or {}
     good = attempt(call, args, more)
     if good is not None:
-        found.append(f"{name}: {good}")
+        texts.append(f"{name}: {good}")
     places = [*range(len(args)), *more]
     for place in places:
         for wrong in WRONG:
@@ -275,8 +275,8 @@ def faults(name, call, args, more=None):
             (given if isinstance(place, int) else named)[place] = wrong
             fault = attempt(call, given, named)
             if fault is not None:
-                found.append(f"{name}, argument {place} = {str(wrong)[:40]!r}: {fault[:150]}")
-    return found
+                texts.append(f"{name}, argument {place} = {str(wrong)[:40]!r}: {fault[:150]}")
+    return texts
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -287,14 +287,14 @@ def test_wrong_arguments_are_one_error(name):
 @pytest.mark.parametrize("kind", SETS)
 def test_wrong_arguments_of_methods_are_one_error(kind):
     X = SETS[kind]
-    found = []
+    texts = []
     for method, args in METHODS.items():
         if hasattr(X, method):
             call = getattr(X, method)
             count = len(inspect.signature(call).parameters)
             args = (type(X)(*_first(X)),) if method == "hull" else args[:count]
-            found += faults(f"{kind}.{method}", call, args)
-    assert not found
+            texts += faults(f"{kind}.{method}", call, args)
+    assert not texts
 
 
 def test_every_public_function_is_tried():

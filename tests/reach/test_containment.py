@@ -98,20 +98,20 @@ def test_any_set_in_an_ellipsoid_agrees_with_its_points(n, data):
 @settings(max_examples=60)
 @given(zonotopes(), st.data())
 def test_largest_norm_of_a_zonotope_is_that_of_a_corner(z, data):
-    found, truth = largest_norm(z), np.linalg.norm(z.corners(), axis=1).max()
-    assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper * (1 + 1e-12)
-    assert found.upper - found.lower <= 1e-8 * (1 + truth)
-    assert np.isclose(np.linalg.norm(found.point), found.lower, atol=1e-9) and z.contains(found.point, 1e-7)
-    assert found.upper <= z.norm_bound(np.eye(z.dim)) * (1 + 1e-9) + 1e-12
+    norm, truth = largest_norm(z), np.linalg.norm(z.corners(), axis=1).max()
+    assert norm.lower <= truth * (1 + 1e-12) and truth <= norm.upper * (1 + 1e-12)
+    assert norm.upper - norm.lower <= 1e-8 * (1 + truth)
+    assert np.isclose(np.linalg.norm(norm.point), norm.lower, atol=1e-9) and z.contains(norm.point, 1e-7)
+    assert norm.upper <= z.norm_bound(np.eye(z.dim)) * (1 + 1e-9) + 1e-12
 
 
 @given(ellipsoids())
 def test_largest_norm_of_an_ellipsoid_brackets_its_surface(E):
     u = np.random.default_rng(0).normal(size=(3000, E.L.shape[1]))
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-300)
-    truth, found = np.linalg.norm(E.c + u @ E.L.T, axis=1).max(), largest_norm(E)
-    assert truth <= found.upper and found.upper - found.lower <= 1e-6 * (1 + found.upper)
-    assert np.isclose(np.linalg.norm(found.point), found.lower, atol=1e-8) and E.contains(found.point, 1e-6)
+    truth, norm = np.linalg.norm(E.c + u @ E.L.T, axis=1).max(), largest_norm(E)
+    assert truth <= norm.upper and norm.upper - norm.lower <= 1e-6 * (1 + norm.upper)
+    assert np.isclose(np.linalg.norm(norm.point), norm.lower, atol=1e-8) and E.contains(norm.point, 1e-6)
 
 
 def test_branch_and_bound_that_is_cut_short_says_so():
@@ -253,11 +253,11 @@ TURN = np.array([[1.0, 0.2], [0.0, 1.0]])
 
 def made_of(sets):
     """Sets, what a map makes of them, and their sums with a ball."""
-    found = dict(sets)
+    made = dict(sets)
     for name, one in sets.items():
-        found[f"image of {name}"] = AffineImage(TURN, one, np.ones(2))
-        found[f"sum with {name}"] = MinkowskiSum((one, Ellipsoid(np.zeros(2), 0.1 * np.eye(2))))
-    return found
+        made[f"image of {name}"] = AffineImage(TURN, one, np.ones(2))
+        made[f"sum with {name}"] = MinkowskiSum((one, Ellipsoid(np.zeros(2), 0.1 * np.eye(2))))
+    return made
 
 
 @pytest.mark.parametrize("inner", made_of(UNBOUNDED))

@@ -1,4 +1,4 @@
-"""What a tube costs, by counts, and what it says where it is wide."""
+"""Costs of a tube, by counts, and the warnings of a wide one."""
 
 import warnings
 
@@ -27,7 +27,7 @@ from . import truth
 
 
 def counted(monkeypatch):
-    """How often a linear program is solved."""
+    """Return a list that grows by one with every linear program solved."""
     solved, original = [], reach.sets.polytope.maximise
 
     def count(*arguments):
@@ -46,10 +46,10 @@ def test_a_polytope_as_input_or_initial_set_takes_a_few_programs(monkeypatch, st
     U, X = Interval([-1.0, -0.5], [1.0, 0.5]), Interval(-np.ones(4), np.ones(4))
     want = support_tube(LinearSystem(A, B, U), X, 1.0, np.eye(4), step=1 / steps)
     solved = counted(monkeypatch)
-    found = support_tube(LinearSystem(A, B, U.to_polytope()), X.to_polytope(), 1.0, np.eye(4), step=1 / steps)
+    tube = support_tube(LinearSystem(A, B, U.to_polytope()), X.to_polytope(), 1.0, np.eye(4), step=1 / steps)
     assert len(solved) < 40
-    assert np.all(found.upper >= want.attained - 1e-9) and np.allclose(found.upper, want.upper, rtol=1e-3)
-    assert np.all(found.attained <= want.upper + 1e-9)
+    assert np.all(tube.upper >= want.attained - 1e-9) and np.allclose(tube.upper, want.upper, rtol=1e-3)
+    assert np.all(tube.attained <= want.upper + 1e-9)
 
 
 @pytest.mark.parametrize("n, m", [(2, 9), (3, 12), (5, 14), (9, 24)])

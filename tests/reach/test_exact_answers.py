@@ -162,8 +162,8 @@ def test_images_of_polytopes_prove_nothing_about_other_sets(seed):
         facets = exact(P.A) @ np.stack(back, axis=1)
         for a in facets:
             row = np.array([float(v) for v in a])
-            most = max(exact(row) @ exact(M) @ p for p in _corners(P))
-            assert Fraction(float(image.support_up(row))) >= most
+            largest = max(exact(row) @ exact(M) @ p for p in _corners(P))
+            assert Fraction(float(image.support_up(row))) >= largest
         written = image.to_polytope()
         assert all(inside(written, exact(M) @ p) for p in _corners(P))
 

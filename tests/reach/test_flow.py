@@ -149,15 +149,15 @@ def test_contraction_does_not_depend_on_the_units(kind, sizes, same):
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])
 def test_input_zonotope_holds_inputs_that_vary_within_the_period(kind):
     f, rng = flow(kind, 5.0), np.random.default_rng(0)
-    most, parts = np.array([0.3, 0.1, 0.2]), 40
-    enclosure = f.input_zonotope(SYSTEM.B, np.diag(most), np.abs(SYSTEM.B) @ most)
+    sizes, parts = np.array([0.3, 0.1, 0.2]), 40
+    enclosure = f.input_zonotope(SYSTEM.B, np.diag(sizes), np.abs(SYSTEM.B) @ sizes)
     D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(20, 6))])
     step, push = discretize(f.A_x, SYSTEM.B, 5.0 / parts)
     kernel = np.array([D @ np.linalg.matrix_power(step, j) @ push for j in range(parts)])
-    worst = np.abs(kernel).sum(axis=0) @ most  # bang-bang, a switch at any of the parts
+    worst = np.abs(kernel).sum(axis=0) @ sizes  # bang-bang, a switch at any of the parts
     limit = enclosure.support(D)
     assert np.all(worst <= limit * (1 + 1e-12))
-    constant = np.abs(kernel.sum(axis=0)) @ most
+    constant = np.abs(kernel.sum(axis=0)) @ sizes
     assert np.all(constant <= worst * (1 + 1e-12))
     assert np.all(limit[3:6] <= 1.3 * worst[3:6]), "and it is not idle"
 

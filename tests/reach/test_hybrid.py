@@ -44,7 +44,7 @@ def outside(tube, path, rng, looks=5):
     chosen += [(v, k) for v in path.visits for k in (0, -1)]
     for visit, k in chosen:
         t, x = visit.times[k], visit.states[k]
-        found = False
+        held = False
         for segment in tube.of(visit.mode):
             k_, i_ = segment.steps
             span = segment.span(k_, i_)
@@ -55,9 +55,9 @@ def outside(tube, path, rng, looks=5):
             hulls = sets.interval_hull()
             near = meets & np.all((x >= hulls.lo) & (x <= hulls.hi), axis=-1)
             if any(sets[j].contains(x, slack=1e-6) for j in np.flatnonzero(near)):
-                found = True
+                held = True
                 break
-        if not found:
+        if not held:
             lost.append((visit.mode, t, x))
     return lost
 
@@ -321,9 +321,9 @@ def test_never_a_wrong_safe(level):
     asked = {"right": [Never(half([0, 1], level))], "left": [Always(half([0, 1], -level))]}
     verdict = verify_hybrid(automaton, BOX, asked, 2.0, HybridOptions(step=0.1), dt=0.02, runs=5)
     rng = np.random.default_rng(7)
-    found = falsify_hybrid(automaton, BOX, asked, 2.0, dt=0.02, runs=30, rng=rng)
+    broken = falsify_hybrid(automaton, BOX, asked, 2.0, dt=0.02, runs=30, rng=rng)
     assert verdict.status in ("proven", "violated", "unknown")
-    assert not (verdict.status == "proven" and found is not None)
+    assert not (verdict.status == "proven" and broken is not None)
 
 
 def test_a_specification_may_hold_for_a_time_only():

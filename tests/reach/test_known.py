@@ -69,8 +69,8 @@ def test_values_are_joined_and_held_at_the_ends():
 def test_the_motion_is_that_of_a_solver(make):
     system = LinearSystem(make(A), B, nominal=RAMPS)
     nodes = np.linspace(0, 3, 38)
-    found = known_response(system, np.eye(2), nodes, np.full(37, 3 / 37))
-    assert np.allclose(found.states, motion(system, RAMPS, nodes), atol=1e-11)
+    response = known_response(system, np.eye(2), nodes, np.full(37, 3 / 37))
+    assert np.allclose(response.states, motion(system, RAMPS, nodes), atol=1e-11)
 
 
 @given(truth.cases(kinds=("random", "oscillating", "triangular", "zero")), st.integers(3, 40), st.data())
@@ -170,11 +170,11 @@ def test_a_worst_case_adds_the_nominal_input():
     system = LinearSystem(A, B, Interval([-0.1], [0.3]), [0.2, 0.0], nominal=RAMPS)
     for d in ([1.0, 0.0], [-1.0, 0.3]):
         tube = support_tube(system, BOX, 3.0, d, step=0.01)
-        found = worst_case(system, BOX, 3.0, d, tolerance=1e-4)
-        assert tube.attained[-1, 0] - 2e-4 <= found.states[-1] @ d <= tube.upper[-1, 0]
+        path = worst_case(system, BOX, 3.0, d, tolerance=1e-4)
+        assert tube.attained[-1, 0] - 2e-4 <= path.states[-1] @ d <= tube.upper[-1, 0]
     free = LinearSystem(A, B, nominal=RAMPS)
-    found = worst_case(free, Zonotope.point([0.0, 0.0]), 3.0, [1.0, 0.0])
-    assert np.allclose(found.states[-1], motion(free, RAMPS, np.array([0.0, 3.0]))[-1], atol=1e-10)
+    path = worst_case(free, Zonotope.point([0.0, 0.0]), 3.0, [1.0, 0.0])
+    assert np.allclose(path.states[-1], motion(free, RAMPS, np.array([0.0, 3.0]))[-1], atol=1e-10)
 
 
 @pytest.mark.parametrize(

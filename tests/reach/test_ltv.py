@@ -205,9 +205,9 @@ def test_polytopes_may_be_initial_and_input_sets():
 
 def test_steps_know_their_chord():
     M = Varying(lambda t: [[np.sin(t)]], slope=[[1.0]], bend=lambda a, b: [[max(abs(np.sin([a, b])))]])
-    found = sample("A", M, (1, 1), np.linspace(0, 1.5, 4))
-    assert found.chord[0, 0, 0] == pytest.approx(np.sin(0.5) / 0.5)
-    assert np.all(found.off > 0) and np.all(found.rate <= 1)
+    sampled = sample("A", M, (1, 1), np.linspace(0, 1.5, 4))
+    assert sampled.chord[0, 0, 0] == pytest.approx(np.sin(0.5) / 0.5)
+    assert np.all(sampled.off > 0) and np.all(sampled.rate <= 1)
 
 
 SINE = Varying(lambda t: np.sin(t) * np.eye(2), bend=np.eye(2))

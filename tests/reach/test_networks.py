@@ -56,25 +56,25 @@ def test_outputs_stay_tied_to_their_inputs(activation, depth, scale):
     rng = np.random.default_rng(depth)
     net = random_network(rng, 4, [24] * depth, 2, activation, scale)
     inputs = Zonotope(rng.normal(size=4), rng.normal(size=(4, 7)) * 0.1)
-    found = net.enclose(inputs)
+    enclosed = net.enclose(inputs)
     a = rng.uniform(-1, 1, (4000, 7))
     a[:2000] = np.sign(a[:2000])
-    left = np.abs(net(inputs.c + a @ inputs.G.T) - found.c - a @ found.G[:, :7].T)
-    assert np.all(left <= np.abs(found.G[:, 7:]).sum(axis=1))
+    left = np.abs(net(inputs.c + a @ inputs.G.T) - enclosed.c - a @ enclosed.G[:, :7].T)
+    assert np.all(left <= np.abs(enclosed.G[:, 7:]).sum(axis=1))
 
 
 def test_exact_where_nothing_bends():
-    """One unit is always off, one always on: the network is affine there, and so is what is found."""
+    """One unit is always off, one always on: the network is affine there, and so is its enclosure."""
     W = np.array([[1.0, 2.0], [-1.0, 0.5]])
     net = Network((Affine(W, np.array([10.0, -10.0])), Activation("relu"), Affine(np.eye(2), np.zeros(2))))
-    found = net.enclose(Zonotope.box([0.0, 0.0], [1.0, 1.0]))
-    assert found.c == pytest.approx([10.0, 0.0])
-    assert found.G[:, :2] == pytest.approx(np.array([[1.0, 2.0], [0.0, 0.0]]))
-    assert np.abs(found.G[:, 2:]).sum() < 1e-12
+    enclosed = net.enclose(Zonotope.box([0.0, 0.0], [1.0, 1.0]))
+    assert enclosed.c == pytest.approx([10.0, 0.0])
+    assert enclosed.G[:, :2] == pytest.approx(np.array([[1.0, 2.0], [0.0, 0.0]]))
+    assert np.abs(enclosed.G[:, 2:]).sum() < 1e-12
 
 
 def test_small_sets_cost_their_square():
-    """What the bands leave open shrinks with the square of the set where the activation is smooth."""
+    """The radii of the bands shrink with the square of the set where the activation is smooth."""
     net = random_network(np.random.default_rng(5), 3, [16, 16], 2, Activation("tanh"))
     rest = [
         np.abs(net.enclose(Zonotope.box(np.full(3, 0.2), np.full(3, size))).G[:, 3:]).sum()
@@ -109,13 +109,13 @@ def test_flights_stay_in_the_tube_between_samples_too(seed):
     parts = 4
     Ah, Bh = discretize(loop.A, np.hstack([loop.B, loop.D]), loop.h / parts)
     rows = np.vstack([np.eye(2), -np.eye(2), rng.normal(size=(6, 2))])
-    most, nodes = tube.support(rows), tube.nodes.support(rows)
+    bounds, nodes = tube.support(rows), tube.nodes.support(rows)
     reached = -np.inf
     for k in range(80):
         u = loop.network(x)
         w = np.where(rng.uniform(size=w.shape) < 0.1, -w, w)
         for _ in range(parts):
-            assert np.all(x @ rows.T <= most[k] + 1e-12)
+            assert np.all(x @ rows.T <= bounds[k] + 1e-12)
             x = x @ Ah.T + np.hstack([u, w]) @ Bh.T
         assert np.all(x @ rows.T <= nodes[k + 1] + 1e-12)
         reached = max(reached, float(np.max(x @ rows.T / nodes[k + 1])))
@@ -192,11 +192,11 @@ def test_corners_of_sets_stay_in_the_booked_hull():
     for k in range(20):
         net = random_network(rng, 4, [24, 24], 2, ACTIVATIONS[k % len(ACTIVATIONS)])
         inputs = Zonotope(rng.normal(size=4), 1e-4 * rng.normal(size=(4, 5)))
-        found = with_precision(net, "float32").enclose(inputs)
+        enclosed = with_precision(net, "float32").enclose(inputs)
         a = np.sign(rng.uniform(-1, 1, (500, 5)))
         out = evaluated(net, inputs.c + a @ inputs.G.T, np.float32, ORDERS[k % len(ORDERS)])
-        left = np.abs(out - found.c - a @ found.G[:, :5].T)
-        assert np.all(left <= np.abs(found.G[:, 5:]).sum(axis=1))
+        left = np.abs(out - enclosed.c - a @ enclosed.G[:, :5].T)
+        assert np.all(left <= np.abs(enclosed.G[:, 5:]).sum(axis=1))
 
 
 def test_numbers_near_zero_are_booked_whether_they_are_flushed_or_not():
@@ -273,8 +273,8 @@ def test_steepest_bounds_differences_of_outputs():
         net = with_precision(
             random_network(rng, 4, [16, 16], 2, ACTIVATIONS[k % len(ACTIVATIONS)]), "float32"
         )
-        most, exact = net.steepest(np.eye(4)), Network(net.layers).steepest(np.eye(4))
-        assert np.all(most > exact)
+        rounded, exact = net.steepest(np.eye(4)), Network(net.layers).steepest(np.eye(4))
+        assert np.all(rounded > exact)
         x, z = rng.normal(size=(200, 4)), 0.5 * rng.normal(size=(200, 4))
         moved = np.abs(Network(net.layers)(x + z) - Network(net.layers)(x))
         assert np.all(moved <= np.abs(z) @ exact.T + 1e-12)

@@ -42,16 +42,16 @@ def held(seed, depth, width, scaling, samples):
     g = int(rng.integers(1, 9))
     size = 10.0 ** rng.uniform(-4, 1)
     inputs = Zonotope(rng.normal(size=n), size * rng.normal(size=(n, g)))
-    found = net.enclose(inputs)
+    enclosed = net.enclose(inputs)
     a = rng.uniform(-1, 1, (samples, g))
     a[: samples // 2] = np.sign(a[: samples // 2])
     edge = rng.integers(0, g, samples // 4)
     a[np.arange(samples // 4), edge] = rng.uniform(-1, 1, samples // 4)
     out = net(inputs.c + a @ inputs.G.T)
-    left = np.abs(out - found.c - a @ found.G[:, :g].T)
-    assert np.all(left <= np.abs(found.G[:, g:]).sum(axis=1))
-    assert np.all(np.isfinite(found.G))
-    return np.ptp(out, axis=0) / np.maximum(2 * found.half_widths, 1e-300)
+    left = np.abs(out - enclosed.c - a @ enclosed.G[:, :g].T)
+    assert np.all(left <= np.abs(enclosed.G[:, g:]).sum(axis=1))
+    assert np.all(np.isfinite(enclosed.G))
+    return np.ptp(out, axis=0) / np.maximum(2 * enclosed.half_widths, 1e-300)
 
 
 @pytest.mark.parametrize("scaling", [1.0, 1e3])
@@ -86,14 +86,14 @@ def cut(polygon, row, offset):
 
 def pieces(net, box):
     """All polygons of inputs on which a ReLU network of two inputs is affine, and its map (W, b) there."""
-    found = [(np.asarray(box), np.eye(2), np.zeros(2))]
+    parts = [(np.asarray(box), np.eye(2), np.zeros(2))]
     for layer in net.layers:
         if isinstance(layer, Affine):
-            found = [(p, layer.W @ W, layer.W @ b + layer.b) for p, W, b in found]
+            parts = [(p, layer.W @ W, layer.W @ b + layer.b) for p, W, b in parts]
             continue
-        for unit in range(len(found[0][2])):
+        for unit in range(len(parts[0][2])):
             split = []
-            for p, W, b in found:
+            for p, W, b in parts:
                 for sign in (1, -1):
                     part = cut(p, sign * W[unit], sign * b[unit])
                     if len(part) >= 3:
@@ -102,8 +102,8 @@ def pieces(net, box):
                             (W[unit], b[unit]) if sign > 0 else (layer.low * W[unit], layer.low * b[unit])
                         )
                         split.append((part, W_, b_))
-            found = split
-    return found
+            parts = split
+    return parts
 
 
 def exact(net, box):
@@ -129,11 +129,11 @@ CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 def wider(seed, depth, width, size, low=0.0):
     """By which share the enclosed range is wider than the exact one; checks that it holds it."""
     net, centre = small(seed, depth, width, low)
-    least, most = exact(net, centre + size * CORNERS)
-    found = net.enclose(Zonotope.box(centre, np.full(2, size)))
-    assert np.all(found.c - found.half_widths <= least + 1e-12)
-    assert np.all(found.c + found.half_widths >= most - 1e-12)
-    return float(np.max(2 * found.half_widths / np.maximum(most - least, 1e-9)) - 1)
+    least, largest = exact(net, centre + size * CORNERS)
+    enclosed = net.enclose(Zonotope.box(centre, np.full(2, size)))
+    assert np.all(enclosed.c - enclosed.half_widths <= least + 1e-12)
+    assert np.all(enclosed.c + enclosed.half_widths >= largest - 1e-12)
+    return float(np.max(2 * enclosed.half_widths / np.maximum(largest - least, 1e-9)) - 1)
 
 
 def test_pieces_cover_the_box_and_agree_with_the_network():
@@ -154,10 +154,10 @@ TIGHT |= {(1, 0.2): (0.02, 0.30), (2, 0.2): (0.15, 0.55), (3, 0.2): (0.25, 1.1)}
 
 @pytest.mark.parametrize(("depth", "size"), TIGHT)
 def test_ranges_of_small_networks_are_within_stated_shares_of_exact_ones(depth, size):
-    found = [wider(seed, depth, 6, size, low=0.1 * (seed % 2)) for seed in range(60)]
-    half, most = np.percentile(found, [50, 90])
-    assert half <= TIGHT[depth, size][0] and most <= TIGHT[depth, size][1]
-    assert max(found) > 0, "and not by looking away"
+    shares = [wider(seed, depth, 6, size, low=0.1 * (seed % 2)) for seed in range(60)]
+    half, ninth = np.percentile(shares, [50, 90])
+    assert half <= TIGHT[depth, size][0] and ninth <= TIGHT[depth, size][1]
+    assert max(shares) > 0, "and not by looking away"
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_a_chain_of_single_units_has_the_range_of_its_ends(kind):
         for _ in range(int(rng.integers(1, 6))):
             layers += [Affine(rng.normal(size=(1, 1)) * 10 ** rng.uniform(-2, 2), rng.normal(size=1)), kind]
         net, ends = Network(tuple(layers)), np.sort(rng.normal(size=2))
-        found = net.enclose(Zonotope([ends.mean()], [[np.ptp(ends) / 2]]))
+        enclosed = net.enclose(Zonotope([ends.mean()], [[np.ptp(ends) / 2]]))
         exact_ends = np.sort(net(ends[:, None])[:, 0])
-        assert found.c[0] - found.half_widths[0] <= exact_ends[0] + 1e-12
-        assert found.c[0] + found.half_widths[0] >= exact_ends[1] - 1e-12
+        assert enclosed.c[0] - enclosed.half_widths[0] <= exact_ends[0] + 1e-12
+        assert enclosed.c[0] + enclosed.half_widths[0] >= exact_ends[1] - 1e-12

@@ -157,9 +157,9 @@ WRONG |= {name: ([FIRST, kept, SECOND], more, words) for name, (kept, more, word
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_not_understood_is_one_error(name, tmp_path):
     nodes, more, words = WRONG[name]
-    with pytest.raises(ReachError, match=words) as told:
+    with pytest.raises(ReachError, match=words) as raised:
         read_onnx(saved(tmp_path, nodes, WEIGHTS | more))
-    assert "policy.onnx" in str(told.value) and "\n" not in str(told.value)
+    assert "policy.onnx" in str(raised.value) and "\n" not in str(raised.value)
 
 
 KEPT = {
@@ -179,7 +179,7 @@ def test_shapes_may_change_where_no_value_moves(name, tmp_path):
 
 def test_garbled_files_are_one_error_or_a_network(tmp_path):
     nodes, more = CHAINS["normalised"]
-    whole, path, told = saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), tmp_path / "garbled.onnx", 0
+    whole, path, refused = saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), tmp_path / "garbled.onnx", 0
     for _ in range(400):
         data = bytearray(whole)
         for at in RNG.integers(0, len(data), int(RNG.integers(1, 6))):
@@ -188,10 +188,10 @@ def test_garbled_files_are_one_error_or_a_network(tmp_path):
         try:
             net = read_onnx(path)
         except ReachError as error:
-            told += "garbled.onnx" in str(error)
+            refused += "garbled.onnx" in str(error)
         else:
             assert np.all(np.isfinite(net.layers[0].W)) and net.inputs > 0
-    assert 100 < told < 400
+    assert 100 < refused < 400
 
 
 def test_files_that_are_none(tmp_path):

@@ -117,14 +117,14 @@ def test_contains_agrees_with_construction_and_with_support(z):
     assert not z.contains(outside[None])[0]
 
 
-@pytest.mark.parametrize(("p", "most"), [(1, 1.0), (2, 1.03), (3, 1.10), (4, 2.0)])
-def test_ball_enclosure_holds_the_ball_and_is_tight(p, most):
+@pytest.mark.parametrize(("p", "ratio"), [(1, 1.0), (2, 1.03), (3, 1.10), (4, 2.0)])
+def test_ball_enclosure_holds_the_ball_and_is_tight(p, ratio):
     G = ball_generators(p, 2.0)
     D = np.random.default_rng(0).normal(size=(4000, p))
     D /= np.linalg.norm(D, axis=1, keepdims=True)
     support = np.abs(D @ G).sum(axis=1)
     assert support.min() >= 2.0 * (1 - 1e-12)
-    assert support.max() <= 2.0 * most * (1 + 1e-9)
+    assert support.max() <= 2.0 * ratio * (1 + 1e-9)
 
 
 def test_batches_behave_like_their_members():

@@ -98,11 +98,11 @@ def test_nodes_and_intervals_of_an_oscillator_are_tight(steps, ratio):
     for k in range(0, steps, max(steps // 10, 1)):
         t = tube.times[k : k + 2]
         inside = (fine.times >= t[0] - 1e-12) & (fine.times <= t[1] + 1e-12)
-        most = fine.attained[inside].max(axis=0)
+        reached = fine.attained[inside].max(axis=0)
         bound = tube.support(np.vstack([d, -d]))[k]
-        assert np.all(bound[:2] + bound[2:] <= ratio * (most[:2] + most[2:]))
+        assert np.all(bound[:2] + bound[2:] <= ratio * (reached[:2] + reached[2:]))
         hull = tube.intervals[k].interval_hull()
-        assert np.all(np.r_[hull.hi, -hull.lo] >= most)
+        assert np.all(np.r_[hull.hi, -hull.lo] >= reached)
 
 
 def test_generators_of_the_initial_set_come_first_and_are_exact():

@@ -142,7 +142,7 @@ def _closed_form(system, X, t, D, count):
 
 
 def size(system, X, D, horizon=1.0):
-    """What values along D may amount to, for judging rounding, shape (r,)."""
+    """Return a bound on the values along D, for judging rounding, shape (r,)."""
     times = np.linspace(0, horizon, 9)
     big = np.array([np.abs(D) @ np.abs(expm(np.asarray(system.A) * t)) for t in times]).max(axis=0)
     force = np.abs(system.c)

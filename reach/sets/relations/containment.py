@@ -33,9 +33,9 @@ def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) 
 
     answers = [contains(part, inner, method, most) for part in outer.parts]
     for wanted in (False, None):
-        found = [answer for answer in answers if answer.holds is wanted]
-        if found:
-            return found[0]
+        decisive = [answer for answer in answers if answer.holds is wanted]
+        if decisive:
+            return decisive[0]
     return min(answers, key=lambda answer: answer.margin)
 
 
@@ -67,13 +67,13 @@ def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answe
     proved = contains(outer.base, back + Interval(-booked, booked), method, most)
     if proved:
         return proved
-    found = contains(outer.base, back, method, most)
-    if found.holds is False and found.direction is not None:
-        d, base = found.direction, outer.base
+    answer = contains(outer.base, back, method, most)
+    if answer.holds is False and answer.direction is not None:
+        d, base = answer.direction, outer.base
         excess = float(back.support_down(d)) - float(base.support_up(d)) - float(weighed(d, booked))
         if excess > 0:
-            return Answer(False, found.margin, inner.support_vector(d @ W), d @ W)
-    return Answer(None, found.margin if found.holds is None else 0.0, reason=found.reason or TOUCHING)
+            return Answer(False, answer.margin, inner.support_vector(d @ W), d @ W)
+    return Answer(None, answer.margin if answer.holds is None else 0.0, reason=answer.reason or TOUCHING)
 
 
 def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
@@ -111,7 +111,7 @@ def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
 
 
 def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any, settle: Settle) -> Answer:
-    """Whether ``rows . x <= offsets``, known to bounds, over the inner set; `settle` decides the rest."""
+    """Decide ``rows . x <= offsets``, in [least, largest], over the inner set; near ones by `settle`."""
     room = (least - inner.support_up(rows)) / units
     margin = float(room.min(initial=np.inf))
     if margin >= 0:
@@ -171,19 +171,19 @@ def in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Ans
     turn = float(np.linalg.norm(F))
     if method == "sufficient" and isinstance(image, Zonotope):
         upper = float(image.norm_bound(np.eye(n)))
-        found = None
+        bracket = None
     else:
-        found = largest_norm(image, most, 1.0)
-        upper = found.upper
+        bracket = largest_norm(image, most, 1.0)
+        upper = bracket.upper
     upper = (upper + booked) / (1 - turn)
     if upper <= 1:
         return Answer(True, 1 - upper)
-    if found is None:
+    if bracket is None:
         return Answer(None, 1 - upper, reason="the norm bound of the inner set exceeds one")
-    if (found.lower - booked) / (1 + turn) > 1:
-        direction = W.T @ found.point
-        return Answer(False, 1 - found.lower, np.asarray(inner.support_vector(direction)), direction)
-    if method == "exact" and found.upper - found.lower > 1e-6:
+    if (bracket.lower - booked) / (1 + turn) > 1:
+        direction = W.T @ bracket.point
+        return Answer(False, 1 - bracket.lower, np.asarray(inner.support_vector(direction)), direction)
+    if method == "exact" and bracket.upper - bracket.lower > 1e-6:
         raise ReachError(f"more than {most} branches are needed; allow more, or use method='sufficient'")
     return Answer(None, 1 - upper, reason=TOUCHING if upper < 1 + 1e-6 else "the norm is only bracketed")
 

@@ -77,10 +77,10 @@ def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
         least = max(least, float(z @ furthest) / max(length, np.finfo(float).tiny))
         if length <= CLOSE / 10 or least >= (1 - CLOSE) * length:
             break
-        found = _least_norm(np.vstack([corral, furthest]))
-        if found is None:
+        combination = _least_norm(np.vstack([corral, furthest]))
+        if combination is None:
             break  # what is known so far stays true
-        corral, pairs, weights = np.vstack([corral, furthest]), [*pairs, pair], found
+        corral, pairs, weights = np.vstack([corral, furthest]), [*pairs, pair], combination
         kept = weights > 0
         corral, weights = corral[kept], weights[kept]
         pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
@@ -102,15 +102,15 @@ def _least_norm(points: Array) -> Array | None:
     k, n = points.shape
     rows, aim = np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0]
     try:
-        found = nnls(rows, aim, maxiter=100 * (k + 1))[0]
+        solution = nnls(rows, aim, maxiter=100 * (k + 1))[0]
     except RuntimeError:
         return None
-    total = float(found.sum())
-    return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)
+    total = float(solution.sum())
+    return np.asarray(solution / total) if total > 0 else np.full(k, 1 / k)
 
 
 def contains_by_distance(X: ConvexSet, x: Array, slack: float) -> NDArray[np.bool_]:
-    """Whether each point is within `slack` of the set, measured in sizes of its interval hull.
+    """Return True for each point within `slack` of the set, measured in sizes of its interval hull.
 
     A point is outside only if a direction shows it.
     """

@@ -1,4 +1,4 @@
-"""What is asked of two sets, by their classes."""
+"""Relations of two sets, decided by their classes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .distance import Answer
 
 @checked
 def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) -> Answer:
-    """Whether `inner` lies in `outer`.
+    """Decide whether `inner` lies in `outer`.
 
     Parameters
     ----------
@@ -57,25 +57,25 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
     require_same_dim(outer, inner)
     if not isinstance(method, str) or method not in ("auto", "exact", "sufficient"):
         raise ReachError(f"method must be 'auto', 'exact' or 'sufficient', got {method!r}")
-    most = as_count("most", most)
+    limit = as_count("most", most)
     for one in (outer, inner):
         require_single("a set asked about", one)
     if getattr(inner, "is_empty", False):
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
     if isinstance(outer, Generated) and not getattr(inner, "is_bounded", True):
         # What has no bounds leaves the hull too.
-        found = inside.in_polytope(outer.interval_hull().to_polytope(), inner, method, most)
-        return found if found.holds is False else Answer(None, -np.inf, reason=inside.UNBOUNDED)
+        verdict = inside.in_polytope(outer.interval_hull().to_polytope(), inner, method, limit)
+        return verdict if verdict.holds is False else Answer(None, -np.inf, reason=inside.UNBOUNDED)
     for kind, answer in CONTAINS.items():
         if isinstance(outer, kind):
-            return answer(outer, inner, method, most)
+            return answer(outer, inner, method, limit)
     given = type(outer).__name__
     raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
 
 
 @checked
 def disjoint(X: Any, Y: Any) -> Answer:
-    """Whether two sets have no point in common.
+    """Decide whether two sets have no point in common.
 
     Sets with flat faces go through one linear program, sets with an ellipsoid in them through
     Wolfe's nearest points (`reach.sets.relations.distance`). Either finds a direction; a "yes" is said only

@@ -33,9 +33,9 @@ def separate(X: Any, Y: Any) -> Answer:
     for P, other, way in ((X, Y, 1.0), (Y, X, -1.0)):
         if isinstance(P, HPolytope) and not P.is_bounded and getattr(other, "is_bounded", True):
             box = other.interval_hull()
-            found, within = separate(P, box), P & box
-            found = found if found or within.is_empty else separate(within, other)
-            return found if found.direction is None else replace(found, direction=way * found.direction)
+            answer, within = separate(P, box), P & box
+            answer = answer if answer or within.is_empty else separate(within, other)
+            return answer if answer.direction is None else replace(answer, direction=way * answer.direction)
     if not all(getattr(one, "is_bounded", True) for one in (X, Y)):
         return Answer(None, 0.0, reason=UNBOUNDED)
     near = nearest(X, Y, units)
@@ -44,7 +44,7 @@ def separate(X: Any, Y: Any) -> Answer:
 
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
-    """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
+    """Return centre and sizes of the frame for polytopes, and the units of a distance of the two sets."""
     known = [one.interval_hull() for one in (X, Y) if getattr(one, "is_bounded", True)]
     if not known:
         sizes = np.maximum(_own_frame(X)[1], _own_frame(Y)[1])
@@ -55,7 +55,7 @@ def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
 
 
 def _answer(X: Any, Y: Any, direction: Array, room: float, x: Array, y: Array, units: Array) -> Answer:
-    """What the direction proves; or the points, one of each set, if they are close and stand."""
+    """Return "disjoint" if the direction proves it, a common point if x and y are close and stand."""
     length = float(np.linalg.norm(direction))
     if length > 0 and room > 0:
         return Answer(True, room / length, direction=direction)
@@ -69,7 +69,7 @@ def _answer(X: Any, Y: Any, direction: Array, room: float, x: Array, y: Array, u
 
 
 def _stands(X: Any, point: Array, grain: Array) -> bool:
-    """Whether a point is at most so far, axis by axis, from what the set's own description allows."""
+    """Return True if a point meets the set's own description, to `grain` along every axis."""
     if isinstance(X, HPolytope):
         return bool(np.all(X.A @ point - X.b <= np.abs(X.A) @ grain))
     if isinstance(X, Intersection):
@@ -88,10 +88,10 @@ def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> 
     rows = block_diag(first.A, second.A)
     A = np.block([[gaps, -np.eye(n)], [-gaps, -np.eye(n)], [rows, np.zeros((len(rows), n))]])
     b = np.r_[-offset, offset, first.b, second.b]
-    found = maximise(np.r_[np.zeros(gaps.shape[1]), -np.ones(n)], A, b)
-    if not np.isfinite(found.value):
+    optimum = maximise(np.r_[np.zeros(gaps.shape[1]), -np.ones(n)], A, b)
+    if not np.isfinite(optimum.value):
         return Answer(None, 0.0, reason="the linear program has no finite answer")
-    over, under, mine, theirs = np.split(found.multipliers, np.cumsum([n, n, len(first.A)]))
+    over, under, mine, theirs = np.split(optimum.multipliers, np.cumsum([n, n, len(first.A)]))
     direction = (under - over) / units
     if isinstance(X, HPolytope):
         direction = mine @ X.A
@@ -104,7 +104,7 @@ def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> 
     # Only points of both sets need be refuted, so a polytope may borrow the other set's bounds.
     common = np.minimum(X.extent, Y.extent)
     top = _top(X, direction, mine, common) + _top(Y, -direction, theirs, common)
-    z, w = np.split(found.point[: gaps.shape[1]], [first.G.shape[1]])
+    z, w = np.split(optimum.point[: gaps.shape[1]], [first.G.shape[1]])
     stands = all(
         np.all(one.A @ at - one.b <= 8 * COMMON * np.abs(one.A).sum(axis=1))
         for one, at in ((first, z), (second, w))
@@ -122,7 +122,7 @@ def _top(X: Any, direction: Array, multipliers: Array, common: Array) -> float:
 
 
 def _cancel(P: HPolytope, multipliers: Array) -> bool:
-    """Whether the rows, so weighed, cancel without rounding and leave ``0 <= negative``."""
+    """Return True if the weighted rows cancel without rounding and leave ``0 <= negative``."""
     A, b = integers(P.A, P.b)
     (weights,) = integers(multipliers)
     return not np.any(weights @ A) and bool(weights @ b < 0)
