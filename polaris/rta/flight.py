@@ -20,7 +20,7 @@ from .method import FILTERED, Method, Seen
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What happens to every method alike, in R runs.
+    """Conditions of R runs, common to all methods.
 
     Initial states x0 (R, n); what disturbs, held from node to node, w (N, R, p), errors of thrusters and of
     the estimates that laws act on in `columns` of their own; errors (D, R, n) of the estimate that decisions
@@ -123,8 +123,8 @@ def fly(
     for k in range(D):
         if progress and k % 50 == 0:
             progress(k, D)
-        told = engine.desired(preferred, k * c, x, conditions.w[k * c])
-        seen = Seen(k, x + conditions.errors[k], told, flying)
+        wanted = engine.desired(preferred, k * c, x, conditions.w[k * c])
+        seen = Seen(k, x + conditions.errors[k], wanted, flying)
         begun = time.perf_counter()
         choice = method.decide(seen)
         seconds[k] = time.perf_counter() - begun
@@ -139,7 +139,7 @@ def fly(
             node = k * c + i
             if failing is not None and not method.delayed and method.proven:  # to the end
                 flying = np.where(failing.by_s(node), 0, flying)
-            desired = engine.desired(preferred, node, x, conditions.w[node]) if i else told
+            desired = engine.desired(preferred, node, x, conditions.w[node]) if i else wanted
             x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
             states[node + 1], modes[node] = x, flying
             delta_v += spent * engine.dt / system.mass
@@ -180,8 +180,8 @@ class Engine(Integrator):
         seen = self.estimate(node, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
         self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
-        told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
-        return np.asarray(np.clip(told, -self.system.u_max, self.system.u_max))
+        command = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
+        return np.asarray(np.clip(command, -self.system.u_max, self.system.u_max))
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """As `Integrator.command`; black boxes have answered in `desired`."""

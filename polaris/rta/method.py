@@ -22,7 +22,7 @@ METHODS: dict[str, type["Method"]] = {}
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a method is told at one decision; R runs are decided at once.
+    """Data that a method decides on at one decision; R runs are decided at once.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What flies until the next decision takes effect.
+    """Decision on who flies until the next one takes effect.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a method promises.
+    """Promise of a method.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Option:
-    """What a method can be tuned by: a keyword of its class, ``--tune KEY.NAME=VALUE`` for commands."""
+    """Tuning option of a method: a keyword of its class, ``--tune KEY.NAME=VALUE`` for commands."""
 
     name: str
     meaning: str  # for the documentation, as is the default
@@ -175,8 +175,8 @@ class Method(ABC):
     def on(cls, grid: DecisionGrid, **options: Any) -> "Method":
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
         if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
-            told = "it would ask what a black box with memory answers in flights that are not flown"
-            raise NotCertified(told)
+            reason = "it would ask what a black box with memory answers in flights that are not flown"
+            raise NotCertified(reason)
         try:
             return cls(grid, **options)
         except NotCertified:
@@ -186,7 +186,7 @@ class Method(ABC):
 
     @property
     def claim(self) -> Claim:
-        """What it promises here; a proof also rests on what S does at the end."""
+        """Promise of the method on this grid; a proof also rests on what S does at the end."""
         if self.proven:
             return Claim("proved", f"{self.reach}; {self.grid.schedule.safety.end.reason}")
         return Claim("none", self.reach)
@@ -194,7 +194,7 @@ class Method(ABC):
     @property
     @abstractmethod
     def reach(self) -> str:
-        """What its proof rests on, or what is missing for one."""
+        """Basis of the method's proof, or what is missing for one."""
 
     def start(self, runs: int) -> None:  # noqa: B027
         """Forget everything; so many runs will be decided at once."""
@@ -221,7 +221,7 @@ class Latched(Method):
 
     @abstractmethod
     def margin(self, seen: Seen) -> Array:
-        """What is judged by, shape (R,)."""
+        """Return the margin that decides, shape (R,): S takes over where it is not >= 0."""
 
     def decide(self, seen: Seen) -> Choice:
         """Switch once."""

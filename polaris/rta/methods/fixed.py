@@ -8,7 +8,7 @@ from ..method import Choice, Claim, Method, Seen
 
 
 class Alone(Method):
-    """What looks at nothing: a controller that nothing relieves, unless a class says otherwise."""
+    """Method that looks at nothing: one controller flies throughout, unless a class says otherwise."""
 
     reasons = ("flies alone",)
     delayed = False
@@ -16,7 +16,7 @@ class Alone(Method):
 
     @property
     def reach(self) -> str:
-        """What happens at the end."""
+        """End condition of S, in words."""
         return self.grid.schedule.safety.end.reason
 
     def decide(self, seen: Seen) -> Choice:
