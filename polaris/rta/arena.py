@@ -129,7 +129,7 @@ def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method 
 
 
 def tunable() -> list[str]:
-    """What may be tuned: ``method.option`` each."""
+    """Return the names of all tuning options, ``method.option`` each."""
     return [f"{key}.{option.name}" for key, one in METHODS.items() for option in one.options]
 
 
@@ -159,14 +159,14 @@ def _flown(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[MethodResult, Flights, list[dict[str, Any]]]:
     """Fly one method in all conditions, and once alone to time its decisions."""
-    found: list[Metrics] = []
+    collected: list[Metrics] = []
     deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
     for conditions in parts:
         flight = fly(method.grid, method, conditions, progress)
         metrics = measure(method.grid, flight, conditions, method.name)
-        if kept is None or metrics.min_distance.min() < min(one.min_distance.min() for one in found):
+        if kept is None or metrics.min_distance.min() < min(one.min_distance.min() for one in collected):
             kept = flight, metrics.worst
-        found.append(metrics)
+        collected.append(metrics)
         deviations.append(flight.deviation)
         counts += np.bincount(flight.why.ravel(), minlength=len(counts))
     assert kept is not None
@@ -175,7 +175,7 @@ def _flown(
         method.key,
         method.name,
         method.claim,
-        Metrics.join(found),
+        Metrics.join(collected),
         np.concatenate(deviations),
         (float(np.median(seconds)), float(np.percentile(seconds, 99))),
         synthesis_s,

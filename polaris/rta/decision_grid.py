@@ -98,9 +98,9 @@ class DecisionGrid:
         return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
 
     def profiled(self) -> "DecisionGrid":
-        """The same, errors of thrusters under S booked as the schedule books them: by commands that fall.
+        """Return the grid tightened by S's thruster errors as the schedule is: by those of falling commands.
 
-        Otherwise they are booked for all that the thrusters have, which leaves S all of its commands.
+        Otherwise it is tightened by those of full thrust, which leaves S all of its commands.
         """
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
@@ -114,7 +114,7 @@ class DecisionGrid:
 
     @property
     def system(self) -> Craft:
-        """What is controlled."""
+        """Craft that is controlled."""
         return self.tracking.system
 
     @property
@@ -124,7 +124,7 @@ class DecisionGrid:
 
     @property
     def unsafe(self) -> tuple[TimedPolytope, ...]:
-        """What perception says must be avoided."""
+        """Perceived unsafe sets."""
         return self.clearance.unsafe
 
     @property
@@ -218,7 +218,7 @@ class DecisionGrid:
         return law.command(*at)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
-        """The same as the thrusters apply it."""
+        """Return the command of a controller at a node as the thrusters apply it: clipped, shape (..., m)."""
         return np.asarray(np.clip(self.command(mode, node, x), -self.system.u_max, self.system.u_max))
 
     @cached_property

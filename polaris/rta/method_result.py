@@ -1,4 +1,4 @@
-"""What a method's flights amount to, and how two methods differ run by run."""
+"""Metrics of a method's flights, and differences between two methods run by run."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -115,10 +115,10 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
     planned = np.zeros(grid.clearance.planned, dtype=int)  # modes differ from run to run: counted below
     seen = flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v
     runs = Runs(grid.schedule, *seen, planned)
-    found = evaluate(runs, conditions.seed, name)
+    metrics = evaluate(runs, conditions.seed, name)
     who = flown(grid, flight)
     return replace(
-        found,
+        metrics,
         experimental_share=experimental_share(flight.times, who),
         # A filtered input is not an unknown mode: changes to it and from it count.
         switches=count_switches(np.where(who == FILTERED, len(grid.controllers), who)),

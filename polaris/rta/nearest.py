@@ -74,7 +74,7 @@ def coupled(G: Array, bound: Array, first: Index, second: Index, desired: Array,
             met = met and value >= bound[r, m]
             asking[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
         if not met:
-            kept, found = np.flatnonzero(asking), np.empty(size)
+            kept, solution = np.flatnonzero(asking), np.empty(size)
             rows, least = np.zeros((len(kept) + 2 * size, 6)), np.empty(len(kept) + 2 * size)
             columns = np.empty(rows.shape, np.int64)
             for at in range(len(kept)):
@@ -83,10 +83,10 @@ def coupled(G: Array, bound: Array, first: Index, second: Index, desired: Array,
                 for k in range(3):
                     rows[at, k], columns[at, k] = G[r, m, k], 3 * i + k
                     rows[at, 3 + k], columns[at, 3 + k] = (-G[r, m, k] if j >= 0 else 0.0), 3 * max(j, 0) + k
-            if not _nearest((rows, columns, least), len(kept), u[r].copy().reshape(size), limit, found):
+            if not _nearest((rows, columns, least), len(kept), u[r].copy().reshape(size), limit, solution):
                 status[r], left = LEFT, left + 1
                 continue
-            u[r] = found.reshape(deputies, 3)
+            u[r] = solution.reshape(deputies, 3)
         for i in range(deputies):
             same = (u[r, i] == desired[r, i]).all()
             status[r, i] = DESIRED if same else FILTERED
@@ -104,29 +104,29 @@ def _clip(desired: Array, limit: float, u: Array) -> bool:
 
 
 @compiled
-def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float, most: float) -> Index:
+def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float, full: float) -> Index:
     """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size.
 
-    Behind the rows are counted the deputies with an input of at least `most`.
+    Behind the rows are counted the deputies with an input of at least `full`.
     """
-    found, count = np.empty(len(first) + len(u), np.int64), 0
+    indices, count = np.empty(len(first) + len(u), np.int64), 0
     for m in range(len(first)):
         gap, size = -bound[m], 0.0
         for k in range(3):
             gap += G[m, k] * (u[first[m], k] - (u[second[m], k] if second[m] >= 0 else 0.0))
             size += abs(G[m, k])
         if gap <= within * size:
-            found[count] = m
+            indices[count] = m
             count += 1
     for i in range(len(u)):
-        if max(abs(u[i, 0]), abs(u[i, 1]), abs(u[i, 2])) >= most:
-            found[count] = len(first) + i
+        if max(abs(u[i, 0]), abs(u[i, 1]), abs(u[i, 2])) >= full:
+            indices[count] = len(first) + i
             count += 1
-    return found[:count]
+    return indices[:count]
 
 
 @compiled
-def _nearest(program: Program, count: int, desired: Array, limit: float, found: Array) -> bool:
+def _nearest(program: Program, count: int, desired: Array, limit: float, out: Array) -> bool:
     """Goldfarb and Idnani's method (1983); the limits are filled in behind the first `count` rows."""
     size, (rows, columns, least) = len(desired), program
     if not np.isfinite(desired).all():
@@ -150,7 +150,7 @@ def _nearest(program: Program, count: int, desired: Array, limit: float, found: 
             if gap > short:
                 entering, short = m, gap
         if entering < 0:
-            return _accepted(program, total, desired, limit, u, active[:held], force, found)
+            return _accepted(program, total, desired, limit, u, active[:held], force, out)
         held = _enter(program, entering, short, u, active, held, force, factor)
         if held < 0:
             return False
@@ -242,7 +242,7 @@ def _accepted(
     u: Array,
     active: Index,
     force: Array,
-    found: Array,
+    out: Array,
 ) -> bool:
     """Write down what satisfies all rows and is the desired input but for forces along active ones."""
     moved, (_, _, least) = desired.copy(), program
@@ -258,5 +258,5 @@ def _accepted(
     for a in range(len(active)):
         if force[a] < -1e-12 or abs(least[active[a]] - _dot(program, active[a], u)) > 1e-9 * (1 + limit):
             return False
-    found[:] = u
+    out[:] = u
     return True

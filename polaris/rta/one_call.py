@@ -90,7 +90,7 @@ class Switch:
 
 @dataclass
 class Answer:
-    """What a filter has decided, before it is put into words: see `Decision`.
+    """Decision of a filter before it is put into words: see `Decision`.
 
     `backup` and `coasting` say whose input is the backup's, and whose is none because nothing else is
     possible; `notes` what is not regular; `short` that no input satisfies all conditions; `regular` that no

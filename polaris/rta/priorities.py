@@ -1,4 +1,4 @@
-"""What gives way where no input satisfies all conditions: rank by rank, in each the largest shortage first.
+"""Least violation where no input satisfies all conditions: by rank, in each the largest shortage first.
 
 Each rank's rows come as near to being met as the ranks before it leave room for. No row loses to one of a
 later rank; rows that can be met together with all of their own rank and of the ranks before it are met.
@@ -75,13 +75,13 @@ def least_violation(
     settled = _settled(G, need, rank, False) or _settled(G, need, rank, True)
     if settled is None:
         return None
-    found, asked = settled
-    return np.asarray(_nearest(G, asked, wanted, found) * limit)
+    feasible, asked = settled
+    return np.asarray(_nearest(G, asked, wanted, feasible) * limit)
 
 
 def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
     """An input, and what can be asked of each row: its need less its shortage, and less the tolerance."""
-    asked, found = need.copy(), np.zeros(G.shape[1])
+    asked, feasible = need.copy(), np.zeros(G.shape[1])
     done = np.zeros(len(need), dtype=bool)
     for level in np.unique(rank):
         left = rank == level
@@ -90,7 +90,7 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
             answer = _largest_shortage(G[rows], asked[rows], left[rows], exact)
             if answer is None:
                 return None
-            found, chosen, given = answer.u, left, MET
+            feasible, chosen, given = answer.u, left, MET
             if answer.short > MET:
                 given = answer.short + SPARE
                 pull = np.zeros(len(need))
@@ -98,7 +98,7 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
                 chosen = left & (pull >= min(SURE, float(pull[left].max())))
             asked[chosen] -= given
             done, left = done | chosen, left & ~chosen
-    return found, asked
+    return feasible, asked
 
 
 def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
@@ -145,14 +145,14 @@ def _proved(G: Array, need: Array, multiplier: Array) -> float:
     return max(float(multiplier @ need - np.abs(multiplier @ G).sum()), 0.0)
 
 
-def _nearest(G: Array, asked: Array, desired: Array, found: Array) -> Array:
+def _nearest(G: Array, asked: Array, desired: Array, feasible: Array) -> Array:
     """The nearest to the desired input that gives what is asked: the solver's, or the last on the way."""
     M, v = G.shape
     lower = np.concatenate([np.full(v, -1.0), asked])
     upper = np.concatenate([np.full(v, 1.0), np.full(M, 1e30)])
     u, _, flag, _ = daqp.solve(np.eye(v), -desired, G, upper, lower, primal_tol=1e-10)
     u = np.clip(u if flag > 0 and np.isfinite(u).all() else desired, -1.0, 1.0)
-    spare, rate = G @ found - asked, G @ (u - found)
+    spare, rate = G @ feasible - asked, G @ (u - feasible)
     lost = spare + rate < -EXACT
     part = np.min((spare[lost] + EXACT).clip(0.0) / -rate[lost], initial=1.0)
-    return np.asarray(found + part * (u - found))
+    return np.asarray(feasible + part * (u - feasible))

@@ -105,22 +105,22 @@ def _coupled(
     """One run, through the solver."""
     N, v = desired.shape
     if N == 1:
-        found, status = solve(G, bound, desired[0], limit, rank)
-        return found[None], status
+        solution, status = solve(G, bound, desired[0], limit, rank)
+        return solution[None], status
     wide = np.zeros((len(bound), N, v))
     pair = np.flatnonzero(second >= 0)
     wide[np.arange(len(bound)), first] = G
     wide[pair, second[pair]] = -G[pair]
-    found, status = solve(wide.reshape(-1, N * v), bound, desired.ravel(), limit, rank)
-    return found.reshape(N, v), status
+    solution, status = solve(wide.reshape(-1, N * v), bound, desired.ravel(), limit, rank)
+    return solution.reshape(N, v), status
 
 
 def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array) -> Index:
     """A few programs as one, which saves calls: solutions go into `u`; to do are none, or all."""
     which, row = np.nonzero(needed)
     alone = np.full(len(which), -1, dtype=np.intp)
-    found, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)
+    solution, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)
     if status != FILTERED:
         return np.arange(len(u))
-    u[:, 0] = found
+    u[:, 0] = solution
     return np.arange(0)

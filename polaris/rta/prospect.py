@@ -1,4 +1,4 @@
-"""What may have become of an error when the next decision takes effect, and whether S can still take over.
+"""Errors that are possible when the next decision takes effect, and the test that S can still take over.
 
 Everything that does not depend on the measurement is worked out beforehand. Many errors are judged at once by
 `Prospect.share`, a single one in a few microseconds by `Prospect.share_one`: the same arithmetic, up to the
@@ -23,7 +23,7 @@ from .recovery import Recovery
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Where a flight is some nodes after a measurement: ``e -> M e + offset(k) + G b, |b_i| <= 1``."""
+    """Error of a flight some nodes after a measurement: ``e -> M e + offset(k) + G b, |b_i| <= 1``."""
 
     M: Array
     offset: Array
@@ -32,7 +32,7 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """How one controller moves errors over a period of the nodes: ``e -> phi e + steps[node] + G b``.
+    """Motion of errors under one controller over a period of the nodes: ``e -> phi e + steps[node] + G b``.
 
     Of a declared, unclipped `law`, `zeta` (nodes, 2, n) is its own reference minus the safe one at both ends
     of every period: waypoints of a reference need not join.
@@ -84,7 +84,7 @@ class Leg:
 
 
 class Prospect:
-    """What is checked before U may fly on, after a measurement within the grid's half widths.
+    """Test before U may fly on, after a measurement within the grid's half widths.
 
     During the latency `before` flies (None without one), then `leg` does. For sets of such errors about a
     measured e, `stack` and `known` give the centre at the end, what bounds ``norm(W e)`` at every stage, and
@@ -168,9 +168,9 @@ class Prospect:
         return np.asarray(np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius)
 
     def share_one(self, k: int, e: Array) -> tuple[float, int, bool]:
-        """The same of one error (n,); where the tightest limit is (see `limit`); whether the law holds.
+        """Return `share` of one error (n,), the tightest limit's index (see `limit`), True if the law holds.
 
-        Nothing else is worked out where it does not.
+        Nothing else is worked out if it does not.
         """
         n, r, near = self.grid.system.n, len(self.recovery.rows), self.demand.near
         end = (k + 1) * self.grid.nodes + self.grid.delay

@@ -1,4 +1,4 @@
-"""What a filter is handed, made safe to compute with: unknown states, missing and impossible inputs."""
+"""Arguments of a filter, made safe to compute with: unknown states, missing and impossible inputs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class Craft(Protocol):
 
     @property
     def deputies(self) -> int:
-        """How many, N."""
+        """Number of craft, N."""
 
     @property
     def thrust_max(self) -> float | Array:
@@ -36,7 +36,7 @@ def commanded(
     shape: tuple[int, ...],
     caught: type[BaseException] = Exception,
 ) -> tuple[Array | None, str]:
-    """What a controller that nobody trusts answers, an array of our own, and what is wrong with it, in words.
+    """Return an untrusted controller's command, an array of our own, and what is wrong with it, in words.
 
     None where it raises what is `caught` or answers no numbers of the shape; numbers need not be finite.
     """
@@ -77,7 +77,7 @@ class Received:
     timed: bool = True
 
     def fallback(self) -> str | None:
-        """What was missing, in words; None if nothing."""
+        """Return what was missing, in words; None if nothing."""
         if self.whole:
             return None
         parts = [*self.odd]
@@ -190,8 +190,8 @@ class Receiver:
         self._step = passed
         if self.period is None or passed <= self.period * (1 + 1e-6) + self.late:
             return now, None, True
-        told = f"called after {passed:g} s: the last answer was for {self.period:g} s"
-        return now, told, passed < 2 * self.period
+        detail = f"called after {passed:g} s: the last answer was for {self.period:g} s"
+        return now, detail, passed < 2 * self.period
 
     def _estimate(self, t: float) -> tuple[Array, Array]:
         """Last good states, moved to the time t with the thrust held, and when they were known."""

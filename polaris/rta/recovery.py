@@ -31,7 +31,7 @@ NEAR = 1500  # limits per set that are always worked out; those further ahead ar
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """What sets of errors of one shape need of every limit.
+    """Demand of error sets of one shape on every limit.
 
     `tall` (L r, n + 2) is ``[row phi^l, per unit of size, constant]``, applied to ``[e, size, 1]``, size a
     bound on ``norm(W e)`` over the set. Its first `near` rows are always worked out; the share of the room
@@ -57,15 +57,15 @@ class Recovery:
         Those of `decided`, if given: a grid with grown unsafe sets, whose conditions imply those of `grid`.
         Raises `NotCertified` if the initial set does not meet the conditions of `grid`.
         """
-        found, start = cls(grid), grid.tracking.error(grid.schedule.safety.start)
-        size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))
-        share = float(found.share(0, start.c, size, found.demand(start.G)))
+        recovery, start = cls(grid), grid.tracking.error(grid.schedule.safety.start)
+        size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + recovery.size(start.G))
+        share = float(recovery.share(0, start.c, size, recovery.demand(start.G)))
         if not share <= 1:
             raise NotCertified(
                 "the initial set is not inside the first recoverable set of the run-time methods:"
                 f" it needs {share:.4g} of the room there"
             )
-        return found if decided is None or decided is grid else cls(decided)
+        return recovery if decided is None or decided is grid else cls(decided)
 
     @cached_property
     def sets(self) -> Continuation:
@@ -94,7 +94,7 @@ class Recovery:
 
     @cached_property
     def booked(self) -> Array:
-        """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
+        """Tightening of every row by S's disturbance, round-off and the path between nodes, shape (L r,)."""
         out = self.sets.beside_errors[: self.lags].copy()
         out[:, : len(self.bow)] += self.bow + self._bent * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
@@ -117,7 +117,7 @@ class Recovery:
 
     @cached_property
     def bow(self) -> Array:
-        """How far inputs and disturbance take any path off its chord between nodes, per facet [m]; (o,).
+        """Intersample bound per facet [m], (o,): inputs and disturbance take no path farther off its chord.
 
         By ``h^2/8`` times the second derivative, commands being held; a rate along the row that is not
         constant in a period takes it off by another ``h/2`` times its bound.
@@ -140,7 +140,7 @@ class Recovery:
 
     @cached_property
     def _bent(self) -> Array:
-        """The same by the error itself, per unit of ``norm(W e)`` at the start of the period, (o,)."""
+        """Intersample bound by the error itself per unit of ``norm(W e)`` at the start of a period, (o,)."""
         flow, rows = self.open_flow, self.grid.clearance.obstacle_rows[0]
         size = np.linalg.norm(self.grid.tracking.W_inverse, axis=1)
         return np.asarray(flow.h**2 / 8 * np.abs(rows @ flow.A_x @ flow.A_x) @ flow.growth @ size)
@@ -156,7 +156,7 @@ class Recovery:
 
     @cached_property
     def _jump(self) -> Array:
-        """What the jump into the tail has taken of `limits`; it counts as a need of the whole room."""
+        """Tightening of `limits` by the jump into the tail; it counts as a need of the whole room."""
         out = np.zeros_like(self.limits)
         out[self.grid.last :] = self.grid.clearance.jump_need(self.rows)
         return out
@@ -182,7 +182,7 @@ class Recovery:
         return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.grid.tracking.W))
 
     def demand(self, G: Array) -> Demand:
-        """What sets with generators G (n, g) need of the rows."""
+        """Return the demand of sets with generators G (n, g) on the rows."""
         r, W_inverse = len(self.rows), self.grid.tracking.W_inverse
         booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
         first = min(max(NEAR // r, 1), self.lags)
@@ -222,7 +222,7 @@ class Recovery:
 
     @cached_property
     def _far(self) -> tuple[Array, Array, Array]:
-        """The same at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
+        """`far` at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
 
         What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
@@ -264,7 +264,7 @@ class Recovery:
 
     @cached_property
     def names(self) -> list[str]:
-        """What every row limits, in words."""
+        """Names of the limits, one for every row."""
         clearance, axes = self.grid.clearance, self.grid.system.input_names
         index = clearance.obstacle_rows[1]
         names = [

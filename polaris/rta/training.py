@@ -57,8 +57,8 @@ class TrainingFlights:
         ends = self.target[nodes[[0, -1]]] @ grid.system.position.T
         self._length = self.length or 0.1 * (float(np.linalg.norm(ends[1] - ends[0])) or 1.0)
         half = np.abs(grid.schedule.safety.problem.initial_set.G).sum(axis=1)
-        most = np.abs(self._read(np.arange(len(nodes)), grid.xi[nodes] + half, 0.0)).max(axis=0)
-        self.scale = 1 / np.where(most > 0, most, 1.0)
+        sizes = np.abs(self._read(np.arange(len(nodes)), grid.xi[nodes] + half, 0.0)).max(axis=0)
+        self.scale = 1 / np.where(sizes > 0, sizes, 1.0)
         if self.input_scale is not None:
             if np.shape(self.input_scale) != self.scale.shape:
                 rule = f"must have {self.scale.size} numbers"
@@ -97,14 +97,14 @@ class TrainingFlights:
         self.k[chosen] = self._flown[chosen] = 0
 
     def observe(self) -> Array:
-        """What policies read of the states as measured, shape (R, r)."""
+        """Return the inputs of policies, from the states as measured, shape (R, r)."""
         seen = self.x + self._errors[self.k, np.arange(self.runs)]
         return self._read(self.k, seen, self._told) * self.scale
 
-    def _read(self, k: NDArray[np.int_], x: Array, told: Array | float) -> Array:
+    def _read(self, k: NDArray[np.int_], x: Array, share: Array | float) -> Array:
         grid = self.grid
         step = np.minimum(k * grid.nodes // grid.clearance.q, len(self._nu) - 1)
-        t, bodies = (step * grid.tracking.delta)[:, None], self._bodies[0][k] + told * self._bodies[1][k]
+        t, bodies = (step * grid.tracking.delta)[:, None], self._bodies[0][k] + share * self._bodies[1][k]
         parts = self.senses.parts(self.target[k * grid.nodes], x, t, self._nu[step], bodies)
         return stacked(tuple(self.inputs), parts)
 
@@ -132,12 +132,12 @@ class TrainingFlights:
     def _advanced(self, k: int, chosen: NDArray[np.intp], u: Array) -> dict[str, NDArray[Any]]:
         """The flights that are all at decision k."""
         grid, finite, x = self.grid, np.asarray(np.isfinite(u).all(axis=1)), self.x[chosen]
-        told: dict[str, NDArray[Any]] = {}
+        columns: dict[str, NDArray[Any]] = {}
         mode = np.full(len(chosen), FILTERED)
         if self.monitor is not None:
             e = x + self._errors[k, chosen] - grid.xi[k * grid.nodes]
-            found, told["margin"] = self.monitor.judge(k, e, self._flown[chosen])
-            mode = np.where((found > 0) & finite, FILTERED, 0)
+            judged, columns["margin"] = self.monitor.judge(k, e, self._flown[chosen])
+            mode = np.where((judged > 0) & finite, FILTERED, 0)
         u = np.where(finite[:, None], u, 0.0)
         distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         rows, offsets, _ = grid.facets
@@ -153,7 +153,7 @@ class TrainingFlights:
         off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
         near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
         worth = near - self.effort * spent / (grid.period * grid.system.u_max.sum())
-        return told | {
+        return columns | {
             "reward": worth / grid.decisions - (distance < 0),
             "collided": np.asarray(distance < 0),
             "ended": np.full(len(chosen), k + 1 == grid.decisions),

@@ -51,9 +51,9 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
     whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
     table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
     for basis in (near, first):
-        found = None if basis is None else _exact(table, basis)
-        if found is not None:
-            x, at, y = found
+        solution = None if basis is None else _exact(table, basis)
+        if solution is not None:
+            x, at, y = solution
             multipliers[at] = y
             return x, multipliers[:M]
     return None
@@ -68,9 +68,9 @@ def _near(A: Array, b: Array, rows: int) -> list[int] | None:
         program.highs.setOptionValue(name, 1e-10)
     program.highs.setOptionValue("simplex_iteration_limit", STEPS * len(b))
     program.highs.run()
-    found = program.highs.getBasis()
-    columns = [state.name for state in found.col_status]
-    at = [state.name == "kLower" for state in found.row_status]
+    status = program.highs.getBasis()
+    columns = [state.name for state in status.col_status]
+    at = [state.name == "kLower" for state in status.row_status]
     at += [name == "kLower" for name in (columns[-1], *columns[:-1])]
     basis = np.flatnonzero([*at, *(name == "kUpper" for name in columns[:-1])]).tolist()
     return basis if len(basis) == size else None

@@ -87,11 +87,11 @@ class ExplicitASIF(Method):
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
         system = self.grid.system
-        found = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
-        found -= np.linalg.norm(normals @ self.kick, axis=1) * system.unbiased.w_max
-        if np.any(found <= 0) and not self.direct:
+        braking = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
+        braking -= np.linalg.norm(normals @ self.kick, axis=1) * system.unbiased.w_max
+        if np.any(braking <= 0) and not self.direct:
             raise ScenarioError("method", self.key, f"full thrust cannot brake before every side of {name}")
-        return np.asarray(found)
+        return np.asarray(braking)
 
     @property
     def reach(self) -> str:
@@ -109,9 +109,9 @@ class ExplicitASIF(Method):
             return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), seen.desired)
         node = seen.k * grid.nodes
         p, v = x @ grid.system.position.T, x @ grid.system.velocity.T
-        found = [self._facets(*wall, node, x, p, v) for wall in self.walls]
-        found += [self._ball(ball, node, x, p, v) for ball in self.balls]
-        h, rows, bound = (np.stack(part, axis=1) for part in zip(*found, strict=True))
+        conditions = [self._facets(*wall, node, x, p, v) for wall in self.walls]
+        conditions += [self._ball(ball, node, x, p, v) for ball in self.balls]
+        h, rows, bound = (np.stack(part, axis=1) for part in zip(*conditions, strict=True))
         rows = rows * grid.system.u_max
         answer = project(rows, bound, seen.desired / grid.system.u_max, 1.0)
         lost = answer.status > SOLVED
@@ -142,7 +142,7 @@ class ExplicitASIF(Method):
     def _ball(
         self, ball: BallObstacle, node: int, x: Array, p: Array, v: Array
     ) -> tuple[Array, Array, Array]:
-        """The same of a ball."""
+        """Barrier (R,), row (R, m) and bound (R,) of one ball."""
         system, half = self.grid.system, self.grid.half_widths
         t = node * self.grid.h
         centre, velocity = ball.motion(t)

@@ -105,9 +105,9 @@ class ImplicitASIF(Method):
         for run in np.flatnonzero((margin < 0) & ~lost):
             for rooms in (allowed, room) if self.slope < 1 else (room,):
                 near = rooms[run] < self.most
-                found = project(-self.rows[None, near], -rooms[None, run, near], desired[None, run], 1.0)
-                if found.status[0] <= SOLVED:
-                    u[run] = found.u[0]
+                answer = project(-self.rows[None, near], -rooms[None, run, near], desired[None, run], 1.0)
+                if answer.status[0] <= SOLVED:
+                    u[run] = answer.u[0]
                     break
             else:
                 lost[run] = True

@@ -164,7 +164,7 @@ class Monitor(Method):
     def worth(
         self, priced: Callable[[Mapping[int, float], float, float], float], modes: tuple[int, ...] = ()
     ) -> float:
-        """What the undisturbed flight from the middle of the initial set is worth, with these modes."""
+        """Return the objective of the undisturbed flight from the initial set's middle, with these modes."""
         self.modes = modes or self.modes
         flight = fly(self.grid, self, Conditions.undisturbed(self.grid))
         modes = flight.modes[0]
@@ -209,7 +209,7 @@ class Monitor(Method):
         """
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
-        most = np.where(flown == 0, self._most(k), 1.0)
+        limit = np.where(flown == 0, self._most(k), 1.0)
         for candidate in self.modes:
             share = np.full(R, np.inf)
             for before in (0, 1) if self.grid.delay else (0,):
@@ -218,7 +218,7 @@ class Monitor(Method):
                     share[mine] = self._share(k, e[mine], candidate, before)
             undecided = mode == 0
             margin = np.where(undecided, np.maximum(margin, 1 - share), margin)
-            mode = np.where(undecided & (share <= most), candidate, mode)
+            mode = np.where(undecided & (share <= limit), candidate, mode)
         return mode, margin
 
     def _most(self, k: int) -> float:
@@ -237,14 +237,14 @@ class Monitor(Method):
         return self._quickest(k, e, flown)[:2]
 
     def explained(self, k: int, e: Array, flown: int) -> tuple[int, float, str]:
-        """The same, and the tightest limit in words: its name, and when S would meet it."""
-        mode, margin, found = self._quickest(k, e, flown)
-        return mode, margin, found[0].limit(k, found[1]) if found else "there is no experimental controller"
+        """Return `judge_one` and the tightest limit in words: its name, and when S would meet it."""
+        mode, margin, where = self._quickest(k, e, flown)
+        return mode, margin, where[0].limit(k, where[1]) if where else "there is no experimental controller"
 
     def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Prospect, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
-        most = 1.0 if flown else self._most(k)
+        limit = 1.0 if flown else self._most(k)
         for candidate in self.modes:
             cautious = self.prospects[0, before]
             prospect = self.prospects.get((candidate, before), cautious)
@@ -252,7 +252,7 @@ class Monitor(Method):
             if not holds:
                 prospect = cautious
                 share, where, _ = prospect.share_one(k, e)
-            if share <= most:
+            if share <= limit:
                 return candidate, 1 - share, (prospect, where)
             if nearest is None or share < best:
                 best, nearest = share, (prospect, where)
@@ -260,7 +260,7 @@ class Monitor(Method):
 
 
 class DeclaredMonitor(Monitor):
-    """The same, U trusted."""
+    """`Monitor` that trusts U's declared law."""
 
     key, name, place = "monitor_declared", "Polaris online monitor, U at its declared law", 4
     how = "everything that U can reach at its declared law is recoverable"

@@ -150,16 +150,16 @@ def restored(value: Any) -> Any:
 def _identity(path: Path) -> tuple[int, ...]:
     """Return what tells whether a file is another one, or was changed; nothing without one."""
     with suppress(FileNotFoundError):
-        found = path.lstat()
-        return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+        status = path.lstat()
+        return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
     return ()
 
 
 def _parts(path: Path) -> list[tuple[int, Path]]:
     """List the files of a log, oldest first, with their numbers."""
     form = re.compile(rf"{re.escape(path.name)}(?:\.([1-9][0-9]*))?")
-    found = ((form.fullmatch(there.name), there) for there in path.parent.iterdir())
-    return sorted((int(match[1] or 0), there) for match, there in found if match)
+    matches = ((form.fullmatch(there.name), there) for there in path.parent.iterdir())
+    return sorted((int(match[1] or 0), there) for match, there in matches if match)
 
 
 def read_log(path: str | Path, *, partial: bool = False) -> list[dict[str, Any]]:

@@ -60,7 +60,7 @@ class Measurement:
 
 
 class BoxMotion:
-    """How boxes of states move in a given time, whatever flies and whatever disturbs.
+    """Motion of boxes of states in a given time, whatever flies and whatever disturbs.
 
     With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
     t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what
@@ -146,12 +146,12 @@ class BoxFilter:
             self._inputs = self._any_input
             return
         system = self.motion.system
-        most = np.minimum([bounds[1], -bounds[0]], system.u_max)  # of +u and of -u
-        given = (most + system.thrusters.error(most.max(axis=0)) + self.motion.unasked).ravel()
+        largest = np.minimum([bounds[1], -bounds[0]], system.u_max)  # of +u and of -u
+        given = (largest + system.thrusters.error(largest.max(axis=0)) + self.motion.unasked).ravel()
         self._inputs = given if fresh else np.maximum(self._inputs, given)
 
     def reaches(self, t: float) -> bool:
-        """Whether the box can be moved to the time t [s]."""
+        """Return True if the box can be moved to the time t [s]."""
         return 0 <= t - self.t <= self.motion.longest
 
     def moved(self, t: float) -> Array:

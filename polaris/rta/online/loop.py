@@ -19,7 +19,7 @@ Law = Callable[[float, Array], ArrayLike]
 
 
 class Command(NamedTuple):
-    """What the thrusters are to do.
+    """Command to the thrusters.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ from .runtime_options import Fault, OnlineDecision, RuntimeOptions
 
 
 class _Told(NamedTuple):
-    """What one call was told, as it is used and logged."""
+    """Arguments of one call, as they are used and logged."""
 
     now: Any
     measurement: Any
@@ -122,7 +122,7 @@ class OnlineMonitor:
             until `resynchronise`.
         """
         begun = self._timer()
-        told = _Told(
+        given = _Told(
             settled(now),
             Measurement.settled(measurement),
             settled(applied),
@@ -136,37 +136,37 @@ class OnlineMonitor:
         faults = [*noted]
         k, mode, margin, reason = -1, 0, np.nan, ""
         try:
-            k, mode, margin, reason = self._decide(told, faults)
+            k, mode, margin, reason = self._decide(given, faults)
         except Exception as error:  # whatever is wrong with the monitor itself, S flies
             self._own_fault(f"raised {type(error).__name__}", faults)
         left = self.limits.deadline
         if self.grid.latency and k >= 0:  # nor beyond the moment of effect
-            left = min(left, k * self.grid.period + self.grid.latency - float(told.now))
+            left = min(left, k * self.grid.period + self.grid.latency - float(given.now))
         if self._timer() - begun > left:
             self._own_fault("deadline missed", faults)
         answer = self._answer(k, mode, margin, reason, faults)
         if self._log is not None:
-            self._record(self._log, answer, noted, told)
+            self._record(self._log, answer, noted, given)
         return answer
 
     def _own_fault(self, text: str, faults: list[Fault]) -> None:
         self._strikes += 1
         faults.insert(0, Fault("monitor", text))
 
-    def _decide(self, told: _Told, faults: list[Fault]) -> tuple[int, int, float, str]:
-        if told.resynchronised is not None:
-            if isinstance(told.resynchronised, float) and isfinite(told.resynchronised):
-                self.clock.resynchronise(told.resynchronised)
+    def _decide(self, given: _Told, faults: list[Fault]) -> tuple[int, int, float, str]:
+        if given.resynchronised is not None:
+            if isinstance(given.resynchronised, float) and isfinite(given.resynchronised):
+                self.clock.resynchronise(given.resynchronised)
             else:
                 faults.append(Fault("clock", "asked to resynchronise to no finite number"))
-        k, wrong = self.clock.read(told.now, told.reference, told.number)
+        k, wrong = self.clock.read(given.now, given.reference, given.number)
         if wrong is not None:
             faults.append(wrong)
         before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
         if self.clock.missed and before:  # the permission ended, and S took over
             self._dwelt, self._flown = self.clock.missed, 0
-        self.observer.note_inputs(told.applied, faults)
-        state = None if k is None else self.observer.observe(told.measurement, k * self.grid.period, faults)
+        self.observer.note_inputs(given.applied, faults)
+        state = None if k is None else self.observer.observe(given.measurement, k * self.grid.period, faults)
         self._latched(faults)
         if k is None or state is None:
             return -1 if k is None else k, 0, np.nan, ""
@@ -202,7 +202,7 @@ class OnlineMonitor:
         unwritten, self._unwritten = self._unwritten, []
         return OnlineDecision(k, mode, margin, until, reason, (*faults, *unwritten))
 
-    def _record(self, log: DecisionLog, answer: OnlineDecision, noted: list[Fault], told: _Told) -> None:
+    def _record(self, log: DecisionLog, answer: OnlineDecision, noted: list[Fault], given: _Told) -> None:
         try:
             record = {
                 "k": answer.k,
@@ -212,7 +212,7 @@ class OnlineMonitor:
                 "faults": [str(fault) for fault in answer.faults],
                 "controller": [fault.text for fault in noted],
             }
-            record |= {name: jsonable(value) for name, value in told._asdict().items()}
+            record |= {name: jsonable(value) for name, value in given._asdict().items()}
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(Fault("log", "the line before could not be written"))

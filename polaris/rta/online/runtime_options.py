@@ -1,4 +1,4 @@
-"""What can go wrong in flight, what the runtime of the online monitor tolerates, and what it answers."""
+"""Faults in flight, tolerances of the online monitor's runtime, and its answers."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -27,13 +27,13 @@ class Fault(NamedTuple):
 
     @property
     def harmless(self) -> bool:
-        """Whether U may fly all the same."""
+        """True if U may fly all the same."""
         return self.family in HARMLESS
 
 
 @dataclass(frozen=True)
 class RuntimeOptions:
-    """What is tolerated; `limits` fills in the defaults.
+    """Tolerances of the runtime; `limits` fills in the defaults.
 
     Attributes
     ----------
@@ -97,14 +97,14 @@ class RuntimeOptions:
         ScenarioError
             If the tolerance is half of the scene's period or more.
         """
-        period, most = grid.period, 0.499 * grid.period
-        if self.tolerance is not None and self.tolerance > most:
+        period, widest = grid.period, 0.499 * grid.period
+        if self.tolerance is not None and self.tolerance > widest:
             raise ScenarioError("tolerance", self.tolerance, f"must be below half the period of {period:g} s")
         max_age = self.max_age or period
         return Limits(
             max_age,
             max(self.memory or 10 * period, max_age, period),
-            self.tolerance or max(min(grid.latency, most), 1e-6 * period),
+            self.tolerance or max(min(grid.latency, widest), 1e-6 * period),
             self.drift or period / 100,
             self.deadline or grid.latency or period,
             self.budget or period,
