@@ -126,11 +126,11 @@ class ClosestApproach:
         """
         flat, shape = z.reshape(-1, 6), z.shape[:-1]
         if self.loops:
-            found = self.loops.approaches(plain(flat)[:, None], NO_PAIRS, float(beyond), self.numbers)
-            found = found.reshape(*shape, 5)
-            return Approach(found[..., 0], found[..., 1], found[..., 2:])
-        found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
-        distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
+            parts = self.loops.approaches(plain(flat)[:, None], NO_PAIRS, float(beyond), self.numbers)
+            parts = parts.reshape(*shape, 5)
+            return Approach(parts[..., 0], parts[..., 1], parts[..., 2:])
+        parts = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
+        distance, when, place = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
 
     def _block(self, z: Array, beyond: float) -> Approach:
@@ -138,19 +138,19 @@ class ClosestApproach:
         squares = dot(places, places)
         nearest = squares.argmin(axis=1)
         every = np.arange(len(z))
-        found = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
+        approach = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
         gain_p, gain_v = self.speed_gain
         speed = gain_p * length(z[:, :3]) + gain_v * length(z[:, 3:])
-        bound = found.distance - speed * (self.times[1] / 2)
+        bound = approach.distance - speed * (self.times[1] / 2)
         far = bound > beyond
         near = np.flatnonzero(~far)
         some = near if far.any() else slice(None)  # a view is quicker than a copy
         if len(near):
-            self._refine(z[some], places[some], squares[some], found, near)
-        found.distance[far] = bound[far]
-        return found
+            self._refine(z[some], places[some], squares[some], approach, near)
+        approach.distance[far] = bound[far]
+        return approach
 
-    def _refine(self, z: Array, places: Array, squares: Array, found: Approach, at: NDArray[np.intp]) -> None:
+    def _refine(self, z: Array, places: Array, squares: Array, best: Approach, at: NDArray[np.intp]) -> None:
         """Lower the distances found for these flights, which are at these places, to their infima."""
         n, length = self.mean_motion, self.times[1]
         rates = dot(places, (z @ self.velocities).reshape(places.shape))
@@ -171,15 +171,15 @@ class ClosestApproach:
         speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
         reach = np.sqrt(squares.max(axis=1))[row] + bow[row]
         quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
-        _Search(found, at[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
+        _Search(best, at[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
     """Segments of flights on which the distance may fall below the least one found so far."""
 
-    found: Approach
-    row: NDArray[np.intp]  # of each segment's flight, in what was found
+    best: Approach
+    row: NDArray[np.intp]  # of each segment's flight, in `best`
     parts: Array
     n: float
     quartic: Array  # bounds on ``|q''''|``
@@ -200,7 +200,7 @@ class _Search:
             third = length / 3
             corners = (half_1, half_2, half_1 + rate_1 * third, half_2 - rate_2 * third)
             least = np.min(corners, axis=0) - self.quartic[index] * (length**4 / 384)
-            goal = np.maximum(self.found.distance[self.row[index]] - TOLERANCE, 0.0)
+            goal = np.maximum(self.best.distance[self.row[index]] - TOLERANCE, 0.0)
             open_ = np.flatnonzero(~convex & (least < goal**2 / 2))
             if not len(open_):
                 return
@@ -230,8 +230,8 @@ class _Search:
 
     def _keep(self, index: NDArray[np.intp], when: Array, place: Array) -> None:
         """Write down what is nearer than what was known."""
-        found, row = self.found, self.row[index]
+        best, row = self.best, self.row[index]
         distance = np.sqrt(dot(place, place))
-        better = np.flatnonzero(distance < found.distance[row])
+        better = np.flatnonzero(distance < best.distance[row])
         for k in better[np.argsort(-distance[better])]:  # the least of a flight is written last
-            found.distance[row[k]], found.when[row[k]], found.place[row[k]] = distance[k], when[k], place[k]
+            best.distance[row[k]], best.when[row[k]], best.place[row[k]] = distance[k], when[k], place[k]

@@ -20,18 +20,18 @@ def approaches(x: Array, pairs: Array, beyond: float, flight: Array) -> Array:
     Distances, times, and places of those that are not beyond, (R, N + P, 5).
     """
     runs, deputies, n, z = len(x), x.shape[1], flight[0, 0], np.empty(6)
-    found = np.zeros((runs, deputies + len(pairs), 5))
+    out = np.zeros((runs, deputies + len(pairs), 5))
     for r in range(runs):
         for k in range(deputies + len(pairs)):
             one = k if k < deputies else pairs[k - deputies, 0]
             for j in range(6):
                 z[j] = x[r, one, j] - (x[r, pairs[k - deputies, 1], j] if k >= deputies else 0.0)
             distance, when = closest(z, beyond, flight)
-            found[r, k, 0], found[r, k, 1] = distance, when
+            out[r, k, 0], out[r, k, 1] = distance, when
             if distance <= beyond:
                 angle = n * when
-                _position(_parts(z, n), when, 2 * np.sin(angle / 2) ** 2, np.sin(angle), found[r, k, 2:])
-    return found
+                _position(_parts(z, n), when, 2 * np.sin(angle / 2) ** 2, np.sin(angle), out[r, k, 2:])
+    return out
 
 
 @compiled
@@ -41,7 +41,7 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
     For `numbers` see `polaris.inspection.loops.rows`.
     """
     runs, deputies, n, D, growth = len(x), x.shape[1], numbers[0], numbers[11], numbers[13]
-    found, known = np.empty((runs, deputies + len(pairs), 5)), held.shape[1] > 0
+    out, known = np.empty((runs, deputies + len(pairs), 5)), held.shape[1] > 0
     z, push = np.empty(6), np.zeros(3)
     for r in range(runs):
         for k in range(deputies + len(pairs)):
@@ -58,9 +58,9 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
             speed = np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
             a = (a + 3 * n**2 * speed * D) * growth
             fastest = speed + a * D
-            found[r, k, 0], found[r, k, 1], found[r, k, 2] = fastest, a, 3 * n**2 * fastest + 2 * n * a
-            found[r, k, 3], found[r, k, 4] = thrust, a - spread * thrust
-    return found
+            out[r, k, 0], out[r, k, 1], out[r, k, 2] = fastest, a, 3 * n**2 * fastest + 2 * n * a
+            out[r, k, 3], out[r, k, 4] = thrust, a - spread * thrust
+    return out
 
 
 @compiled

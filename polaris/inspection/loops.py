@@ -41,7 +41,7 @@ def rows(
     runs, deputies, count, n = x.shape[0], x.shape[1], len(table), numbers[0]
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
     z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
-    s, v, found, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
+    s, v, known, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
     for r in range(runs):
         z[:deputies] = x[r]
         for k in range(len(pairs)):
@@ -55,11 +55,11 @@ def rows(
             for j in range(6):
                 s[j] = z[at, j]
             for j in range(5):
-                found[j] = about[r, at, j]
+                known[j] = about[r, at, j]
             if formula == SEGMENTS:
                 last = m + 2 * len(flights) - 6
                 part = h[r, m:last], G[r, m:last], bound[r, m:last]
-                _segments(s, found, v, numbers, flights, part)
+                _segments(s, known, v, numbers, flights, part)
                 m = last
                 continue
             if formula == SPHERE:
@@ -67,14 +67,14 @@ def rows(
             elif formula == CONE:
                 value, change = _cone(s, cone, v, numbers, gradient, seen)
             elif formula == PASSIVE:
-                value = found[0] - v[0]
-                _passive(found, numbers[10], numbers[0], gradient)
+                value = known[0] - v[0]
+                _passive(known, numbers[10], numbers[0], gradient)
             elif formula == SPEED:
-                value, curvature = _speed(s, tight, found, numbers, gradient)
+                value, curvature = _speed(s, tight, known, numbers, gradient)
             else:
-                value, curvature = _velocity(s, int(v[0]), tight, found, numbers, gradient)
+                value, curvature = _velocity(s, int(v[0]), tight, known, numbers, gradient)
             if tight and formula <= CONE:
-                curvature = _curvature(s, seen, formula == CONE, found, v, numbers)
+                curvature = _curvature(s, seen, formula == CONE, known, v, numbers)
             h[r, m] = value
             for j in range(3):
                 G[r, m, j] = gradient[3 + j] * numbers[1]
@@ -280,14 +280,14 @@ def _velocity(
 
 
 @inlined
-def _passive(found: Array, beyond: float, n: float, gradient: Array) -> None:
+def _passive(approach: Array, beyond: float, n: float, gradient: Array) -> None:
     for j in range(6):
         gradient[j] = 0.0
-    if found[0] <= beyond:  # farther, the row allows every input
-        when = found[1]
+    if approach[0] <= beyond:  # farther, the row allows every input
+        when = approach[1]
         s, c = np.sin(n * when), np.cos(n * when)
-        _, by = _rounded(found[2], found[3], found[4], 1e-9)
-        x, y, z = found[2] / by, found[3] / by, found[4] / by
+        _, by = _rounded(approach[2], approach[3], approach[4], 1e-9)
+        x, y, z = approach[2] / by, approach[3] / by, approach[4] / by
         gradient[0], gradient[1] = x * (4 - 3 * c) + y * 6 * (s - n * when), y
         gradient[2], gradient[5] = z * c, z * s / n
         gradient[3] = (x * s - y * 2 * (1 - c)) / n

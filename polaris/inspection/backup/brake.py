@@ -160,7 +160,7 @@ class Brake:
         return np.asarray(gained @ self._pushed.T)
 
     def around(self, plan: Array, before: Array | None = None) -> Array:
-        """How far flights may be from plans (L+1, N, 6) that are new: as `Tube.around`, (L+1, N, 2)."""
+        """Return bounds (L+1, N, 2) on errors of flights about new plans (L+1, N, 6); see `Tube.around`."""
         return self.tube.around(self.thrusts(plan), length(plan[-1, :, :3]), before)
 
     def follow(self, x: Array, plan: Array) -> Array:

@@ -28,7 +28,7 @@ class Proven(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether everything holds for all time."""
+        """True if everything holds for all time."""
         return bool((self.margins >= 0).all())
 
 
@@ -76,23 +76,23 @@ class Planner:
             tube = brake.around(plan, before)
             if old is not None and keeps is not None:
                 plan[:, keeps], tube[:, keeps] = old[0][:, keeps], old[1][:, keeps]
-            found = Proven(plan, tube, self.check(t, plan, tube, old if self.mixed else None), t)
-            if best is None or found.margins.min() > best.margins.min():
-                best = found
-            if best.good or not self._mend(t, found, start, toward, shift, keeps):
+            proven = Proven(plan, tube, self.check(t, plan, tube, old if self.mixed else None), t)
+            if best is None or proven.margins.min() > best.margins.min():
+                best = proven
+            if best.good or not self._mend(t, proven, start, toward, shift, keeps):
                 break
         assert best is not None
         return best
 
-    def extended(self, found: Proven, count: int) -> tuple[Array, Array]:
+    def extended(self, kept: Proven, count: int) -> tuple[Array, Array]:
         """A plan and its tube with at least `count` samples."""
-        more = max(count - len(found.tube), 0)
-        return self.brake.extended(found.plan, count), np.concatenate([found.tube, *[found.tube[-1:]] * more])
+        more = max(count - len(kept.tube), 0)
+        return self.brake.extended(kept.plan, count), np.concatenate([kept.tube, *[kept.tube[-1:]] * more])
 
     def _mend(
         self,
         t: float,
-        found: Proven,
+        proven: Proven,
         start: Array,
         toward: Array,
         shift: Array,
@@ -101,11 +101,11 @@ class Planner:
         """Change what concerned deputies end first or where they are held; False if nothing new helps."""
         before = toward.copy(), shift.copy()
         brake, check = self.brake, self.check
-        D = brake.period if len(found.plan) > 1 else 0.0
-        for row in np.flatnonzero(found.margins < 0)[::-1]:
+        D = brake.period if len(proven.plan) > 1 else 0.0
+        for row in np.flatnonzero(proven.margins < 0)[::-1]:
             name, i, j = check.labels[row].split("[")[0], check.first[row], check.second[row]
             if name in ("phi9", "phi10"):
-                shift[i] += self._inwards(found.plan[-1, i], float(found.tube[-1, i, 1]))
+                shift[i] += self._inwards(proven.plan[-1, i], float(proven.tube[-1, i, 1]))
             elif name in ("phi1", "phi2", "phi4", "phi5+", "phi5-", "phi6"):
                 z = start[i, :3] - (start[j, :3] if j >= 0 else 0.0)
                 outward = check.direction(name, z, t + D)
@@ -119,7 +119,7 @@ class Planner:
     def _inwards(self, rest: Array, slip: float) -> Array:
         """By what (3,) a deputy must be held farther in, so that turning keeps its velocity limits."""
         q = self.check.inspection
-        most = (q.speed_max - slip) / q.mean_motion - ROOM
+        limit = (q.speed_max - slip) / q.mean_motion - ROOM
         p = rest[:3] * (1.0, 1.0, 0.0)
         far = float(length(p))
-        return np.asarray(-p / far * max(far - most, 0.0)) if far > 0 else np.zeros(3)
+        return np.asarray(-p / far * max(far - limit, 0.0)) if far > 0 else np.zeros(3)

@@ -49,7 +49,7 @@ class Decay:
         """Matrix P with ``s' P s = sum over k of norm(C s_k)^2``."""
 
     def never_above(self, s: Array, limit: float) -> NDArray[np.bool_]:
-        """Where surely no output ever exceeds a limit in size: ``s' P s <= limit^2``, shape (...).
+        """Return True if surely no output ever exceeds a limit in size: ``s' P s <= limit^2``, shape (...).
 
         Sufficient only. It stays true along the loop, because ``s' P s`` decreases.
         """

@@ -23,7 +23,7 @@ BRAKING = 0.5  # share of the thrust with which the stopping point of the refere
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What is known about the flight under a backup law for ever after, for each of N deputies.
+    """Bounds on the flight under a backup law for ever after, for each of N deputies.
 
     Valid without disturbances, while the law is followed period by period.
 
@@ -138,11 +138,11 @@ class Tracker:
         return u, after
 
     def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
-        """Whether the loop is linear from here on, shape (N,)."""
+        """Return True for deputies whose loop is linear from here on, shape (N,)."""
         return self._thrusts.never_above(_errors(x, memory), share * self.inspection.thrust_max)
 
     def outlook(self, x: Array, memory: Array) -> Outlook:
-        """What is known about all the future: in the linear range, by sums over the loop's powers."""
+        """Return bounds on all the future: in the linear range, by sums over the loop's powers."""
         q, D = self.inspection, self.period
         s = _errors(x, memory)
         settled = self._thrusts.never_above(s, q.thrust_max)

@@ -1,4 +1,4 @@
-"""How far the true state may be from a plan that is held by feedback: lemma B of the theory of inspection."""
+"""Distance of the true state from a plan that is held by feedback: lemma B of the theory of inspection."""
 
 from dataclasses import dataclass, field, replace
 
@@ -23,7 +23,7 @@ VARIATION = 24.0
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is not known exactly, at any time and however it changes.
+    """Bounds on all that is not known exactly, at any time and however it changes.
 
     Parameters
     ----------
@@ -136,13 +136,13 @@ class Tube:
         stepped = np.hypot(step[0] / response, step[1])
         rest = _sizes(loop.left * (size + self._late * turns * stepped))
         varied = self._late * VARIATION * q.thrust_max
-        most = known + self.share * full * total
-        most = most.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + rest
+        bound = known + self.share * full * total
+        bound = bound.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + rest
         # Feedback changes from period to period as well, by twice its largest value.
         again = self._late * 2 * np.sqrt(3) * (late[-1, 2] + _sizes(loop.left)[2] * stepped)
         if again > 0.5 or unknown.jitter > D / 2:
             raise ScenarioError("jitter", unknown.jitter, f"must be well below the period of {D:g} s")
-        self.feedback = float((most[2] + (np.abs(self.gain) @ eta).max()) / (1 - again))
+        self.feedback = float((bound[2] + (np.abs(self.gain) @ eta).max()) / (1 - again))
         often = self._late * 2 * np.sqrt(3) * self.feedback
         base = known + self.share * np.sqrt(3) * self.feedback * total + often * late
         rest += often * _sizes(loop.left) * stepped + varied * _sizes(loop.later) * stepped

@@ -186,7 +186,7 @@ class SunCone(Printed):
 
     @cached_property
     def _axes(self) -> tuple[Array, Array]:
-        """What the cosine and the sine of the sun's angle multiply in the axis."""
+        """Vectors that the cosine and the sine of the sun's angle multiply in the axis."""
         minus = -np.asarray(self.side, dtype=float)[..., None]
         return minus * np.eye(3)[0], minus * np.eye(3)[1]
 

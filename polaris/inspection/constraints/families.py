@@ -164,7 +164,7 @@ class Families(Table):
         return np.asarray(np.divide(gap, size, out=np.where(gap > 0, np.inf, 0.0), where=size > 0))
 
     def given(self, desired: Array) -> Array:
-        """What the thrusters would give of inputs (..., N, 3) [N]: the nearest to that is looked for.
+        """Return inputs (..., N, 3) [N] clipped to the thrust limits: the nearest to them is looked for.
 
         The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
         """
@@ -221,7 +221,7 @@ class Families(Table):
         return Rows(h, G, bound)
 
     def _motion(self, every: Array, drift: Array, held: Array | None) -> Motion | None:
-        """What is possible within a period."""
+        """Return the motion that is possible within a period; None if not sampled."""
         if self.sampled is None:
             return None
         q = self.inspection

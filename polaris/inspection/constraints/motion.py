@@ -24,7 +24,7 @@ from ..vectors import length
 
 @dataclass(frozen=True)
 class SampledData:
-    """How the barrier conditions are tightened.
+    """Tightening of the barrier conditions for sampled data.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class SampledData:
             raise ScenarioError("share", self.share, "must be in (0, 1]")
 
     def growth(self, n: float) -> float:
-        """How much larger than at its start the acceleration may be within a period; n in rad/s.
+        """Return the factor by which the acceleration may grow within a period from its start; n in rad/s.
 
         Raises
         ------

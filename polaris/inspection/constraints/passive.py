@@ -44,14 +44,14 @@ class Passive(Printed):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
         exact = self.beyond + self._largest
-        found = self.approach(z, exact)
-        near, gradient = found.distance <= exact, np.zeros(z.shape)
+        nearest = self.approach(z, exact)
+        near, gradient = nearest.distance <= exact, np.zeros(z.shape)
         if near.any():
-            outward, when = rounded_length(found.place[near], 1e-9)[1], found.when[near][:, None]
+            outward, when = rounded_length(nearest.place[near], 1e-9)[1], nearest.when[near][:, None]
             still, drift, circle, across = (outward @ part for part in self.approach.parts)
             angle = self.approach.mean_motion * when
             gradient[near] = still + drift * when + circle * np.cos(angle) + across * np.sin(angle)
-        return Evaluation(found.distance - self.radius, gradient, 0.0)
+        return Evaluation(nearest.distance - self.radius, gradient, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

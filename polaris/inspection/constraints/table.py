@@ -38,7 +38,7 @@ def printed(q: Inspection, approach: ClosestApproach | None = None, beyond: floa
     """Return the paper's constraints; those on free flights only with their closest `approach`."""
     braking = partial(Braking, depth=q.smoothing, back=q.return_speed)
     cone = partial(SunCone, q.field_of_view / 2, q.mean_motion, braking(q.a_max))
-    found: list[Printed] = [
+    constraints: list[Printed] = [
         Radial(q.separation, braking(q.a_max), 1.0, label="phi1"),
         Radial(q.deputy_separation, braking(2 * q.a_max), 1.0, label="phi2"),
         Radial(q.distance_max, braking(q.a_inside), -1.0, label="phi6"),
@@ -47,10 +47,10 @@ def printed(q: Inspection, approach: ClosestApproach | None = None, beyond: floa
         cone(-1.0, label="phi5"),
     ]
     if approach is not None:
-        found.append(Passive(q.separation, approach, beyond, label="phi7"))
-        found.append(Passive(q.deputy_separation, approach, beyond, label="phi8"))
-    found.append(Speed(q.docking_speed, q.nu_1, label="phi3"))
-    return found + [Velocity(axis, q.speed_max, label=f"phi{9 + axis}") for axis in range(3)]
+        constraints.append(Passive(q.separation, approach, beyond, label="phi7"))
+        constraints.append(Passive(q.deputy_separation, approach, beyond, label="phi8"))
+    constraints.append(Speed(q.docking_speed, q.nu_1, label="phi3"))
+    return constraints + [Velocity(axis, q.speed_max, label=f"phi{9 + axis}") for axis in range(3)]
 
 
 class Table:
@@ -139,7 +139,7 @@ class Table:
         return np.isin(self.family, families)
 
     def stack(self, x: Array) -> Array:
-        """What the deputies have, then each pair relative to each other: (..., N, d) to (..., N + P, d)."""
+        """Stack the deputies' rows, then those of each pair, relative to each other: (..., N + P, d)."""
         if self.inspection.deputies == 1:
             return x
         first, second = self.inspection.pairs.T

@@ -49,8 +49,8 @@ class ActiveSetFilter(CallByCall):
         self.sun_start = number("sun_start", sun_start)
         self.families, self.inspection = filtering.families, filtering.families.inspection
         sampled = self.families.sampled
-        labels, told = np.array(self.families.labels), self.families.labels
-        self._words = (*told, *(f"thrust[{i}]" for i in range(self.inspection.deputies)))
+        labels, names = np.array(self.families.labels), self.families.labels
+        self._words = (*names, *(f"thrust[{i}]" for i in range(self.inspection.deputies)))
         self._most = self.inspection.thrust_max * (1 - 1e-12)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
@@ -60,8 +60,8 @@ class ActiveSetFilter(CallByCall):
         super().__init__(self.inspection, None if sampled is None else sampled.period)
         if filtering.loops:  # what compiles them, or reads them from disk, is not left to the first decision
             still = np.zeros((1, self.inspection.deputies, 6))
-            found = filtering.batch(still, np.zeros(1), still[..., :3].copy())
-            self._active(found.rows, np.zeros_like(found.u[0]))
+            filtered = filtering.batch(still, np.zeros(1), still[..., :3].copy())
+            self._active(filtered.rows, np.zeros_like(filtered.u[0]))
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
@@ -78,8 +78,8 @@ class ActiveSetFilter(CallByCall):
             if on_backup.any():
                 desired = np.where(on_backup[:, None], self._backed_up(self.backup, got, notes), desired)
         sun = np.array([self.sun_start - self.inspection.mean_motion * got.t])
-        found = self.filtering.batch(got.x[None], sun, desired[None])
-        u, status, rows = found.u[0], found.status[0], found.rows
+        filtered = self.filtering.batch(got.x[None], sun, desired[None])
+        u, status, rows = filtered.u[0], filtered.status[0], filtered.rows
         worst, changed = max(status.tolist()), status > DESIRED
         failed = self._nobody
         if worst == FAILED:
@@ -107,19 +107,19 @@ class ActiveSetFilter(CallByCall):
 
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
-        G, bound, families, most = rows.G[0], rows.bound[0], self.families, self._most
+        G, bound, families, full = rows.G[0], rows.bound[0], self.families, self._most
         if self.filtering.loops:
-            tight = self.filtering.loops.tight(G, bound, families.first, families.second, u, TIGHT, most)
+            tight = self.filtering.loops.tight(G, bound, families.first, families.second, u, TIGHT, full)
         else:
             met = dot(G, families.relative(u)) - bound <= TIGHT * np.abs(G).sum(axis=1)
-            tight = np.flatnonzero(np.append(met, np.abs(u).max(axis=1) >= most))
+            tight = np.flatnonzero(np.append(met, np.abs(u).max(axis=1) >= full))
         return tuple(dict.fromkeys([self._words[k] for k in tight.tolist()]))
 
 
-def _told(missed: dict[str, float], most: int = 5) -> str:
-    """The conditions missed by most, in words."""
+def _told(missed: dict[str, float], count: int = 5) -> str:
+    """Return the conditions missed by most, `count` of them, in words."""
     worst = sorted(missed.items(), key=lambda item: -item[1])
-    told = (
-        ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most]) or "none by more than rounding"
+    text = (
+        ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:count]) or "none by more than rounding"
     )
-    return f"{told} and {len(worst) - most} more" if len(worst) > most else told
+    return f"{text} and {len(worst) - count} more" if len(worst) > count else text

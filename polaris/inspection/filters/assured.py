@@ -122,19 +122,19 @@ class Assured(CallByCall):
         backup = self.brake.follow(x, kept.plan)
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
-        u, found, flown = self._tried(got, now, x, proposed, who & able, backup, kept)
+        u, proven, flown = self._tried(got, now, x, proposed, who & able, backup, kept)
         # Nobody who begins anew is sure of others, who may go on as before.
-        sure = found.good and not alone and bool(within.all())
+        sure = proven.good and not alone and bool(within.all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
         labels = np.array(self.check.labels)
-        active = tuple(labels[found.margins < 0].tolist()) if not found.good else ()
-        margins = named(self.check.labels, found.margins)
-        after, tube = self.planner.extended(found, 3)
-        later = Proven(after[1:], tube[1:], found.margins, found.t + self.period)
-        self.take_over(later if found.good else None)
+        active = tuple(labels[proven.margins < 0].tolist()) if not proven.good else ()
+        margins = named(self.check.labels, proven.margins)
+        after, tube = self.planner.extended(proven, 3)
+        later = Proven(after[1:], tube[1:], proven.margins, proven.t + self.period)
+        self.take_over(later if proven.good else None)
         self._followed = within
-        if found.good:
+        if proven.good:
             none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
             answer = Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
         else:
@@ -186,20 +186,20 @@ class Assured(CallByCall):
         """The proposal of as many as it is proven for."""
         while who.any():
             u = np.where(who[:, None], proposed, backup)
-            found = self._find(got, now, x, u, kept, who)
-            if found.good:
-                return u, found, who
-            dropped = concerned(self.check, found.margins < 0, len(who)) & who
+            proven = self._find(got, now, x, u, kept, who)
+            if proven.good:
+                return u, proven, who
+            dropped = concerned(self.check, proven.margins < 0, len(who)) & who
             dropped = dropped if dropped.any() else who
-            worst = int(found.margins.argmin())
-            reason = f"{self.check.labels[worst]} would be {found.margins[worst]:.3g}"
+            worst = int(proven.margins.argmin())
+            reason = f"{self.check.labels[worst]} would be {proven.margins[worst]:.3g}"
             self._refused(got, dropped, reason)
             who = who & ~dropped
         return backup, kept, who
 
 
 class Implicit(Assured):
-    """What is wanted, and otherwise as far on the way to it, from the backup's thrust, as is proven.
+    """Filter that applies the wanted thrust, else as far on the way to it from the backup's as is proven.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class Implicit(Assured):
     def _tried(
         self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
     ) -> Tried:
-        u, found, passed = super()._tried(got, now, x, proposed, who, backup, kept)
+        u, proven, passed = super()._tried(got, now, x, proposed, who, backup, kept)
         back = who & ~passed
         low, high = 0.0, 1.0
         for _ in range(HALVINGS if back.any() else 0):
@@ -223,11 +223,11 @@ class Implicit(Assured):
             part = np.where(who[:, None], part, backup)
             tried = self._find(got, now, x, part, kept, who)
             if tried.good:
-                u, found, passed, low = part, tried, who, share
+                u, proven, passed, low = part, tried, who, share
             else:
                 high = share
         self._cut = np.where(back, low, 1.0)  # how far towards it those were proven that were not all the way
-        return u, found, passed
+        return u, proven, passed
 
 
 class Explicit(Implicit):
@@ -252,11 +252,11 @@ class Explicit(Implicit):
         q = self.inspection
         wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
         sun = q.sun_angle([got.t], self.check.sun_start)
-        found = self.filtering.batch(got.x[None], sun, wanted[None])
-        good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
+        answer = self.filtering.batch(got.x[None], sun, wanted[None])
+        good = np.isfinite(answer.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
         if not self.planner.mixed:
             self._share = np.minimum(self._share * self._cut + self.period / RETURN, 1.0)
-        u, share = np.where(good[:, None], found.u[0], backup), self._share[:, None]
+        u, share = np.where(good[:, None], answer.u[0], backup), self._share[:, None]
         return np.where(share < 1, backup + share * (u - backup), u), good
 
 

@@ -71,10 +71,10 @@ class Centralized:
             self._tighten(Filtered(u, status, rows), runs, x, sun, desired)
         return Filtered(u, status, rows)
 
-    def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, desired: Array) -> None:
+    def _tighten(self, batch: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, desired: Array) -> None:
         """Solve some runs again, curvature bounded by the thrust chosen, until answers meet their rows."""
         families, held = self.families, np.zeros_like(desired[runs])
-        bound: Array = np.full(found.rows.bound[runs].shape, -np.inf)
+        bound: Array = np.full(batch.rows.bound[runs].shape, -np.inf)
         for _ in range(TRIES):
             rows = families(x[runs], sun[runs], held)
             bound = np.maximum(bound, rows.bound)
@@ -85,7 +85,7 @@ class Centralized:
             own = families(x[runs], sun[runs], np.where(np.isfinite(held), held, 0.0))
             met = np.einsum("rmv,rmv->rm", own.G, families.relative(held)) >= own.bound - MET
             good = solved & met.all(axis=1)
-            for whole, part in ((found.u, held), (found.status, status), (found.rows.bound, bound)):
+            for whole, part in ((batch.u, held), (batch.status, status), (batch.rows.bound, bound)):
                 whole[runs[good]] = part[good]
             left = solved & ~good
             runs, bound, held = runs[left], bound[left], held[left]
@@ -109,10 +109,10 @@ class Centralized:
             runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
-            found = project_coupled(G, bound, u[runs], limit, *who, rank)
-            u[runs] = found.u
-            worse = found.status[:, None]
-            status[runs] = np.where(worse > FILTERED, worse, _unchanged(found.u, desired[runs]))
+            solution = project_coupled(G, bound, u[runs], limit, *who, rank)
+            u[runs] = solution.u
+            worse = solution.status[:, None]
+            status[runs] = np.where(worse > FILTERED, worse, _unchanged(solution.u, desired[runs]))
         return u, status
 
 
@@ -164,9 +164,9 @@ class Decentralized:
         if len(run):
             signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
             rank = self.families.rank(rows.h)[:, self._mine][run, who]
-            found = project(signed, bound[run, who], u[run, who], limit, rank)
-            u[run, who] = found.u  # clipping alone counts as filtering, too
-            status[run, who] = np.maximum(found.status, _unchanged(found.u, desired[run, who]))
+            solution = project(signed, bound[run, who], u[run, who], limit, rank)
+            u[run, who] = solution.u  # clipping alone counts as filtering, too
+            status[run, who] = np.maximum(solution.status, _unchanged(solution.u, desired[run, who]))
         if agreed is not None:
             status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan

@@ -19,7 +19,7 @@ from .assured import Explicit, Implicit
 
 
 class Message(NamedTuple):
-    """What a deputy tells the others each period: estimated state (6,), wanted thrust (3,) [N], its plan.
+    """Message of a deputy each period: its estimated state (6,), wanted thrust (3,) [N] and plan.
 
     The plan (L+1, 1, 6) is from the period's start t [s] on; the tube about it is (L+1, 1, 2). The `rule` is
     `Assured.settings` of its filter.
@@ -68,19 +68,19 @@ class Member:
         if not rule.planner.mixed:
             raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
         self.me, self.rule, self.brake = me, rule, rule.brake
-        found = rule.planner.find(t, shaped("x", x, (rule.inspection.deputies, 6)))
-        if not found.good:
-            worst = int(found.margins.argmin())
-            told = f"{rule.check.labels[worst]} would be {found.margins[worst]:.3g}"
-            raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
+        proven = rule.planner.find(t, shaped("x", x, (rule.inspection.deputies, 6)))
+        if not proven.good:
+            worst = int(proven.margins.argmin())
+            detail = f"{rule.check.labels[worst]} would be {proven.margins[worst]:.3g}"
+            raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {detail}")
         self._none = np.zeros(len(rule.check.labels))
-        self._due, self._flown = t, self._part(found)
+        self._due, self._flown = t, self._part(proven)
         self._next = np.array(x[me], dtype=float)  # the state that follows from the last known one
         self._lost = 0.0  # for how long it has not been known [s]
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
-        """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
+        """Return the message to all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
         plan, tube = self._flown[:2]
         given = np.array(x, dtype=float), np.array(wanted, dtype=float)
         return Message(self._due, *given, plan, tube, self.rule.settings)
@@ -125,12 +125,12 @@ class Member:
         self._next = Phi @ x + Gamma @ u
         return u
 
-    def _part(self, found: Proven) -> Proven:
+    def _part(self, proven: Proven) -> Proven:
         """The part of the plans of all that is this deputy's."""
         mine = slice(self.me, self.me + 1)
-        return Proven(found.plan[:, mine], found.tube[:, mine], self._none, found.t)
+        return Proven(proven.plan[:, mine], proven.tube[:, mine], self._none, proven.t)
 
 
 def _known(x: Array) -> bool:
-    """Whether an estimated state (6,) is one."""
+    """Return True if an estimated state (6,) has numbers only, none beyond `FARTHEST`."""
     return bool((np.abs(x) <= FARTHEST).all())  # false for nan

@@ -136,5 +136,5 @@ class SimplexImplicit(_Latching):
     def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
         if not spare:
             return np.zeros(len(u), dtype=bool), ""  # what is not proven is refused
-        found = self.planner.find(got.t, got.x, u)
-        return concerned(self.check, ~(found.margins >= self._release), len(u)), ""
+        proven = self.planner.find(got.t, got.x, u)
+        return concerned(self.check, ~(proven.margins >= self._release), len(u)), ""

@@ -25,7 +25,7 @@ NEAR = 60.0
 @brief
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of R runs under one filter.
+    """Results of R runs under one filter.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class Outcome:
 
     def failures(self) -> list[dict[str, Any]]:
         """Every failure: run, what, deputies, time [s], value (nan for a program without solution)."""
-        found, short = self.columns, self.columns["short_s"]
+        columns, short = self.columns, self.columns["short_s"]
         none = np.full(len(short), np.nan)
-        whats = [("no solution", ~np.isnan(short), found["short_deputies"], short, none)]
+        whats = [("no solution", ~np.isnan(short), columns["short_deputies"], short, none)]
         whats += [
-            (name, least < 0, found[f"deputies_{name}"], found[f"time_{name}_s"], least)
+            (name, least < 0, columns[f"deputies_{name}"], columns[f"time_{name}_s"], least)
             for name, least in self.least.items()
         ]
         return [
@@ -114,11 +114,11 @@ class Recorder:
             keeper.see(np.array([t]), values[name][:, None])
 
     def outcome(self) -> Outcome:
-        """What came of the runs."""
+        """Return the results of the runs."""
         runs = len(self.short)
         nothing, nobody = np.full(runs, np.nan), np.zeros(runs, dtype="U1")
         violated = np.any([keeper.value < 0 for keeper in self.keepers.values()], axis=0)
-        found = {
+        columns = {
             "success": ~violated & np.isnan(self.short),
             "short_s": self.short,
             "short_deputies": np.array(self.short_deputies),
@@ -127,11 +127,11 @@ class Recorder:
         }
         for name in dict.fromkeys((*CONSTRAINTS, *self.keepers)):
             kept = self.keepers.get(name)
-            found[f"least_{name}"] = nothing if kept is None else kept.value
-            found[f"time_{name}_s"] = nothing if kept is None else kept.time
+            columns[f"least_{name}"] = nothing if kept is None else kept.value
+            columns[f"time_{name}_s"] = nothing if kept is None else kept.time
             who = nobody if kept is None else np.array([" ".join(map(str, kept.who(r))) for r in range(runs)])
-            found[f"deputies_{name}"] = who
-        return Outcome(found)
+            columns[f"deputies_{name}"] = who
+        return Outcome(columns)
 
 
 def fly_block(flights: Flights, filtering: BatchFilter, *observers: Observer) -> Outcome:

@@ -18,7 +18,7 @@ CHUNK = 256  # states judged at a time
 
 @dataclass(frozen=True)
 class Least:
-    """Where a constraint came nearest to being violated."""
+    """Least value of a constraint over a run, when and for whom."""
 
     value: float  # at the starts of the periods and at the instants between; negative if violated
     time: float  # [s]
@@ -68,7 +68,7 @@ class Keeper:
         return tuple(i for i in self.deputies[run].tolist() if i >= 0)
 
     def least(self, run: int = 0) -> Least:
-        """What was found of one run."""
+        """Return the least value of one run."""
         value, time, at_samples = (float(part[run]) for part in (self.value, self.time, self.at_samples))
         return Least(value, time, self.who(run), at_samples, float(self.violated[run]) / self.seen)
 
@@ -96,10 +96,10 @@ def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
     for t, x, sun, sampled in _instants(run, between):
         values = allowable(run.inspection, x, sun)
         h = families(x, sun).h
-        found = {name: h[:, chosen] for name, chosen in rows.items()}
-        values |= {name: found[family] for name, family in PASSIVE.items() if family in found}
+        by_family = {name: h[:, chosen] for name, chosen in rows.items()}
+        values |= {name: by_family[family] for name, family in PASSIVE.items() if family in by_family}
         for name, keeper in barriers.items():
-            keeper.see(t, found[name][None], sampled)
+            keeper.see(t, by_family[name][None], sampled)
         for name, keeper in constraints.items():
             keeper.see(t, values[name][None], sampled)
     least, least_h = ({name: one.least() for name, one in all_.items()} for all_ in (constraints, barriers))

@@ -69,11 +69,11 @@ class Errors:
         return self._rng.choice([-1.0, 1.0], shape)
 
     def estimated(self, x: Array) -> Array:
-        """What navigation makes of states (..., 6)."""
+        """Return the estimates that navigation makes of states (..., 6)."""
         return np.asarray(x + self.unknown.estimate * self._signs(x.shape))
 
     def acting(self, u: Array) -> Array:
-        """What acts for a period [N] where thrust (..., 3) is asked for: errors and the disturbance, too."""
+        """Return the force [N] of a period for commanded thrust (..., 3), with errors and the disturbance."""
         q, way = self.inspection, self._rng.normal(size=u.shape)
         push = self.unknown.disturbance * q.mass * way / length(way)[..., None]
         return np.asarray(u + self.unknown.thrusters.error(u) * self._signs(u.shape) + push)
@@ -222,7 +222,7 @@ SMALL = 0.02  # share of the thrust limit below which thrust has no sign
 
 
 def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:
-    """How smooth thrust (K, N, 3) [N] over the times t (K+1,) [s] is, per deputy and axis and minute.
+    """Return the smoothness of thrust (K, N, 3) [N], held from t (K+1,) [s], per deputy, axis and minute.
 
     ``switches`` of the sign from one period to the next, and ``variation``, the sum of the changes [N].
     """
