@@ -143,7 +143,7 @@ def find_worst(
     mode = mode or folder.plan.kind.modes[0]
     failed = folder.failures()
     cases = [case] if case is not None else [c for c in range(len(folder.plan.cases)) if c not in failed]
-    found = []
+    ranked = []
     for number in cases:
         _check(folder, folder.plan.task(number, 0), mode)
         try:
@@ -154,10 +154,10 @@ def find_worst(
         flown = table["mode"] == mode
         least, batches, runs = (table[name][flown] for name in (ranking, "batch", "run"))
         order = np.lexsort((runs, batches, least))[:rank]
-        found += [(float(least[i]), number, int(batches[i]), int(runs[i])) for i in order]
-    if not 1 <= rank <= len(found):
-        raise ScenarioError("--worst", rank, f"must be from 1 to the number of runs, {len(found)}")
-    return sorted(found)[rank - 1][1:]
+        ranked += [(float(least[i]), number, int(batches[i]), int(runs[i])) for i in order]
+    if not 1 <= rank <= len(ranked):
+        raise ScenarioError("--worst", rank, f"must be from 1 to the number of runs, {len(ranked)}")
+    return sorted(ranked)[rank - 1][1:]
 
 
 def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: str | None = None) -> Replayed:

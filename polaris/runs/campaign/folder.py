@@ -81,11 +81,11 @@ class CampaignFolder:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
         try:
             text, rows = FORMATS[self.table].check(self.part(task))
-            told = parse_json(text)
-            schedule = str(told.pop("schedule"))
+            head = parse_json(text)
+            schedule = str(head.pop("schedule"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
-        return schedule if told == self._who(task) and rows == task.runs * len(self.plan.kind.modes) else None
+        return schedule if head == self._who(task) and rows == task.runs * len(self.plan.kind.modes) else None
 
     def read(self, case: int, names: Sequence[str] | None = None) -> Columns:
         """Some columns of all runs of a case, in order; all columns if not said."""
@@ -103,25 +103,25 @@ class CampaignFolder:
 
     def failures(self) -> dict[int, dict[str, Any]]:
         """Cases that cannot be flown, by number, with ``message`` and ``exit_code``."""
-        found = {}
+        failures = {}
         for case in range(len(self.plan.cases)):
             path = self._failure(case)
             if path.is_file():
-                told = read_json(path)
-                if told.get("campaign") == self.plan.digest:
-                    found[case] = told
-        return found
+                failure = read_json(path)
+                if failure.get("campaign") == self.plan.digest:
+                    failures[case] = failure
+        return failures
 
     def fail(self, case: int, batch: Batch) -> None:
         """Note why a case cannot be flown."""
-        told = {
+        failure = {
             "case": case,
             "label": self.plan.cases[case].label,
             "message": batch.failure,
             "exit_code": batch.code,
             "campaign": self.plan.digest,
         }
-        self._add(f"failed/{self._failure(case).name}", json_text(told))
+        self._add(f"failed/{self._failure(case).name}", json_text(failure))
 
     def _add(self, name: str, text: str) -> None:
         """Write a text file; one of the user that has its name is kept with ``.kept``."""
@@ -172,9 +172,9 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
     if known["runs"] < plan.runs:
         folder._add(MANIFEST, _manifest_text(plan, folder.table))
     tidy(path)
-    for case, told in folder.failures().items():
+    for case, failure in folder.failures().items():
         name = folder._failure(case).relative_to(path).as_posix()
-        if told["exit_code"] == NotCertified.exit_code and name in Owned(path):
+        if failure["exit_code"] == NotCertified.exit_code and name in Owned(path):
             folder._failure(case).unlink()
     return folder
 

@@ -20,7 +20,7 @@ KEY = "polaris"  # where a part says which campaign, case, batch and schedule it
 class Parquet:
     """Parquet files, which pandas, polars and others read as one table."""
 
-    def write(self, path: Path, columns: Columns, told: str) -> None:
+    def write(self, path: Path, columns: Columns, text: str) -> None:
         """Write columns and a text about them; same data, same bytes."""
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -29,7 +29,7 @@ class Parquet:
             name: pa.array(values.tolist(), pa.string()) if values.dtype.kind == "U" else values
             for name, values in columns.items()
         }
-        pq.write_table(pa.table(kept).replace_schema_metadata({KEY: told}), path, write_page_checksum=True)
+        pq.write_table(pa.table(kept).replace_schema_metadata({KEY: text}), path, write_page_checksum=True)
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
         """Some columns, or all of them."""
@@ -62,9 +62,9 @@ class Parquet:
 class Npz:
     """numpy's files, for installs without pyarrow."""
 
-    def write(self, path: Path, columns: Columns, told: str) -> None:
+    def write(self, path: Path, columns: Columns, text: str) -> None:
         """As `Parquet.write`."""
-        arrays: dict[str, Any] = {KEY: np.array(told), **columns}
+        arrays: dict[str, Any] = {KEY: np.array(text), **columns}
         np.savez(path, **arrays)
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:

@@ -115,8 +115,8 @@ class CampaignPlan:
                 values.setdefault(key, set()).add(type(value))
         whole = ({bool}, {int})
         return {
-            key: found.pop() if found in whole else float if found <= {int, float} else str
-            for key, found in values.items()
+            key: types.pop() if types in whole else float if types <= {int, float} else str
+            for key, types in values.items()
         }
 
     def data(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def make_cases(
             raise ScenarioError("--grid", key, "must not be given to --set too")
         if not given or any(item in given[:i] for i, item in enumerate(given)):
             raise ScenarioError(f"--grid {key}", list(given), "must have at least one value, each once")
-    found: list[Case] = []
+    cases: list[Case] = []
     for scenario in scenarios:
         loaded = load_scenario(scenario, only=ScheduleScenario) if isinstance(scenario, str) else scenario
         common = dict(map(parse_assignment, overrides))
@@ -194,10 +194,10 @@ def make_cases(
             changed = loaded.with_overrides({**common, **chosen})  # some need each other
             if boxes is not None:
                 changed.check_black_boxes(boxes)
-            found.append(Case(loaded.name, tuple(chosen.items()), changed.text_elsewhere()))
-    if len({case.text for case in found}) < len(found) or not found:
-        raise ScenarioError("scenarios", [case.label for case in found], "must be different cases")
-    return tuple(found)
+            cases.append(Case(loaded.name, tuple(chosen.items()), changed.text_elsewhere()))
+    if len({case.text for case in cases}) < len(cases) or not cases:
+        raise ScenarioError("scenarios", [case.label for case in cases], "must be different cases")
+    return tuple(cases)
 
 
 def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:

@@ -190,7 +190,7 @@ class ScheduleRuns(Kind):
         """As `Kind.summarise`."""
         cases, plan, failures = [], folder.plan, folder.failures()
         for number, case in enumerate(plan.cases):
-            told: dict[str, Any] = {
+            row: dict[str, Any] = {
                 "case": number,
                 "scenario": case.scenario,
                 "parameters": dict(case.parameters),
@@ -199,10 +199,10 @@ class ScheduleRuns(Kind):
             failure = failures.get(number)
             if failure is None:
                 rows = folder.read(number, COLUMNS)
-                told["modes"] = {mode: _told(of_mode(rows, mode), worst) for mode in self.modes}
+                row["modes"] = {mode: _told(of_mode(rows, mode), worst) for mode in self.modes}
             else:
-                told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
-            cases.append(told)
+                row |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
+            cases.append(row)
         kind = "mixed" if {"mixed", "failing"} & {self.initial, self.disturbance} else "drawn"
         return {
             "schema_version": 1,

@@ -43,8 +43,8 @@ def going_on(kept: Callable[[], str]) -> Iterator[None]:
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted; {kept()}, and the same command goes on from there") from None
     except PolarisError as error:
-        told = f"{error}; {kept()}, and the same command goes on from there"
-        raise failed(told, error.exit_code) from error
+        text = f"{error}; {kept()}, and the same command goes on from there"
+        raise failed(text, error.exit_code) from error
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,8 @@ def cluster(address: str) -> Iterator[Workers]:
             make: Any = distributed.Client
             client = make(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            told = " ".join(str(error).split())
-            rule = f"no scheduler answers there within {PATIENCE:g} s ({told})"
+            detail = " ".join(str(error).split())
+            rule = f"no scheduler answers there within {PATIENCE:g} s ({detail})"
             raise ScenarioError("--scheduler", address, rule) from error
         crew = _Crew(client, address)
         lost = (BrokenExecutor, CancelledError, distributed.KilledWorker)
