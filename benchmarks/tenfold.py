@@ -60,54 +60,54 @@ Found = dict[str, Any]  # of one scene, error and size; strict JSON
 
 
 def settings(error: str, times: float) -> list[str]:
-    """What a scene is run with."""
+    """Return the overrides of a scene with one error `times` its size."""
     sizes, besides = ERRORS[error]
     scaled = [f"{key}={min(size * times, MOST.get(key, size * times)):g}" for key, size in sizes.items()]
     return [*scaled, *besides, *CHEAP]
 
 
 def judged(scene: str, given: Sequence[str], attacks: int | None, folder: Path) -> Found:
-    """What a run says, the checker unless `attacks` is None, and so many attacks; or why there is none."""
+    """Return results of a run, of the checker unless `attacks` is None, of attacks; or why there is none."""
     scenario = load_scenario(scene, given)
     try:
         flown = fly_schedule(scenario, Stages())
     except (SynthesisInfeasible, NotCertified) as none:
         return {"reason": str(none), "exit_code": none.exit_code}
-    found = said(write_run(folder, scenario, flown.schedule, flown.flown).summary, scenario.step)
-    found |= {} if attacks is None else {"outcome": verify(folder).outcome}
-    return found | ({"attacks": falsify(flown.schedule, attacks).summary()} if attacks else {})
+    results = said(write_run(folder, scenario, flown.schedule, flown.flown).summary, scenario.step)
+    results |= {} if attacks is None else {"outcome": verify(folder).outcome}
+    return results | ({"attacks": falsify(flown.schedule, attacks).summary()} if attacks else {})
 
 
 def said(summary: Mapping[str, Any], delta: float) -> Found:
     """Of a run's summary what the tables have; steps are of `delta` [s]."""
     claim = summary["guarantee"]
-    found: Found = {"share": summary["synthesis"]["experimental_share"]}
-    found |= {"delta_v_m_s": summary["polaris"]["delta_v_m_s"], "goal": claim["goal"]["reached"]}
-    found["collided"] = summary["polaris"]["collided"]
+    results: Found = {"share": summary["synthesis"]["experimental_share"]}
+    results |= {"delta_v_m_s": summary["polaris"]["delta_v_m_s"], "goal": claim["goal"]["reached"]}
+    results["collided"] = summary["polaris"]["collided"]
     drift, aborts = (claim.get(name) for name in ("abort", "powered_abort"))
     if drift and aborts:
         steps, witness = aborts["steps"], drift["witness"]
         clear = sum(round((end - start) / delta) for start, end in drift["clear_s"])
-        found |= {"drift": f"{clear} of {len(steps)}", "proven_m_s": claim["goal"]["delta_v_max_m_s"]}
+        results |= {"drift": f"{clear} of {len(steps)}", "proven_m_s": claim["goal"]["delta_v_max_m_s"]}
         if witness:
             met = f"{witness['unsafe_set']} {witness['after_s']:.0f} s later"
-            found["drift"] += f" (from {witness['t_s']:g} s: {met})"
-        found["aborts"] = f"{sum(step['why'] is None for step in steps)} of {len(steps)}"
-        found["lasts_h"] = claim["upkeep"] and claim["upkeep"]["lasts_s"] / 3600
-    return found
+            results["drift"] += f" (from {witness['t_s']:g} s: {met})"
+        results["aborts"] = f"{sum(step['why'] is None for step in steps)} of {len(steps)}"
+        results["lasts_h"] = claim["upkeep"] and claim["upkeep"]["lasts_s"] / 3600
+    return results
 
 
-def cell(found: Found) -> str:
+def cell(results: Found) -> str:
     """The share of U, and what is not as it should be."""
-    if "reason" in found:
-        return f"none ({found['exit_code']})"
-    wrong = [] if found.get("outcome", "VERIFIED") == "VERIFIED" else [found["outcome"]]
-    wrong += [] if found["goal"] is True else ["goal not proven"]
-    return ", ".join([f"{100 * found['share']:.1f}", *wrong])
+    if "reason" in results:
+        return f"none ({results['exit_code']})"
+    wrong = [] if results.get("outcome", "VERIFIED") == "VERIFIED" else [results["outcome"]]
+    wrong += [] if results["goal"] is True else ["goal not proven"]
+    return ", ".join([f"{100 * results['share']:.1f}", *wrong])
 
 
 def table(
-    found: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
+    results: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
 ) -> str:
     """A row for each scene and error of which all sizes are known."""
     sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
@@ -115,7 +115,7 @@ def table(
     lines.append("|---" * (len(times) + 5) + "|")
     for scene in scenes:
         for error in errors:
-            row = [found[name] for size in times if (name := f"{scene}, {error}, {size:g}") in found]
+            row = [results[name] for size in times if (name := f"{scene}, {error}, {size:g}") in results]
             if len(row) < len(times):
                 continue
             ends = (one for one in (row[0], *row[1:][-1:]) if "reason" not in one)
@@ -130,23 +130,23 @@ def table(
     return "\n".join(lines)
 
 
-def together(found: Mapping[str, Found], scenes: Sequence[str]) -> str:
+def together(results: Mapping[str, Found], scenes: Sequence[str]) -> str:
     """A row for each scene and what is declared at once, as far as it is known."""
     head = "Scene", "Declared", "U, %", "m/s", "drift of two orbits clear, steps", "powered abort, steps"
     lines = [f"| {' | '.join((*head, 'tank lasts, h', 'checker'))} |", "|---" * (len(head) + 2) + "|"]
     for scene in scenes:
         for kind in TOGETHER:
-            if one := found.get(f"{scene}, {kind}"):
+            if one := results.get(f"{scene}, {kind}"):
                 lasts, spent = (one.get(key) for key in ("lasts_h", "delta_v_m_s"))
-                told = [f"{spent:.2f}" if spent else "-", one.get("drift", "-"), one.get("aborts", "-")]
-                told += [f"{lasts:.1f}" if lasts else "-", one.get("outcome", "-")]
-                lines.append(f"| {' | '.join([f'`{scene}`', kind, cell(one), *told])} |")
+                cells = [f"{spent:.2f}" if spent else "-", one.get("drift", "-"), one.get("aborts", "-")]
+                cells += [f"{lasts:.1f}" if lasts else "-", one.get("outcome", "-")]
+                lines.append(f"| {' | '.join([f'`{scene}`', kind, cell(one), *cells])} |")
     return "\n".join(lines)
 
 
-def renew(page: str, place: str, told: str) -> str:
+def renew(page: str, place: str, text: str) -> str:
     """Return the page with new rows in a table; those of other scenes stay if its columns are the same."""
-    head, line, *new = told.splitlines()
+    head, line, *new = text.splitlines()
     old = page.split(f"<!-- table {place} -->\n\n")[1].split("\n\n<!-- end -->")[0].splitlines()
     rows = {tuple(row.split("|")[1:3]): row for row in [*(old[2:] if old[0] == head else ()), *new]}
     return put(page, place, "\n".join([head, line, *rows.values()]))
@@ -165,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
-    found: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
+    known: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
     jobs = [
         (f"{scene}, {error}, {size:g}", scene, settings(error, size), size == given.times[-1])
         for size in reversed(given.times)
@@ -180,17 +180,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ]
     for name, scene, sets, attacked in () if given.kept else jobs:
         attacks = given.attacks if attacked else None
-        if name not in found or (attacks or 0) > found[name].get("attacks", {"runs": attacks or 0})["runs"]:
-            found[name] = judged(scene, sets, attacks, given.out / name.replace(", ", "-").replace(" ", "-"))
-            kept.write_text(json.dumps(found, indent=1))
-        print(f"{name}: {cell(found[name])}", flush=True)
+        if name not in known or (attacks or 0) > known[name].get("attacks", {"runs": attacks or 0})["runs"]:
+            known[name] = judged(scene, sets, attacks, given.out / name.replace(", ", "-").replace(" ", "-"))
+            kept.write_text(json.dumps(known, indent=1))
+        print(f"{name}: {cell(known[name])}", flush=True)
     place = "together" if given.together else NAME
-    told = (
-        together(found, given.scenes) if given.together else table(found, given.scenes, errors, given.times)
+    text = (
+        together(known, given.scenes) if given.together else table(known, given.scenes, errors, given.times)
     )
-    print(f"\n{told}")
+    print(f"\n{text}")
     if given.write:
-        TRADEOFFS.write_text(renew(TRADEOFFS.read_text(encoding="utf-8"), place, told), encoding="utf-8")
+        TRADEOFFS.write_text(renew(TRADEOFFS.read_text(encoding="utf-8"), place, text), encoding="utf-8")
 
 
 if __name__ == "__main__":
