@@ -25,7 +25,7 @@ WARM = 20
 
 
 def decisions(scene):
-    """What is seen at every decision of a flight under the schedule."""
+    """Yield the data of every decision of a flight under the schedule."""
     flight = fly(scene, Precomputed(scene), Conditions.draw(scene, 1, 0))
     for k in range(scene.decisions):
         x = flight.states[:, k * scene.nodes]

@@ -78,7 +78,7 @@ def time_filter(row: Row, calls: int, times: int) -> tuple[float, float, float]:
 
 
 def _calls(row: Row, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.ndarray, np.ndarray]]:
-    """What is to be timed: the filter, the time, the states, what is desired."""
+    """Yield the calls to be timed: the filter, the time, the states, the desired inputs."""
     deputies, sharing, sampled, place = row
     if place not in ("inside", "anywhere"):
         yield from _along(place, calls)
@@ -162,16 +162,16 @@ def main(arguments: list[str] | None = None) -> None:
         if row[3] == "anywhere":
             calls, turns, times = min(calls, 3), 1, 1
         measured = [[_timed(*way, row, calls, times) for way in ways.values()] for _ in range(turns)]
-        found = [min(of_way) for of_way in zip(*measured, strict=True)]
-        times_told = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in found)
-        ratios = "".join(f"{one[0] / found[0][0]:17.3f}" for one in found[1:])
-        print(f"{_name(row):28} {row[0]:3d}{times_told} {found[-1][2]:8.0%}{ratios}", flush=True)
+        fastest = [min(of_way) for of_way in zip(*measured, strict=True)]
+        times_told = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in fastest)
+        ratios = "".join(f"{one[0] / fastest[0][0]:17.3f}" for one in fastest[1:])
+        print(f"{_name(row):28} {row[0]:3d}{times_told} {fastest[-1][2]:8.0%}{ratios}", flush=True)
     if given.monte_carlo:
         _monte_carlo(given.monte_carlo, given.workers)
 
 
 def _name(row: Row) -> str:
-    """What a row is called in the table."""
+    """Return the name of a row in the table."""
     _, sharing, sampled, place = row
     if place not in ("inside", "anywhere"):
         return place

@@ -70,7 +70,7 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Cell:
-    """What one value of one option did on one scene: means over the runs.
+    """Result of one value of one option on one scene: means over the runs.
 
     Of methods that change nothing but who flies, the worth at the scenario's prices too.
     """
@@ -84,8 +84,8 @@ class Cell:
 
     def __str__(self) -> str:
         hit = f"**{self.violations} hit**, " if self.violations else ""
-        told = f"; {self.switches:.1f} switches, worth {self.worth:.4f}" if np.isfinite(self.worth) else ""
-        return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}{told}"
+        extra = f"; {self.switches:.1f} switches, worth {self.worth:.4f}" if np.isfinite(self.worth) else ""
+        return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}{extra}"
 
 
 CELL = re.compile(
@@ -188,10 +188,10 @@ def sweep_table(swept: Sweep) -> str:
     for full, values in swept.items():
         default = chosen(values)
         for value, cells in values.items():
-            told = label(full, value)
-            told = f"**{told}**" if value == default else told
+            words = label(full, value)
+            words = f"**{words}**" if value == default else words
             shown = " | ".join(str(cells[name]) for name in scenes)
-            lines.append(f"| `{full}` | {told} | {shown} |")
+            lines.append(f"| `{full}` | {words} | {shown} |")
     return "\n".join(lines)
 
 
@@ -199,12 +199,12 @@ def read_sweep(table: str) -> tuple[Sweep, dict[str, Values]]:
     """The sweep of the page, and what it says the defaults are."""
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
-    for option, told, *cells in rows[2:]:
-        key, value = option.strip("`"), tuple(float(one.split()[0]) for one in told.strip("*").split(", "))
+    for option, words, *cells in rows[2:]:
+        key, value = option.strip("`"), tuple(float(one.split()[0]) for one in words.strip("*").split(", "))
         out.setdefault(key, {})[value] = {
             name: read_cell(cell) for name, cell in zip(scenes, cells, strict=True)
         }
-        if told.startswith("**"):
+        if words.startswith("**"):
             defaults[key] = value
     return out, defaults
 
@@ -215,17 +215,17 @@ COLUMNS = ("Method", "Proven", "Violations", "Least distance m", "Mean distance 
 
 def row(name: str, one: MethodResult) -> str:
     """One method in a scene's table."""
-    told = one.summary()
+    summary = one.summary()
 
     def mean(metric: str) -> str:
-        part = told[metric]
+        part = summary[metric]
         return f"{part['mean']:.4g} ± {(part['high'] - part['low']) / 2:.1g}"
 
     cells = [
         name,
         "yes" if one.claim.kind == "proved" else "no",
-        f"{told['violations']['mean']}",
-        f"{told['min_distance_m']['worst']:.3g}",
+        f"{summary['violations']['mean']}",
+        f"{summary['min_distance_m']['worst']:.3g}",
         *(mean(metric) for metric in ("mean_distance_m", "experimental_share", "switches")),
         *(mean(metric) for metric in ("delta_v_m_s", "deviation")),
     ]
@@ -263,8 +263,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     swept = sweep(schedules, given.swept_runs)
     tables = {"sweep": sweep_table(swept)}
     for name, schedule in schedules.items():
-        found = {key: own(values, name) for key, values in swept.items()}
-        tuned = {key: value for key, value in found.items() if value is not None}
+        best = {key: own(values, name) for key, values in swept.items()}
+        tuned = {key: value for key, value in best.items() if value is not None}
         tables[name], comparison = scene_table(schedule, given.runs, tuned)
         if given.write and name in FIGURES:
             with tempfile.TemporaryDirectory() as place:

@@ -120,7 +120,7 @@ def fly_all(
 def decided(
     f: RunTimeFilter, primary: Harsh, errors: Errors, t: float, x: np.ndarray
 ) -> tuple[Decision, np.ndarray]:
-    """What a filter answers to estimates with errors, and what acts then."""
+    """Return a filter's answer to estimates with errors, and the force [N] that acts then."""
     seen = errors.estimated(x)
     decision = f.filter(t, seen, primary(t, seen))
     return decision, errors.acting(decision.u)
@@ -138,8 +138,8 @@ def main(arguments: list[str] | None = None) -> None:
         fly_all(given.kind, given.flights, given.seconds, given.errors)
     ):
         least, unproven, backup = flight
-        told = f"least {least:10.3g}  not proven {unproven}  on backup {backup:5.1%}"
-        print(f"{k:4d} {aim:8} {period:4g} s  {told}", flush=True)
+        text = f"least {least:10.3g}  not proven {unproven}  on backup {backup:5.1%}"
+        print(f"{k:4d} {aim:8} {period:4g} s  {text}", flush=True)
         bad, missed = bad + (least < 0), missed + unproven
     print(f"{given.flights} flights of {given.seconds:g} s: {bad} violated, {missed} periods not proven")
 

@@ -46,13 +46,13 @@ def blocks(way: Callable[[], Callable[[int], object]], turns: int) -> np.ndarray
 
 
 def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
-    """What is timed, by name; each makes a new decider that is asked for k = 0, 1 ... in turn."""
+    """Return the timed calls by name; each makes a new decider that is asked for k = 0, 1 ... in turn."""
     scene = monitor.grid
     conditions = Conditions.draw(scene, 2, 0).only(1)
     flight = fly(scene, SafetyAlone(scene), conditions)
     seen = flight.states[0, :: scene.nodes][: len(conditions.errors)] + conditions.errors[:, 0]
     errors = seen - scene.xi[: len(seen) * scene.nodes : scene.nodes]
-    told = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(seen)]
+    calls = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(seen)]
     inputs = [None, *flight.inputs[0, :: scene.nodes]]
 
     def bare() -> Callable[[int], object]:
@@ -60,7 +60,7 @@ def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
 
     def step(log: DecisionLog | None = None, known: bool = False) -> Callable[[int], object]:
         online = OnlineMonitor(monitor, log=log)
-        return lambda k: online.step(*told[k], inputs[k] if known else None)
+        return lambda k: online.step(*calls[k], inputs[k] if known else None)
 
     return {
         "judge_one": bare,
@@ -79,8 +79,8 @@ def main() -> None:
     for name in arguments.scenarios:
         monitor = Monitor(DecisionGrid.of(synthesize(load_scenario(name)), half_widths=0.005))
         for what, way in ways(monitor).items():
-            found = blocks(way, arguments.turns)
-            middle, best = np.median(found, axis=0), found.min(axis=0)
+            times = blocks(way, arguments.turns)
+            middle, best = np.median(times, axis=0), times.min(axis=0)
             print(f"{name:10}{what:20}{middle[0]:10.1f}{middle[1]:10.1f}{best[0]:12.1f}{best[1]:10.1f}")
 
 

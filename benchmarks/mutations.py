@@ -195,8 +195,8 @@ def main():
                 continue
             begin, caught = time.monotonic(), defect.caught(tree)
             missed += not caught
-            told = f"{i:2} {'caught' if caught else 'MISSED'} {time.monotonic() - begin:5.1f} s"
-            print(f"{told}  {defect.file}: {defect.old}", flush=True)
+            text = f"{i:2} {'caught' if caught else 'MISSED'} {time.monotonic() - begin:5.1f} s"
+            print(f"{text}  {defect.file}: {defect.old}", flush=True)
     return int(missed > 0)
 
 

@@ -1,4 +1,4 @@
-"""How tight and how fast each order reduction is, on random zonotopes and on those of a tube.
+"""Tightness and speed of each order reduction, on random zonotopes and on those of a tube.
 
 Excess: mean half-width over fixed directions, over that of the original, less one. Loss: the bound
 of `reduction_loss` over the half-widths, its mean. Medians over the sets; time is per set of a stack, the

@@ -92,11 +92,11 @@ def case(kind: str, n: int, steps: int) -> dict[str, float | int | str]:
 
 def cases(quick: bool) -> list[tuple[str, int, int]]:
     """Kinds, states and steps; a zonotope tube keeps a matrix per step, so it has fewer."""
-    found = [(kind, n, FIXED_STEPS) for n in STATES for kind in ("support", "sparse", "zonotope")]
-    found += [(kind, FIXED_STATES, k) for k in STEPS for kind in ("support", "zonotope") if k != FIXED_STEPS]
-    found = [(kind, n, 100 if kind == "zonotope" and n > 200 else k) for kind, n, k in found]
-    found += [("polytope", FIXED_STATES, FIXED_STEPS), ("filled", 400, 100), ("full", 400, 100)]
-    return [one for one in found if not quick or one[1] * one[2] <= 60_000]
+    jobs = [(kind, n, FIXED_STEPS) for n in STATES for kind in ("support", "sparse", "zonotope")]
+    jobs += [(kind, FIXED_STATES, k) for k in STEPS for kind in ("support", "zonotope") if k != FIXED_STEPS]
+    jobs = [(kind, n, 100 if kind == "zonotope" and n > 200 else k) for kind, n, k in jobs]
+    jobs += [("polytope", FIXED_STATES, FIXED_STEPS), ("filled", 400, 100), ("full", 400, 100)]
+    return [one for one in jobs if not quick or one[1] * one[2] <= 60_000]
 
 
 def main() -> None:
@@ -112,11 +112,11 @@ def main() -> None:
         os.environ[name] = "1"  # for the processes started below
     for kind, n, steps in cases(options.quick):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            found = pool.submit(case, kind, n, steps).result()
+            result = pool.submit(case, kind, n, steps).result()
         if options.json:
-            print(json.dumps(found), flush=True)
-        gap = "" if kind == "zonotope" else f"{found['gap']:.1e}"
-        table.add_row(kind, f"{n}", f"{steps:,}", f"{found['seconds']:.3f}", f"{found['MB']:.0f}", gap)
+            print(json.dumps(result), flush=True)
+        gap = "" if kind == "zonotope" else f"{result['gap']:.1e}"
+        table.add_row(kind, f"{n}", f"{steps:,}", f"{result['seconds']:.3f}", f"{result['MB']:.0f}", gap)
     if not options.json:
         Console(width=90).print(table)
 

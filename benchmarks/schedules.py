@@ -67,45 +67,45 @@ def row(name: str) -> str:
     """A bundled scene: printed, and with U in view."""
     scenario = crowded() if name == "crowded" else load_scenario(name)
     printed, first = timed(scenario.with_assignments([PRINTED]))
-    found, whole = timed(scenario)
+    searched, whole = timed(scenario)
     cells = [f"{name:11s}  S alone {spent(printed, 0):6.3f} m/s"]
-    for schedule, seconds in ((printed, first), (found, whole)):
+    for schedule, seconds in ((printed, first), (searched, whole)):
         goal = schedule.arrival
         arrives = f"by {goal.by:.6g} s" if goal.by is not None else str(goal.reached)
-        told = (
+        text = (
             f"{schedule.share():6.1%} {schedule.switches:3d} {spent(schedule):7.3f} m/s  goal {arrives:12s}"
         )
-        cells.append(f"{told} {seconds:5.1f} s")
+        cells.append(f"{text} {seconds:5.1f} s")
     return "  |  ".join(cells)
 
 
 def gains(name: str) -> list[str]:
-    """What a library of gains of S would offer: the weight R of thrust times some factors, one schedule each.
+    """Compare gains of S: the weight R of thrust times some factors, one schedule each.
 
     Worth is that of the scene's own rules, in units of what the cheapest safe reference costs.
     """
     scenario = load_scenario(name)
     unit = synthesize(scenario.with_assignments([PRINTED])).safety.plan.delta_v
     weights, rules = np.asarray(scenario.to_dict()["tracking"]["R"]), scenario.switching_rules()
-    told = []
+    lines = []
     for factor in (0.3, 1.0, 3.0, 10.0):
-        found = synthesize(scenario.set("tracking.R", (factor * weights).tolist()))
-        worth = found.share() - rules.delta_v_price * found.delta_v[0] / unit
-        worth -= rules.switch_price * found.switches
-        numbers = f"{found.share():6.1%} {found.switches:3d} {found.delta_v[0]:7.3f} m/s, worth {worth:.4f}"
-        told.append(f"{name:11s} R x {factor:4g}  {numbers}")
-    return told
+        trial = synthesize(scenario.set("tracking.R", (factor * weights).tolist()))
+        worth = trial.share() - rules.delta_v_price * trial.delta_v[0] / unit
+        worth -= rules.switch_price * trial.switches
+        numbers = f"{trial.share():6.1%} {trial.switches:3d} {trial.delta_v[0]:7.3f} m/s, worth {worth:.4f}"
+        lines.append(f"{name:11s} R x {factor:4g}  {numbers}")
+    return lines
 
 
 def random_scenes(count: int) -> str:
-    """What comes of the first so many random scenes that are proved."""
+    """Compare the schedules of the first `count` random scenes that are proved."""
     from tests.polaris.random_scenarios import random_scenario
 
-    found: list[tuple[Schedule, Schedule]] = []
+    pairs: list[tuple[Schedule, Schedule]] = []
     seed = 0
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        while len(found) < count:
+        while len(pairs) < count:
             path = Path(folder) / "scene.toml"
             path.write_text(random_scenario(seed), encoding="utf-8")
             seed += 1
@@ -113,15 +113,15 @@ def random_scenes(count: int) -> str:
                 scenario = load_scenario(path)
                 printed = synthesize(scenario.with_assignments([PRINTED]))
                 if printed.guarantee == "proved":
-                    found.append((printed, synthesize(scenario)))
+                    pairs.append((printed, synthesize(scenario)))
             except PolarisError:
                 continue
-    fuel_of = [(old.safety.plan.delta_v, old.delta_v[0], new.delta_v[0]) for old, new in found]
-    share = sum(new.share() >= old.share() for old, new in found)
+    fuel_of = [(old.safety.plan.delta_v, old.delta_v[0], new.delta_v[0]) for old, new in pairs]
+    share = sum(new.share() >= old.share() for old, new in pairs)
     fuel = sum(new <= old * (1 + 1e-9) for _, old, new in fuel_of)
     ratio = np.median([new / alone for alone, _, new in fuel_of if alone > 0])
-    goal = sum(new.arrival.reached is True for _, new in found)
-    better = sum(new.share() > old.share() for old, new in found)
+    goal = sum(new.arrival.reached is True for _, new in pairs)
+    better = sum(new.share() > old.share() for old, new in pairs)
     return (
         f"{count} random scenes (of {seed}): share at least the printed one's in {share} (more in {better}),"
         f" velocity change at most its in {fuel}, median of (velocity change / S alone) {ratio:.2f},"

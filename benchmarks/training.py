@@ -110,10 +110,10 @@ def speed(env: Any, steps: int = 150) -> float:
     return count / max(time.process_time() - begun, 1e-3)  # clocks of processes may be coarse
 
 
-def report(schedule: Any, made: Any, found: dict[str, Array]) -> None:
+def report(schedule: Any, made: Any, policies: dict[str, Array]) -> None:
     """Fly what was trained, with the shield and without it, and S alone."""
     dims = [made(True).single_observation_space.shape[0], WIDTH, WIDTH, schedule.safety.problem.system.m]
-    for name, mean in [*found.items(), ("S alone", np.full_like(found["shield"], np.nan))]:
+    for name, mean in [*policies.items(), ("S alone", np.full_like(policies["shield"], np.nan))]:
         P = [np.repeat(part, CANDIDATES, axis=0) for part in unpacked(mean[None], dims)]
         for shielded in (True, False)[: 1 if name == "S alone" else 2]:
             value, collided, by_s = episodes(made(shielded, 0.0), P, seed=1)
@@ -153,13 +153,13 @@ def main() -> None:
         ):
             print(f"{name:36} {speed(env):8.0f} periods/s")
         return
-    found = {}
+    policies = {}
     for name, shielded in (("shield", True), ("none", False)):
-        found[name], collisions = train(made(shielded), asked.generations)
+        policies[name], collisions = train(made(shielded), asked.generations)
         flown = asked.generations * CANDIDATES
         print(f"training {NAMES[name]}: {collisions} collisions in {flown} episodes")
-    report(schedule, made, found)
-    write_onnx(asked.out, folded(made(True), found["shield"]))
+    report(schedule, made, policies)
+    write_onnx(asked.out, folded(made(True), policies["shield"]))
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ def load(path: Path) -> tuple[Any, LinearSystem, Interval]:
 
 
 def held(system: LinearSystem, initial: Interval) -> tuple[LinearSystem, Interval]:
-    """The same with an unknown constant input."""
+    """Return the system with an unknown constant input, and its initial set."""
     U = system.U[0].interval_hull()
     return system.holding_inputs(), Interval(np.r_[initial.lo, U.lo], np.r_[initial.hi, U.hi])
 

@@ -107,8 +107,8 @@ def acc(file: Path) -> Row:
     tube = cruise(network).tube(Zonotope.box((low + high) / 2, (high - low) / 2), 50)
     bound = -float(tube.support(-ROOM).max())
     axes = np.eye(7)[[1, 4]]
-    most = tube.support(np.vstack([axes, -axes])).max(axis=0)
-    within = all(-most[i + 2] >= slow and most[i] <= fast for i, (slow, fast) in enumerate(SPEEDS))
+    extremes = tube.support(np.vstack([axes, -axes])).max(axis=0)
+    within = all(-extremes[i + 2] >= slow and extremes[i] <= fast for i, (slow, fast) in enumerate(SPEEDS))
     proven: Verdict = "proven" if within and bound >= 10 else "unknown"
     verdict: Verdict = "violated" if least < 10 else proven
     note = "room [m], to stay above; published: verified (JuliaReach)"
@@ -144,18 +144,18 @@ def docking(file: Path, speed: float, note: str) -> Row:
     bounds = []
 
     def proves(node: Zonotope) -> bool:
-        most = -np.inf
+        largest = -np.inf
         for _ in range(40):
             after, bow, _ = loop.step(node)
             towards = (node.c + after.c)[:2]
             away = np.tile(-2 * MEAN * towards / np.linalg.norm(towards), (len(FASTEST), 1))
             rows = np.hstack([away, FASTEST])  # at least 2 n |p|, at most |v|: one row for both
-            found = np.maximum(node.support(rows), after.support(rows)) + np.abs(rows) @ bow
-            most = max(most, float(found.max()))
-            if most > 0.2:
+            levels = np.maximum(node.support(rows), after.support(rows)) + np.abs(rows) @ bow
+            largest = max(largest, float(levels.max()))
+            if largest > 0.2:
                 return False
             node = after if after.order_count <= ORDER * 4 else after.reduce(ORDER / 3)
-        bounds.append(most)
+        bounds.append(largest)
         return True
 
     begun = perf_counter()
@@ -163,9 +163,9 @@ def docking(file: Path, speed: float, note: str) -> Row:
     done, parts, tried = (False, 0, 0) if reached > 0.2 else halved(proves, low, high, scale)
     proven: Verdict = "proven" if done else "unknown"
     verdict: Verdict = "violated" if reached > 0.2 else proven
-    told = f"excess speed [m/s], {parts} parts of {tried} tried; {note}"
+    text = f"excess speed [m/s], {parts} parts of {tried} tried; {note}"
     bound, seconds = (max(bounds) if done else None), perf_counter() - begun
-    return Row("docking", f"+-{speed} m/s", verdict, "proven", bound, 0.2, reached, seconds, told)
+    return Row("docking", f"+-{speed} m/s", verdict, "proven", bound, 0.2, reached, seconds, text)
 
 
 # -- double integrator ---------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def double_integrator(file: Path, parts: int) -> Row:
 
 
 def rows(data: Path | None) -> Iterator[Row]:
-    """What the files in a folder allow."""
+    """Yield the rows that the files in a folder allow."""
     if data is None:
         return
     if (data / "controller_5_20.onnx").is_file():

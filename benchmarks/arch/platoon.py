@@ -113,7 +113,7 @@ def worst(modes: list[str], h: float = 0.02) -> float:
     """Largest -spacing that a leader can cause under a switching sequence, input held over h."""
     count = round(PERIOD / h)
     maps = {name: discretize(A, B, h) for name, A in MATRICES.items()}
-    most = 0.0
+    largest = 0.0
     for last in range(count // 4, count * len(modes) + 1, count // 4):
         r, value = SPACING, np.zeros(3)
         for k in reversed(range(last)):
@@ -121,8 +121,8 @@ def worst(modes: list[str], h: float = 0.02) -> float:
             effect = (r @ Bh)[:, 0]
             value += np.maximum(LEADER.lo[0] * effect, LEADER.hi[0] * effect)
             r = r @ Ah
-        most = max(most, float(value.max()))
-    return most
+        largest = max(largest, float(value.max()))
+    return largest
 
 
 def arbitrary() -> Row:

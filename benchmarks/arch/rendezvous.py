@@ -127,10 +127,10 @@ def run(name: str) -> Row:
     if abort is None:
         top = float(verdict.tube.support("attempt", SLOW.A[:4]).max())
         paths = trials(model)
-        most = max(
+        speed = max(
             float((v.states @ SLOW.A[:4].T).max()) for p in paths for v in p.visits if v.mode == "attempt"
         )
-        return Row("rendezvous", name, status, expected, top, SPEED[0], most, seconds, "velocity, m/min")
+        return Row("rendezvous", name, status, expected, top, SPEED[0], speed, seconds, "velocity, m/min")
     keep, reached = clearance(verdict.tube), min(distance(path) for path in trials(model))
     return Row("rendezvous", name, status, expected, keep, SIDE, reached, seconds, "distance after abort, m")
 

@@ -10,7 +10,7 @@ Verdict = Literal["proven", "violated", "unknown"]
 
 @dataclass(frozen=True)
 class Row:
-    """What one benchmark instance came to.
+    """Result of one benchmark instance.
 
     Attributes
     ----------
@@ -44,5 +44,5 @@ class Row:
 
     @property
     def right(self) -> bool:
-        """Whether the verdict is not the opposite of the expected one; "unknown" is never wrong."""
+        """True unless the verdict is the opposite of the expected one; "unknown" is never wrong."""
         return "unknown" in (self.verdict, self.expected) or self.verdict == self.expected

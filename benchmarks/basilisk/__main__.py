@@ -64,12 +64,12 @@ class Found:
     delta_v: float  # [m/s]
 
     @classmethod
-    def worst(cls, found: list[Found]) -> Found:
+    def worst(cls, flights: list[Found]) -> Found:
         """Of each the worst, and the mean velocity change."""
-        columns = {name: [getattr(one, name) for one in found] for name in cls.__dataclass_fields__}
+        columns = {name: [getattr(one, name) for one in flights] for name in cls.__dataclass_fields__}
         worst = {name: max(column) for name, column in columns.items()}
-        most = columns["residual"].index(worst["residual"])
-        others = {"distance": min(columns["distance"]), "away": columns["away"][most]}
+        at = columns["residual"].index(worst["residual"])
+        others = {"distance": min(columns["distance"]), "away": columns["away"][at]}
         return cls(**worst | others | {"delta_v": float(np.mean(columns["delta_v"]))})
 
 
@@ -204,10 +204,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for name in given.scenes:
             folder = (given.out or Path(scratch)) / name
-            found = scene(name, given.flights, folder, [*REAL, *given.set])
+            flights = scene(name, given.flights, folder, [*REAL, *given.set])
             share = np.mean(np.array(FlightSoftware(folder).modes) > 0)
-            worst, entered = Found.worst(found), sum(one.distance <= 0 for one in found)
-            cells = [f"`{name}`", str(len(found)), f"{share:.0%}", str(entered), f"{worst.distance:.2f}"]
+            worst, entered = Found.worst(flights), sum(one.distance <= 0 for one in flights)
+            cells = [f"`{name}`", str(len(flights)), f"{share:.0%}", str(entered), f"{worst.distance:.2f}"]
             cells += [f"{worst.tube:.1%}", f"{worst.thrust:.0%}", f"{worst.residual:.0%}"]
             cells += [f"{worst.away:.0f}", f"{worst.seen:.0%}", f"{worst.delta_v:.2f}"]
             print("| " + " | ".join(cells).replace("%", " %") + " |", flush=True)

@@ -107,13 +107,13 @@ class FlightSoftware:
         The nearest multiples of the bit; where the rest is carried, those of what is due and was left before,
         rounded towards zero. What the limits do not allow is left as well.
         """
-        most = self.period * self.limit
-        due = np.clip(self.period * u, -most, most) + self.left
+        limit = self.period * self.limit
+        due = np.clip(self.period * u, -limit, limit) + self.left
         if self.bit > 0 and self.carries:
             made = self.bit * np.floor(np.abs(due) / self.bit * (1 + 1e-12))
         else:
             made = self.bit * np.round(np.abs(due) / self.bit) if self.bit > 0 else np.abs(due)
-        made = np.sign(due) * np.minimum(made, most)
+        made = np.sign(due) * np.minimum(made, limit)
         self.left = (due - made) * self.carries
         return np.asarray(made)
 
@@ -123,7 +123,7 @@ class FlightSoftware:
         return np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
 
     def law(self, tick: int, x: np.ndarray) -> np.ndarray:
-        """What the scheduled controller asks for at the instant of a tick."""
+        """Return the scheduled controller's command [N] at the instant of a tick, shape (3,)."""
         t = tick * self.period
         k = int((t + 1e-6 * self.period) // self.step)
         gain, states, inputs = self.laws[self.modes[k] if k < len(self.modes) else 0]

@@ -19,12 +19,12 @@ class Stuck:
 
     def windows(self, tick: int, h: float, on: np.ndarray) -> list[tuple[int, float, float]]:
         """Return nozzles and the spans [s] of a period in which they are open, commanded on-times (N,)."""
-        found = [(j, (h - each) / 2, (h + each) / 2) for j, each in enumerate(on.tolist()) if each > 0]
+        spans = [(j, (h - each) / 2, (h + each) / 2) for j, each in enumerate(on.tolist()) if each > 0]
         first, last = max(self.begins - tick * h, 0.0), min((self.isolated - tick) * h, h)
         if first >= last:
-            return found
-        others = [each for each in found if each[0] != self.nozzle]
-        own = [(a, b) for j, a, b in found if j == self.nozzle]
+            return spans
+        others = [each for each in spans if each[0] != self.nozzle]
+        own = [(a, b) for j, a, b in spans if j == self.nozzle]
         own = [part for a, b in own for part in ((a, min(b, first)), (max(a, last), b))]
         own += [(first, last)] * (self.kind == "stuck_on")
         return others + [(self.nozzle, a, b) for a, b in own if b > a + EXACT]

@@ -42,7 +42,7 @@ DRAG = 2.2
 
 @dataclass(frozen=True)
 class Errors:
-    """What one flight's hardware does wrong: constant over the flight, drawn within the scenario's bounds."""
+    """Errors of one flight's hardware: constant over the flight, drawn within the scenario's bounds."""
 
     position: float = 0.0  # largest error of navigation along an axis [m]
     velocity: float = 0.0  # [m/s]
@@ -53,7 +53,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Flight:
-    """What one flight recorded, at every control period.
+    """Record of one flight, at every control period.
 
     Attributes
     ----------
