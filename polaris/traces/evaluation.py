@@ -156,11 +156,11 @@ def evaluate_trace(
     d = find_dims(trace, dims)
     drift = None if system is None else Drift(trace, system, d)
     notes = [f"passed over: {place}" for place in trace.ignored]
-    found = _Measurement(trace, d, velocity, drift, agent_radius, notes)
-    agents = {name: found.agent(name) for name in trace.agents}
+    measurement = _Measurement(trace, d, velocity, drift, agent_radius, notes)
+    agents = {name: measurement.agent(name) for name in trace.agents}
     if drift is not None:
-        most = f"from at most {MOST_SAMPLES} samples of each agent"
-        notes.append(f"free drift looks {drift.horizon:.6g} s ahead, {most}")
+        samples = f"from at most {MOST_SAMPLES} samples of each agent"
+        notes.append(f"free drift looks {drift.horizon:.6g} s ahead, {samples}")
     return TraceMetrics(d, agents, tuple(notes))
 
 
@@ -187,8 +187,8 @@ class _Measurement:
         if self.d is not None:
             v, source = find_velocity(name, agent, self.d, self.wanted)
             if v is not None and self.wanted not in (None, "differences") and doubtful(agent, self.d, v):
-                told = f"its position does not change as a velocity of {source} would have it"
-                self.notes.append(f"{name}: {told}")
+                detail = f"its position does not change as a velocity of {source} would have it"
+                self.notes.append(f"{name}: {detail}")
             unsafe = tuple(self.against_set(agent, self.d, v, other) for other in self.trace.unsafe)
             rest = [other for other in self.trace.agents if other != name]
             others = tuple(self.against_agent(agent, self.d, v, other) for other in rest)
@@ -274,8 +274,8 @@ class Drift:
         """Samples chosen, evenly over the rows, and seconds from each until drift enters; inf if never."""
         count = len(agent.times)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_SAMPLES)).round().astype(np.int64))
-        found = [self._part(agent, part, chosen) for part in placed.parts]
-        return chosen, np.asarray(np.min(found, axis=0))
+        times = [self._part(agent, part, chosen) for part in placed.parts]
+        return chosen, np.asarray(np.min(times, axis=0))
 
     def _part(self, agent: AgentTrace, part: Part, chosen: NDArray[np.int64]) -> Array:
         out = []

@@ -73,9 +73,9 @@ def to_trace(
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
-        found, note = _sets(obstacle, agent.times, system, satellites or {})
+        sets, note = _sets(obstacle, agent.times, system, satellites or {})
         notes += [note] if note else []
-        for key, item in found.items():
+        for key, item in sets.items():
             if key in unsafe:
                 raise ScenarioError(f"{obstacle.path}.name", key, "must differ from the names of other sets")
             unsafe[key] = item
@@ -114,8 +114,8 @@ def _sets(
         true, radii = satellites[name], np.full(len(t), obstacle.radius)
         centre, velocity = obstacle.motion(t, system, true)
         ball = BallTrace(t, centre, radii, velocity)
-        told = f"{name}: another satellite, as a ball about where it is nominally"
-        return {name: ball}, told if true is None else None
+        note = f"{name}: another satellite, as a ball about where it is nominally"
+        return {name: ball}, note if true is None else None
     if isinstance(obstacle, BallObstacle):
         return {name: BallTrace(t, obstacle.centre(t), np.full(len(t), obstacle.radius))}, None
     if isinstance(obstacle, BoxObstacle):
@@ -123,16 +123,16 @@ def _sets(
         return {name: RectangleTrace(t, centers, np.broadcast_to(lengths, centers.shape))}, None
     if isinstance(obstacle, RigidObstacle):
         cover, moved = obstacle.cover, obstacle.centre(t)
-        told = f"{name}: as the polytope around it (over-approximated)"
+        note = f"{name}: as the polytope around it (over-approximated)"
         traced = PolytopeTrace(t, cover.H[None], cover.b + moved @ cover.H.T)
-        return {name: traced}, None if cover is obstacle.shape else told
-    found = _covers(obstacle, t, system)
+        return {name: traced}, None if cover is obstacle.shape else note
+    sets = _covers(obstacle, t, system)
     if isinstance(obstacle, SatelliteObstacle):
-        return found, f"{name}: another satellite, as the polytope it is certain to be in (over-approximated)"
-    if len(found) == 1:
-        return found, None
-    return found, (
-        f"{name}: a keep-in set, as one set beyond each of its {len(found)} facets; a cone is cut by its"
+        return sets, f"{name}: another satellite, as the polytope it is certain to be in (over-approximated)"
+    if len(sets) == 1:
+        return sets, None
+    return sets, (
+        f"{name}: a keep-in set, as one set beyond each of its {len(sets)} facets; a cone is cut by its"
         " facets (over-approximated), and depth is measured facet by facet"
     )
 

@@ -117,10 +117,10 @@ class _Agent:
             raise _Stop("fewer states than axes after the first")
         off = p - centers
         if isinstance(item, BallTrace):
-            found = np.maximum(np.linalg.norm(off, axis=1) - sizes, 0.0)
+            distance = np.maximum(np.linalg.norm(off, axis=1) - sizes, 0.0)
         else:
-            found = np.linalg.norm(np.maximum(np.abs(off) - sizes / 2, 0.0), axis=1)
-        return np.asarray(found), centers[:, : self.d] - self.agent.states[:, : self.d]
+            distance = np.linalg.norm(np.maximum(np.abs(off) - sizes / 2, 0.0), axis=1)
+        return np.asarray(distance), centers[:, : self.d] - self.agent.states[:, : self.d]
 
     def _polytope(self, item: PolytopeTrace) -> tuple[Array, Array]:
         if self.d == 1:
@@ -139,12 +139,12 @@ class _Agent:
 
     def _others(self) -> list[tuple[str, Array, AgentTrace]]:
         """Name, position relative to the agent's, and trace of every other agent."""
-        found = []
+        others = []
         for name, other in self.trace.agents.items():
             if name != self.name:
                 (states,) = self._paired(other.times, other.states)
-                found.append((name, states[:, : self.d] - self.agent.states[:, : self.d], other))
-        return found
+                others.append((name, states[:, : self.d] - self.agent.states[:, : self.d], other))
+        return others
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
         wanted = guess_heading(agent, self.d) if self.wanted is None else self.wanted
@@ -163,7 +163,7 @@ class _Agent:
         A polytope gets the last distance of the ball or box before it, a point its line (defects 3, 8).
         """
         v = self._velocity(self.name, self.agent)
-        found: dict[str, Array] = {}
+        times: dict[str, Array] = {}
         distance: Array | float | None = None
         line: Array | None = None
         for name, item in self.trace.unsafe.items():
@@ -176,22 +176,22 @@ class _Agent:
             if distance is None or line is None:
                 raise _Stop("no distance before it")
             along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
-            found[name] = distance / along
+            times[name] = distance / along
             distance, line = float(np.atleast_1d(distance)[-1]), np.broadcast_to(line[-1], line.shape)
-        return _each(found)
+        return _each(times)
 
     def agent_ttc(self) -> Each:
         """({agent: min}, ...): when the first axes meet, if the others do then as floats (defect 5)."""
-        found: dict[str, Array] = {}
+        times: dict[str, Array] = {}
         own = self._velocity(self.name, self.agent)
         for name, p, other in self._others():
             (w,) = self._paired(other.times, self._velocity(name, other))
             t = p[:, 0] / -(w - own)[:, 0]
             meet = np.all(np.isfinite(t)[:, None] & (p[:, 1:] == -(w - own)[:, 1:] * t[:, None]), axis=1)
-            found[name] = np.where(meet & np.isfinite(t) & ~(t < 0), t, NEVER)
-        met = {name: values[values != NEVER] for name, values in found.items()}
+            times[name] = np.where(meet & np.isfinite(t) & ~(t < 0), t, NEVER)
+        met = {name: values[values != NEVER] for name, values in times.items()}
         mean = {name: float(values.mean()) if len(values) else NEVER for name, values in met.items()}
-        return *_each(found)[:2], mean
+        return *_each(times)[:2], mean
 
     def running_times(self) -> tuple[float, float, float]:
         """(avg, max, min): not the order its documentation gives."""
@@ -201,15 +201,15 @@ class _Agent:
         return float(spent.mean()), float(spent.max()), float(spent.min())
 
 
-def _each(found: dict[str, Array]) -> Each:
+def _each(columns: dict[str, Array]) -> Each:
     """Python's ``min`` and ``max``, for which every comparison with nan is false, and means."""
-    least = {name: min(values.tolist()) for name, values in found.items()}
-    most = {name: max(values.tolist()) for name, values in found.items()}
-    return least, most, {name: float(values.mean()) for name, values in found.items()}
+    least = {name: min(values.tolist()) for name, values in columns.items()}
+    largest = {name: max(values.tolist()) for name, values in columns.items()}
+    return least, largest, {name: float(values.mean()) for name, values in columns.items()}
 
 
-def _joined(found: dict[str, Array]) -> tuple[float, float, dict[str, float]]:
-    if not found:
+def _joined(columns: dict[str, Array]) -> tuple[float, float, dict[str, float]]:
+    if not columns:
         raise _Stop("nothing to measure to")
-    least, most, mean = _each(found)
-    return min(least.values()), max(most.values()), mean
+    least, largest, mean = _each(columns)
+    return min(least.values()), max(largest.values()), mean

@@ -100,13 +100,13 @@ class Placed:
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), shape (N,)."""
-        found = [part.body.signed_distance(p - part.centre) for part in self.parts]
-        return np.asarray(np.min(found, axis=0))
+        distances = [part.body.signed_distance(p - part.centre) for part in self.parts]
+        return np.asarray(np.min(distances, axis=0))
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """Seconds until straight rays from p (N, d) at v (N, d) enter, shape (N,)."""
-        found = [part.body.entry_time(p - part.centre, v - part.velocity) for part in self.parts]
-        return np.asarray(np.min(found, axis=0))
+        times = [part.body.entry_time(p - part.centre, v - part.velocity) for part in self.parts]
+        return np.asarray(np.min(times, axis=0))
 
 
 def place(item: AnySet, t: Array, d: int) -> Placed:

@@ -102,7 +102,7 @@ def _trace(data: Any) -> Trace:
     root = _object("trace", data, "must be an object with the keys agents and unsafe")
     agents = _object("agents", root.get("agents"))
     unsafe = _object("unsafe", root.get("unsafe"), "must be an object, {} without unsafe sets")
-    found = (
+    parts = (
         {name: _agent(f"agents.{name}", _object(f"agents.{name}", item)) for name, item in agents.items()},
         {name: set_trace(f"unsafe.{name}", _object(f"unsafe.{name}", item)) for name, item in unsafe.items()},
     )
@@ -111,7 +111,7 @@ def _trace(data: Any) -> Trace:
         for name, item in items.items():
             known = KEYS["ball" if key == "unsafe" and item.get("set_type") == "ball" else key]
             ignored += [f"{key}.{name}.{word}" for word in item if word not in known]
-    return Trace(*found, tuple(ignored))
+    return Trace(*parts, tuple(ignored))
 
 
 KEYS = {

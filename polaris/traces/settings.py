@@ -30,17 +30,17 @@ DIFFERENCES = "differences of positions"
 
 def find_dims(trace: Trace, dims: int | None) -> int | None:
     """Axes of position: as given, as the unsafe sets have, or half of 4 or 6 states; None if unused."""
-    found = dims if dims is not None else _told(trace)
-    if found is None:
+    d = dims if dims is not None else _told(trace)
+    if d is None:
         return None
-    if found not in (1, 2, 3):
-        raise ScenarioError("--dims", found, "must be 1, 2 or 3")
+    if d not in (1, 2, 3):
+        raise ScenarioError("--dims", d, "must be 1, 2 or 3")
     for name, agent in trace.agents.items():
-        if agent.n < found:
+        if agent.n < d:
             place = f"agents.{name}.state_trace[0]"
-            rule = f"must begin with {found} axes of position (--dims)"
+            rule = f"must begin with {d} axes of position (--dims)"
             raise ScenarioError(place, f"{agent.n} states", rule)
-    return found
+    return d
 
 
 def _told(trace: Trace) -> int | None:
@@ -73,8 +73,8 @@ def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tup
             return agent.states[:, d:], shown
         refused = f" ({shown} do not change its position as a velocity would)"
     if wanted is None or isinstance(wanted, str):
-        found = rates(agent.times, agent.states[:, :d])
-        return found, DIFFERENCES + refused if found is not None else "unknown (one instant only)"
+        velocity = rates(agent.times, agent.states[:, :d])
+        return velocity, DIFFERENCES + refused if velocity is not None else "unknown (one instant only)"
     entries = list(wanted)
     if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
         rule = f"must be {d} entries of the {agent.n} states of agents.{name}, counted from 0"
@@ -200,5 +200,5 @@ def rates(stamps: Array, values: Array) -> Array | None:
     last = np.r_[np.diff(stamps) > 0, True]
     if last.sum() < 2:
         return None
-    found = np.gradient(values[last], stamps[last], axis=0)
-    return np.asarray(found[np.cumsum(np.r_[False, last[:-1]])])
+    slopes = np.gradient(values[last], stamps[last], axis=0)
+    return np.asarray(slopes[np.cumsum(np.r_[False, last[:-1]])])
