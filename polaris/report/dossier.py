@@ -67,8 +67,8 @@ class Dossier:
         if file == "check":
             return self.verdict.outcome if path == "outcome" else sha256(self.run.path / "certificate.json")
         if file == "claim":
-            told = [text for head, text in self._claims() if head == path]
-            return (" ".join(told) or ABSENT) if self.proven else UNPROVEN
+            texts = [text for head, text in self._claims() if head == path]
+            return (" ".join(texts) or ABSENT) if self.proven else UNPROVEN
         value, keys = self.files[file], path.split(".")
         for key in keys:
             if isinstance(value, list):
@@ -132,8 +132,8 @@ class Dossier:
 
 def _plain(text: object) -> str:
     """Return a text of a file as one line of bounded length."""
-    told = " ".join("".join(letter if letter.isprintable() else " " for letter in str(text)).split())
-    return told if len(told) <= LONGEST else told[: LONGEST - 1] + "…"
+    line = " ".join("".join(letter if letter.isprintable() else " " for letter in str(text)).split())
+    return line if len(line) <= LONGEST else line[: LONGEST - 1] + "…"
 
 
 def _listed(value: object) -> str:

@@ -30,7 +30,7 @@ def legs_table(summary: Mapping[str, Any]) -> Table:
 
 def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Return the GO box of every joint: what estimates must be for GO, by coordinate."""
-    mission, found = summary["mission"], []
+    mission, tables = summary["mission"], []
     for i, joint in enumerate(mission["joints"]):
         names = mission["legs"][i]["name"], mission["legs"][i + 1]["name"]
         caption = f"GO from {names[0]} to {names[1]}, {instants(joint, mission['clocks'][i])}"
@@ -44,32 +44,32 @@ def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
             ]
             for name, c, half in zip(mission["states"], joint["center"], joint["half_widths"], strict=True)
         ]
-        found.append(Table(caption, ["estimate of", "middle", "half-width", "GO if within"], rows))
-    return found
+        tables.append(Table(caption, ["estimate of", "middle", "half-width", "GO if within"], rows))
+    return tables
 
 
 def instants(joint: Mapping[str, Any], clock: Mapping[str, float]) -> str:
     """Say at which instants of a leg's clock GO may be given."""
     T, h = clock["horizon_s"], clock["period_s"]
     first = [_span(T + a * h, T + b * h) for a, b in joint["first"]]
-    told = ["at " + ", ".join(first)] if first else []
+    parts = ["at " + ", ".join(first)] if first else []
     whole = clock["turn_s"] is None or any(a == 0 and b * h >= clock["turn_s"] for a, b in joint["later"])
     if joint["later"] and whole:
-        told.append("at any node after that")
+        parts.append("at any node after that")
     elif joint["later"]:
         spans = ", ".join(_span(a * h, b * h) for a, b in joint["later"])
-        told.append(
+        parts.append(
             f"in later turns of {clock['turn_s']:.6g} s when {spans} of one have passed since {T:g} s"
         )
-    return " and ".join(told)
+    return " and ".join(parts)
 
 
 def _span(a: float, b: float) -> str:
     return f"{a:.6g} s" if a == b else f"{a:.6g} to {b:.6g} s"
 
 
-def _spent(told: Mapping[str, Any]) -> str:
-    return "no bound: more than" if told["delta_v_max_m_s"] is None else _up(told["delta_v_max_m_s"])
+def _spent(sums: Mapping[str, Any]) -> str:
+    return "no bound: more than" if sums["delta_v_max_m_s"] is None else _up(sums["delta_v_max_m_s"])
 
 
 def _up(x: float) -> str:
@@ -78,15 +78,15 @@ def _up(x: float) -> str:
 
 def rows_flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     """Return what simulated flights from end to end came to, which proves nothing."""
-    told = summary["flown"]
-    shares = ", ".join(f"{share:.0%}" for share in told["share_of_start_set"])
-    near = [distance for distance in told["least_distance_m"] if distance is not None]
+    flown = summary["flown"]
+    shares = ", ".join(f"{share:.0%}" for share in flown["share_of_start_set"])
+    near = [distance for distance in flown["least_distance_m"] if distance is not None]
     return (
         (
             "Simulated flights",
-            f"{told['runs']} from end to end, {sum(told['delta_v_m_s']):.4g} m/s on average",
+            f"{flown['runs']} from end to end, {sum(flown['delta_v_m_s']):.4g} m/s on average",
         ),
-        ("Most that one spends", f"{told['delta_v_largest_m_s']:.4g} m/s"),
+        ("Most that one spends", f"{flown['delta_v_largest_m_s']:.4g} m/s"),
         ("Least distance", f"{min(near):.4g} m" if near else "no unsafe set"),
         ("Share of the start sets that they use", shares),
     )

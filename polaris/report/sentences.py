@@ -9,29 +9,29 @@ from ..synthesis.safety.recoverable import directed
 
 def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return heads and sentences about the plan, the start, the share of U, and the time of a run."""
-    found = summary["synthesis"]
-    seconds, plan = dict(found["seconds"]), found["planner"]
+    details = summary["synthesis"]
+    seconds, plan = dict(details["seconds"]), details["planner"]
     total, _ = seconds.pop("total"), seconds.pop("plan_parts")
     stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
     clearance = directed(plan["margin_m"], ".4g")
-    told = f"{_planned(plan)}, {plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
-    rows = [("Plan", told)]
-    start, limit = found["start_margin"], found["start_limit"]
+    text = f"{_planned(plan)}, {plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
+    rows = [("Plan", text)]
+    start, limit = details["start_margin"], details["start_limit"]
     if start is not None:
         rows.append(("Start", f"{directed(start, '.1%')} of the room is left, least at {limit}"))
-    rows.append(("Recoverable sets", str(found["recoverable"])))
-    rows.append(("U flies", share(found)))
-    if "proven_share" in found:
-        told = "of the time is proven for anything within the thrust limits instead of black boxes"
-        rows.append(("Without samples", f"{found['proven_share']:.1%} {told}"))
-        rows.append(("Worst found", _worst(found["worst_found"])))
+    rows.append(("Recoverable sets", str(details["recoverable"])))
+    rows.append(("U flies", share(details)))
+    if "proven_share" in details:
+        text = "of the time is proven for anything within the thrust limits instead of black boxes"
+        rows.append(("Without samples", f"{details['proven_share']:.1%} {text}"))
+        rows.append(("Worst found", _worst(details["worst_found"])))
     return [*rows, ("Time", f"{total:.2f} s ({stages})")]
 
 
-def share(found: Mapping[str, Any]) -> str:
+def share(details: Mapping[str, Any]) -> str:
     """Return the share of the time under U, and what is proven of any schedule, in words."""
-    flies, most = f"{found['experimental_share']:.1%} of the time", found["share_at_most"]
-    return f"{flies}; no schedule can exceed {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
+    flies, top = f"{details['experimental_share']:.1%} of the time", details["share_at_most"]
+    return f"{flies}; no schedule can exceed {directed(top - 1e-12, '.1%', up=True)}" if top < 1 else flies
 
 
 def _planned(plan: Mapping[str, Any]) -> str:
@@ -46,30 +46,30 @@ def _planned(plan: Mapping[str, Any]) -> str:
     return f"{ended} ({plan['solver_name']})"
 
 
-def _worst(found: Mapping[str, Any] | None) -> str:
+def _worst(worst: Mapping[str, Any] | None) -> str:
     """Describe the worst flights found with black boxes."""
-    if found is None:
+    if worst is None:
         return "black boxes fly no step: nothing could be said of them with the probability asked for"
-    hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
-    near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
-    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
-    told = f"of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}"
+    hit = "one enters an unsafe set" if worst["violated"] else "none enters an unsafe set"
+    near = "" if worst["least_m"] is None else f", least distance {worst['least_m']:.4g} m"
+    leave = f"{worst['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
+    text = f"of {counted(worst['runs'], 'flight')} searched for the worst {hit}{near}; {leave}"
     why = ". Asked again, or about few flights alone, they answer otherwise: a condition is not met"
-    return told + ("" if found["repeats"] else why)
+    return text + ("" if worst["repeats"] else why)
 
 
 def reach(claim: Mapping[str, Any]) -> str:
     """Describe until when a schedule's claim holds, and of how many flights."""
-    told = {
+    text = {
         "infinite": "for all time",
         "one_period": f"until {claim['until_s'] or 0:.6g} s: the end of the schedule and a period under S",
         "none": "up to the end of the schedule only",
     }[claim["horizon"]]
     if "statement" in claim:
         said = claim["statement"]
-        most = directed(said["probability"], ".2g", up=True)
-        told += f" but for {most} of all flights, said with a confidence of {said['confidence']:g}"
-    return told
+        chance = directed(said["probability"], ".2g", up=True)
+        text += f" but for {chance} of all flights, said with a confidence of {said['confidence']:g}"
+    return text
 
 
 def goal(claim: Mapping[str, Any]) -> str:

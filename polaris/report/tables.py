@@ -159,8 +159,8 @@ class Measure:
         if not isinstance(value, Mapping):
             return replace(self._cell(value, unit), bad=not difference and self._bad(value))
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
-        least, most = possible(self.key, difference)  # folders of older versions know no limits
-        low, high = (None if v is None else min(max(v, least), most) for v in (low, high))
+        least, largest = possible(self.key, difference)  # folders of older versions know no limits
+        low, high = (None if v is None else min(max(v, least), largest) for v in (low, high))
         lines = []
         if low is not None or high is not None:
             lines.append(f"{self.text(low, False)} to {self.text(high, False)}")

@@ -24,11 +24,11 @@ def draw_closeup(
 ) -> list[Any]:
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that; handles of its own."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
-    told = f"{HERE} {seconds(one.time)} s: {apart} m"
-    told += " apart" if one.distance < 1000 and text_width(told + " apart") < width else ""
+    place = f"{HERE} {seconds(one.time)} s: {apart} m"
+    place += " apart" if one.distance < 1000 and text_width(place + " apart") < width else ""
     title = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
     ax.locator_params(nbins=4)
-    ax.set_title(f"{title}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)
+    ax.set_title(f"{title}\n{place}", fontsize=7, loc="left", linespacing=1.1, pad=3)
     labels = ["Time (s)", "Distance (m)"]
     if one.axes is None:
         handles = _over_time(ax, picture, one)

@@ -59,9 +59,9 @@ def _tradeoffs(methods: Methods) -> Any:
     for ax, (metric, label, logarithmic) in zip(axes, panels, strict=True):
         for place, method in zip(y, methods, strict=True):
             colour = GREEN if method["guarantee"] == "proved" else RED
-            told = method["metrics"].get(metric)
-            told = told if isinstance(told, dict) else {"mean": told}
-            mean, low, high, worst = (told.get(name) for name in ("mean", "low", "high", "worst"))
+            value = method["metrics"].get(metric)
+            value = value if isinstance(value, dict) else {"mean": value}
+            mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
             if mean is None:
                 continue
             if low is not None and high is not None:
@@ -85,9 +85,9 @@ def _tradeoffs(methods: Methods) -> Any:
     return figure
 
 
-def _paths(found: ComparisonPicture) -> Any:
+def _paths(results: ComparisonPicture) -> Any:
     """Every method's run that came closest."""
-    picture, methods, shown = found.run.picture(), _available(found.table["methods"]), found.shown
+    picture, methods, shown = results.run.picture(), _available(results.table["methods"]), results.shown
     if picture.system.d == 1:
         return None
     bare = replace(picture, tube=None, slices=None)
@@ -106,8 +106,8 @@ def _paths(found: ComparisonPicture) -> Any:
         frame_axes(ax, view)
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
-        told = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
-        title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{told}"
+        words = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
+        title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{words}"
         ax.set_title(
             title, fontsize=7, linespacing=1.1, pad=3, color=GREEN if method["guarantee"] == "proved" else RED
         )
@@ -188,11 +188,11 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
     names = [f"{price:g}" for price in prices]
     if len(prices) > 2 and prices == [price for price in known if prices[0] <= price <= prices[-1]]:
         names = [f"{names[0]} to {names[-1]}"]
-    told = [f"price {', '.join(names)}"] if names else []
-    return ", ".join(told + ["printed"] * (len(here) > len(prices)))
+    words = [f"price {', '.join(names)}"] if names else []
+    return ", ".join(words + ["printed"] * (len(here) > len(prices)))
 
 
-FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
+FIGURES = {"tradeoffs": lambda shown: _tradeoffs(shown.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
 
 LINES = {  # lines against a field's values: colour, factor and name
@@ -212,9 +212,9 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
         if values.min() > 0 and values.max() > SPREAD * values.min():
             ax.set_xscale("log")
         for key, (colour, scale, _) in LINES.items():
-            told = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
+            heights = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
             one = ax if key == "share" else beside
-            one.plot(values, told, "o-", color=colour, ms=3, lw=0.9)
+            one.plot(values, heights, "o-", color=colour, ms=3, lw=0.9)
         none = values[[row["guarantee"] == "infeasible" for row in mine]]
         if len(none):
             ax.plot(none, 0 * none, "x", color=RED, ms=5, clip_on=False)

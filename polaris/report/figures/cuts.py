@@ -69,9 +69,9 @@ def _crossings(part: Array, axis: int, upper: int, side: float, along: Array, cl
 def _colour(artist: Any) -> str:
     """Colour of the line or edge of an artist, or of its face if it has none; grey if it is too light."""
     if isinstance(artist, Line2D):
-        found = to_rgba_array(artist.get_color())
+        colours = to_rgba_array(artist.get_color())
     else:
         both = artist.get_edgecolor(), artist.get_facecolor()
-        found = np.vstack([to_rgba_array(one) for one in both])
-    dark = found[(found[:, 3] > 0) & (found[:, :3].mean(axis=1) < PALE)]
+        colours = np.vstack([to_rgba_array(one) for one in both])
+    dark = colours[(colours[:, 3] > 0) & (colours[:, :3].mean(axis=1) < PALE)]
     return to_hex(dark[0]) if len(dark) else GREY

@@ -111,9 +111,9 @@ def _speed(ax: Any, run: InspectionRun) -> None:
         look: Any = {"color": colour, "mec": "white", "mew": 0.4, "zorder": 4}
         ax.plot(distance[0, i], speed[0, i], "o", ms=3.5, **look)
         ax.plot(distance[-1, i], speed[-1, i], "s", ms=3.2, **look)
-    told: Any = {"color": RED, "fontsize": 6.5, "zorder": 6, "va": "bottom"}
-    ax.text(0.5 * right, allowed + 0.02 * top, "largest speed", ha="center", **told)
-    ax.text(q.distance_max + 0.012 * right, 0.04 * top, "keep-in zone", rotation=90, **told)
+    style: Any = {"color": RED, "fontsize": 6.5, "zorder": 6, "va": "bottom"}
+    ax.text(0.5 * right, allowed + 0.02 * top, "largest speed", ha="center", **style)
+    ax.text(q.distance_max + 0.012 * right, 0.04 * top, "keep-in zone", rotation=90, **style)
     ax.set(xlim=(0, right), ylim=(0, top), xlabel="Distance from the chief (m)", ylabel="Speed (m/s)")
     legend_above(ax, lines if q.deputies > 1 else [], 5)
 

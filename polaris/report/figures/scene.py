@@ -32,16 +32,16 @@ AXES_WIDTH = 2.8  # of the axes [in]
 def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
     """A figure of the scene with the close-ups it needs; `new` makes an empty one of some height [in]."""
     scene = describe(picture)
-    found = scene.closeups
-    wide = 1 if len(found) == 1 else 2
-    rows = -(-len(found) // wide)
+    closeups = scene.closeups
+    wide = 1 if len(closeups) == 1 else 2
+    rows = -(-len(closeups) // wide)
     figure = new(3.0)
     # One close-up is as wide as the figure.
     panel = 1.15 if wide == 2 else 1.3
     grid = figure.add_gridspec(1 + rows, wide, height_ratios=[3.0, *[panel] * rows])
     ax, handles = figure.add_subplot(grid[0, :]), []
-    for i, one in enumerate(found):
-        last = wide == 2 and i == len(found) - 1 and i % 2 == 0
+    for i, one in enumerate(closeups):
+        last = wide == 2 and i == len(closeups) - 1 and i % 2 == 0
         place = grid[1 + i // wide, :] if last else grid[1 + i // wide, i % wide]
         across = 2.8 if wide == 1 or last else 1.25
         own = figure.add_subplot(place)
@@ -60,13 +60,13 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
     ax.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
-    found = [handle for draw in drawers for handle in draw(ax, scene)]
+    drawn = [handle for draw in drawers for handle in draw(ax, scene)]
     for item in scene.of("initial"):
         if not scene.over_time:
             _outline(ax, item.points, 0.6, "-", BLACK, 5)
         else:
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
-    found += draw_unsafe(ax, scene, lettered)
+    drawn += draw_unsafe(ax, scene, lettered)
     slices = scene.picture.printed_slices() if not scene.over_time else ()
     for one in sorted(slices, key=lambda one: np.prod(np.ptp(one.outline, axis=0))):  # least room first
         colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
@@ -80,8 +80,8 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
         # Else an unsafe set round the target has its own name there.
         if np.all(np.array(near) > 0) and scene.contains(np.zeros(2)):
             label(ax, scene, "target", np.zeros((1, 2)), BLACK)
-    found += mark_cuts(ax)
-    return style.legend_above(ax, list({one.get_label(): one for one in (*found, *handles)}.values()), 3)
+    drawn += mark_cuts(ax)
+    return style.legend_above(ax, list({one.get_label(): one for one in (*drawn, *handles)}.values()), 3)
 
 
 def frame_axes(ax: Any, scene: Scene) -> None:
@@ -260,7 +260,7 @@ def _keep_in(ax: Any, scene: Scene, item: Item, named: bool) -> None:
     if item.shape is not None:
         ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
     called, _, inside = item.name.rpartition(" (")
-    told = f"{shortened(called, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
+    text = f"{shortened(called, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
     points = item.marks[0].shape.points if item.marks else scene.seen(item.points[:-1])
     if named and len(points):
-        label(ax, scene, told, points, RED)
+        label(ax, scene, text, points, RED)

@@ -126,13 +126,13 @@ def keep_ticks(axes: Iterable[Any]) -> None:
         for axis in (ax.xaxis, ax.yaxis):
             if not isinstance(axis.get_major_locator(), AutoLocator):
                 continue
-            most = min(max(axis.get_tick_space(), 1), 9)
+            count = min(max(axis.get_tick_space(), 1), 9)
             if axis is ax.xaxis:
                 texts = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
                 widest = max(map(text_width, texts), default=0.0) + 0.04
                 width = place.width * ax.figure.get_figwidth() - 0.3  # what the layout may take of it
-                most = max(min(most, int(width / widest)), 1)
-            axis.get_major_locator().set_params(nbins=most, min_n_ticks=min(most, 2))
+                count = max(min(count, int(width / widest)), 1)
+            axis.get_major_locator().set_params(nbins=count, min_n_ticks=min(count, 2))
 
 
 def text_width(text: str) -> float:
@@ -150,12 +150,12 @@ def shortened(text: str, width: float) -> str:
     return text + "\N{HORIZONTAL ELLIPSIS}"
 
 
-def legend_rows(handles: Any, width: float, most: int) -> tuple[int, list[str]]:
-    """Columns, at most this many, in which handles fit into a width [in], and their labels."""
+def legend_rows(handles: Any, width: float, count: int) -> tuple[int, list[str]]:
+    """Columns, at most `count`, in which handles fit into a width [in], and their labels."""
     point = _STYLE["legend.fontsize"] / 72
     own = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
     names = [str(handle.get_label()) for handle in handles]
-    for columns in range(min(most, len(names)), 0, -1):
+    for columns in range(min(count, len(names)), 0, -1):
         parts = np.array_split(names, columns)  # as matplotlib does
         gaps = (len(parts) - 1) * _STYLE["legend.columnspacing"] * point + point
         if sum(own + max(map(text_width, part)) for part in parts) + gaps <= width:

@@ -76,8 +76,8 @@ def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Pilot], named: set[str] |
         values = first_run(line)
         (handles[label],) = ax.plot(line.times, values, label=label, **look)
         if np.any(values > high):
-            at, told = int(np.argmax(values > high)), f"{label}: {values[-1]:.3g} {panel.unit} at the end"
-            name(ax, told, [[line.times[at], high]], own.colour)
+            at, text = int(np.argmax(values > high)), f"{label}: {values[-1]:.3g} {panel.unit} at the end"
+            name(ax, text, [[line.times[at], high]], own.colour)
     if panel.log:
         ax.set_yscale("log")
     ax.set(xlim=(0, end), ylim=(low, high), xlabel="Time (s)", ylabel=f"{panel.label} ({panel.unit})")

@@ -29,21 +29,21 @@ Methods = Sequence[Mapping[str, Any]]
 def comparison_page(folder: RunFolder) -> Page:
     """The report of a comparison folder."""
     picture: ComparisonPicture = folder.picture()
-    found, summary = picture.table, picture.run.summary
-    methods, claim = found["methods"], summary["guarantee"]
+    results, summary = picture.table, picture.run.summary
+    methods, claim = results["methods"], summary["guarantee"]
     lead = Markup("<p>{} methods flown under the same conditions. Scenario <code>{}</code>.</p>")
-    lead = lead.format(len(methods), found["scenario"])
+    lead = lead.format(len(methods), results["scenario"])
     names = {method["key"]: str(method["name"]) for method in methods}
     return Page(
-        f"{found['title']}: comparison",
+        f"{results['title']}: comparison",
         lead + _tradeoffs(methods),
         (
-            ("methods", "Methods compared", _methods(methods) + _protocol(found["protocol"])),
+            ("methods", "Methods compared", _methods(methods) + _protocol(results["protocol"])),
             ("claims", "What each method claims", _claims(methods)),
-            ("paired", "Differences, run by run", _paired(found["paired"], names)),
+            ("paired", "Differences, run by run", _paired(results["paired"], names)),
             ("decisions", "Decisions of the run shown", _decisions(folder.path / "decisions.jsonl", names)),
             ("guarantee", "The guarantee of the schedule", guarantee_section(claim)),
-            reading(found, NOTE),
+            reading(results, NOTE),
         ),
         comparison_data(picture, claim["kind"] == "proved"),
         summary,
@@ -68,11 +68,11 @@ def _tradeoffs(methods: Methods) -> Markup:
     """The picture of what every method gains and loses, within the page."""
     from ..figures.comparison import tradeoffs_png
 
-    told = (
+    caption = (
         "What each method gains and loses: means over all runs with 95 % confidence bounds, a stroke for the"
         " worst run. Green: with a proof; red: without."
     )
-    return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), told))
+    return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), caption))
 
 
 def _claim(method: Mapping[str, Any], why: str = "") -> Cell:
@@ -98,8 +98,8 @@ def _protocol(protocol: Mapping[str, Any]) -> Markup:
     measures = [Measure.of(key) for key in protocol if key != "statement"]
     rows = [[Cell(one.title), value_cell(protocol[one.key], one.key, one.unit)] for one in measures]
     statement = protocol.get("statement")
-    told = Markup("<p>{}</p>").format(statement) if statement else ""
-    return Markup("<h3>How it was compared</h3>") + told + table(Table("Protocol", ["", "value"], rows))
+    text = Markup("<p>{}</p>").format(statement) if statement else ""
+    return Markup("<h3>How it was compared</h3>") + text + table(Table("Protocol", ["", "value"], rows))
 
 
 def _claims(methods: Methods) -> Markup:
@@ -118,12 +118,12 @@ def _claims(methods: Methods) -> Markup:
 
 def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Markup:
     """One table for each method that others are compared with: a row per method, a column per metric."""
-    found: dict[str, dict[str, dict[str, Cell]]] = {}
+    groups: dict[str, dict[str, dict[str, Cell]]] = {}
     for one in paired:
-        cells = found.setdefault(one["against"], {}).setdefault(one["method"], {})
+        cells = groups.setdefault(one["against"], {}).setdefault(one["method"], {})
         cells[one["metric"]] = _difference(one)
     tables = []
-    for against, others in found.items():
+    for against, others in groups.items():
         known = dict.fromkeys(key for cells in others.values() for key in cells)
         measures = [Measure.of(key) for key in known]
         rows = [
@@ -140,8 +140,8 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
 
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
-    told = {"mean": one["difference"], "low": low, "high": high}
-    cell = Measure.of(one["metric"]).cell(told, difference=True)
+    bounds = {"mean": one["difference"], "low": low, "high": high}
+    cell = Measure.of(one["metric"]).cell(bounds, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, lines=(*cell.lines, "perhaps 0"))
@@ -152,22 +152,22 @@ Decisions = list[dict[str, Any]]
 
 def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
     """Decisions (JSON, one per line) by method, those in a row with the same mode and reason together."""
-    found: dict[str, Decisions] = {}
+    rows: dict[str, Decisions] = {}
     for row in (parse_json(line) for line in lines if line.strip()):
-        found.setdefault(str(row["method"]), []).append(row)
+        rows.setdefault(str(row["method"]), []).append(row)
 
     def alike(row: Mapping[str, Any]) -> tuple[Any, Any]:
         return row["mode"], row.get("reason")
 
-    return {key: [list(group) for _, group in groupby(own, alike)] for key, own in found.items()}
+    return {key: [list(group) for _, group in groupby(own, alike)] for key, own in rows.items()}
 
 
 def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
     """Why each online method decided as it did."""
     if not path.is_file():
         return Markup("<p>This folder has no log of decisions.</p>")
-    found = stretches(read_text(path).split("\n"))
-    logs = Markup("\n").join(details(names.get(key, key), _log(own)) for key, own in found.items())
+    logged = stretches(read_text(path).split("\n"))
+    logs = Markup("\n").join(details(names.get(key, key), _log(own)) for key, own in logged.items())
     return logs or Markup("<p>The log is empty.</p>")
 
 

@@ -42,8 +42,8 @@ def inspection_page(folder: RunFolder) -> Page:
         data = page_data(fuel_view(run := folder.picture()), fuel_timeline(run), PLACE)
     else:
         parts.insert(0, ("studies", "Studies", table(studies(summary))))
-    told = Markup(kinds.other_guarantee(claim, badge(claim["kind"]), LIMITS))
-    parts.append(("guarantee", "What is claimed", told))
+    section = Markup(kinds.other_guarantee(claim, badge(claim["kind"]), LIMITS))
+    parts.append(("guarantee", "What is claimed", section))
     return Page(str(summary["title"]), lead, (*parts, reading(summary)), data, summary)
 
 

@@ -18,7 +18,7 @@ def mission_page(folder: RunFolder) -> Page:
     summary, picture = folder.summary, folder.picture()
     claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
     spent = claim["delta_v_max_m_s"]
-    told = "no bound" if spent is None else f"{directed(spent, '.4g', up=True)} m/s"
+    text = "no bound" if spent is None else f"{directed(spent, '.4g', up=True)} m/s"
     cards = (
         (
             "Is it safe?",
@@ -26,7 +26,7 @@ def mission_page(folder: RunFolder) -> Page:
             "every leg, and every hand-over at GO; at NO-GO the safety controller stays",
         ),
         ("Does it go on?", f"{len(names)} legs", " → ".join(names)),
-        ("What does it cost?", told, "at most, proven, to the planned end"),
+        ("What does it cost?", text, "at most, proven, to the planned end"),
         ("Who flies when?", f"{picture.flown.times[-1]:.6g} s", "as planned"),
     )
     lead = Markup(macros("run.html").answers(cards, _stretches(picture), f"{picture.flown.times[-1]:.6g} s"))
@@ -42,8 +42,8 @@ def mission_page(folder: RunFolder) -> Page:
         link = Markup(
             '<p><a href="{0}/report.html">Interactive report of this leg</a>, in the folder {0}.</p>'
         )
-        told = answers(own, leg.picture()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
-        sections.append((f"leg-{name}", f"Leg {name}", told))
+        text = answers(own, leg.picture()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
+        sections.append((f"leg-{name}", f"Leg {name}", text))
     return Page(str(summary["title"]), lead, (*sections, reading(summary)), {}, summary)
 
 

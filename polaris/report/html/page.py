@@ -97,8 +97,8 @@ def page_html(page: Page) -> str:
 def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, Markup]:
     """The section that says how to read the page: a note, and what each metric means, as the folder says."""
     known = summary.get("definitions", {})
-    told = [f"{Measure.of(key).title} ({key}): {text}" for key, text in known.items()]
-    return "reading", "How to read this", Markup(macros().reading(note, told))
+    meanings = [f"{Measure.of(key).title} ({key}): {text}" for key, text in known.items()]
+    return "reading", "How to read this", Markup(macros().reading(note, meanings))
 
 
 def script_json(data: Any) -> str:

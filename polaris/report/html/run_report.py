@@ -71,8 +71,8 @@ def schedule_data(picture: Picture, pilots: Sequence[Pilot], proved: bool, **how
 
 def _margins(picture: Picture) -> dict[str, Any]:
     """Return the diagram of the room left in the recoverable sets: a bar per step, by who flies."""
-    delta, told = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
-    text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in told]
+    delta, pairs = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
+    text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in pairs]
     series: dict[str, Any] = {"pilot": None, "name": "margin", "bars": True, "text": text}
     series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
     series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}
@@ -82,9 +82,9 @@ def _margins(picture: Picture) -> dict[str, Any]:
 
 def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
-    claim, flown, found = summary["guarantee"], summary["polaris"], summary["synthesis"]
+    claim, flown, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
     end, proved = claim["goal"], claim["kind"] == "proved"
-    within, most = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
+    within, spent = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
     arrives = ("nothing is claimed", "the proof that it would rest on is missing")
     cost = f"mean of {counted(flown['runs'], 'simulated run')}"
     if proved:
@@ -94,10 +94,10 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
             there = f"proven, within {within} m of the goal; to stay there S must fly on"
             arrives = (f"at {_time(end['by_s'])}", there)
         then = "to the goal" if end["reached"] is True else "until it is nearest"
-        cost += f"; {then} at most {most} m/s, proven"
+        cost += f"; {then} at most {spent} m/s, proven"
     if "safety" in summary:
         cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
-    share, switches = Measure.of("experimental_share").text(found["experimental_share"]), found["switches"]
+    share, switches = Measure.of("experimental_share").text(search["experimental_share"]), search["switches"]
     cards = (
         ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
@@ -114,17 +114,17 @@ def _time(t: float) -> str:
 
 def _when(picture: Picture) -> str:
     """Describe the times at which S flies."""
-    delta, found = picture.reference.delta, stretches(picture.modes == 0)
-    if len(found) > MOST_TOLD:
-        return f"S in {len(found)} stretches"
-    return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in found) or "never")
+    delta, spans = picture.reference.delta, stretches(picture.modes == 0)
+    if len(spans) > MOST_TOLD:
+        return f"S in {len(spans)} stretches"
+    return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in spans) or "never")
 
 
 def guarantee_section(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
-    told = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
+    rows = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
     reached = claim["goal"]["reached"] is True
-    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), reached, told))
+    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), reached, rows))
 
 
 def aborts(claim: Mapping[str, Any]) -> Markup:
@@ -132,9 +132,9 @@ def aborts(claim: Mapping[str, Any]) -> Markup:
     rows, known = [], claim.get("powered_abort", {}).get("steps", ())
     for (leaves, by, why), group in groupby(known, itemgetter("leaves_s", "by_s", "why")):
         steps = list(group)
-        most = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
-        told = why or f"{directed(most, '.4g', up=True)} m/s"
+        spent = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
+        cost = why or f"{directed(spent, '.4g', up=True)} m/s"
         cells = f"{steps[0]['step']} to {steps[-1]['step']}", *(("", "") if why else map(_time, (leaves, by)))
-        rows.append([Cell(text) for text in (*cells, told)])
+        rows.append([Cell(text) for text in (*cells, cost)])
     heads = ["in steps", "leaves the reference", "on the orbit by", "velocity change at most, or why not"]
     return table(Table("Abort with thrust", heads, rows)) if rows else Markup()

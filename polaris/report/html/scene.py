@@ -70,28 +70,28 @@ def _layer(item: Item) -> Layer:
     shape, look = item.shape, LOOKS[item.role]
     assert shape is not None
     name = item.name or look.name
-    found: Layer = {"name": name, "kind": shape.kind, "group": look.group, "colour": look.colour}
-    found["opacity"] = 1.0
+    layer: Layer = {"name": name, "kind": shape.kind, "group": look.group, "colour": look.colour}
+    layer["opacity"] = 1.0
     if shape.kind in ("area", "mesh"):
-        found["opacity"] = AREAS[item.role]
+        layer["opacity"] = AREAS[item.role]
         if item.role == "unsafe" and (shape.kind == "area" or item.cut):
-            found["opacity"] = 0.4 if shape.kind == "area" else 0.25
+            layer["opacity"] = 0.4 if shape.kind == "area" else 0.25
     elif shape.kind == "line":
-        found["width"], found["dash"] = LINES[item.role]
+        layer["width"], layer["dash"] = LINES[item.role]
         if item.role == "goal" and len(shape.points) == 2:
-            found["width"] = 5.0
+            layer["width"] = 5.0
     else:
-        found["symbol"], found["size"] = POINTS[item.role]
+        layer["symbol"], layer["size"] = POINTS[item.role]
     if item.role in ("unsafe", "chief"):
-        found["label"] = name.partition(":")[0] if item.role == "chief" else name
+        layer["label"] = name.partition(":")[0] if item.role == "chief" else name
     if item.times is None:
-        return found | _corners(shape)
-    found["t"] = plain(item.times)
+        return layer | _corners(shape)
+    layer["t"] = plain(item.times)
     if item.shift is not None:
-        found["shift"] = plain(item.shift.T)
+        layer["shift"] = plain(item.shift.T)
     if len(item.shapes) == 1:
-        return found | _corners(shape)
-    return found | {"frames": [_corners(one) for one in item.shapes]}
+        return layer | _corners(shape)
+    return layer | {"frames": [_corners(one) for one in item.shapes]}
 
 
 def _slices(scene: Scene) -> list[Layer]:
@@ -111,14 +111,14 @@ def _slices(scene: Scene) -> list[Layer]:
         ]
         for run in range(places.shape[1])
     ]
-    found = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
+    head = {"name": look.name, "kind": "slice", "group": look.group, "colour": look.colour}
     over = [
         (i, taking_over(t, mode), mode_colour(mode))
         for t, mode in scene.picture.hand_overs.items()
         for i in np.flatnonzero(np.isclose(slices.times, t, rtol=1e-9)).tolist()
     ]
     own = {"opacity": AREAS["slice"], "pilot": "polaris", "over": over}
-    return [found | own | {"t": plain(slices.times), "frames": frames}]
+    return [head | own | {"t": plain(slices.times), "frames": frames}]
 
 
 def _corners(shape: Shape | None) -> dict[str, Any]:
@@ -126,5 +126,5 @@ def _corners(shape: Shape | None) -> dict[str, Any]:
     if shape is None:
         return {"p": []}
     points = closed(shape.points) if shape.kind == "area" else shape.points
-    told = {"p": plain(points.T)}
-    return told if shape.faces is None else told | {"f": plain(shape.faces.T)}
+    corners = {"p": plain(points.T)}
+    return corners if shape.faces is None else corners | {"f": plain(shape.faces.T)}

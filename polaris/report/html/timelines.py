@@ -54,9 +54,9 @@ def _pilot(one: Pilot, scene: View, position: Array, chosen: Samples) -> dict[st
     runs, times = one.flights, one.flights.times[chosen]
     paths = scene.placed(runs.states[:, chosen] @ position.T, times)
     flown = zip(paths, modes_per_node(runs)[:, chosen[:-1]], strict=True)
-    told = {key: getattr(one, key) for key in ("key", "name", "colour", "dash", "on")}
+    fields = {key: getattr(one, key) for key in ("key", "name", "colour", "dash", "on")}
     shown = [{"p": plain(path.T), "modes": plain(who)} for path, who in flown]
-    return told | {"labels": list(runs.labels), "t": plain(times), "runs": shown}
+    return fields | {"labels": list(runs.labels), "t": plain(times), "runs": shown}
 
 
 def _panel(one: Panel, chosen: dict[str, Samples]) -> dict[str, Any]:
@@ -67,10 +67,10 @@ def _panel(one: Panel, chosen: dict[str, Samples]) -> dict[str, Any]:
 
 
 def _series(one: Series, chosen: dict[str, Samples]) -> dict[str, Any]:
-    told: dict[str, Any] = {"pilot": one.pilot, "step": one.step}
+    fields: dict[str, Any] = {"pilot": one.pilot, "step": one.step}
     if one.pilot is not None:
         samples = chosen[one.pilot]
         band = {} if one.band is None else {"band": plain(one.band[:, samples])}
-        return told | band | {"runs": plain(one.values[:, samples])}
+        return fields | band | {"runs": plain(one.values[:, samples])}
     look = {key: getattr(one, key) for key in ("name", "meaning", "colour", "dash", "fill")}
-    return told | look | {"t": plain(one.times), "y": plain(one.values)}
+    return fields | look | {"t": plain(one.times), "y": plain(one.values)}

@@ -72,13 +72,13 @@ def hull(points: Array) -> Shape | None:
         return None
     size = max(float(np.ptp(points, axis=0).max()), 1e-300)
     try:
-        found = ConvexHull((points - points.mean(axis=0)) / size)
+        body = ConvexHull((points - points.mean(axis=0)) / size)
     except QhullError:
         return None
-    used = np.unique(found.simplices)
+    used = np.unique(body.simplices)
     place = np.zeros(len(points), dtype=np.intp)
     place[used] = np.arange(len(used))
-    return Shape("mesh", points[used], place[found.simplices])
+    return Shape("mesh", points[used], place[body.simplices])
 
 
 def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
@@ -88,10 +88,10 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
     if not np.all(room > 1e-12 * max(size, 1e-300)):
         return None
     try:
-        found = HalfspaceIntersection(np.column_stack([normals, -room / size]), np.zeros(3))
+        body = HalfspaceIntersection(np.column_stack([normals, -room / size]), np.zeros(3))
     except QhullError:
         return None
-    points = found.intersections[np.isfinite(found.intersections).all(axis=1)]
+    points = body.intersections[np.isfinite(body.intersections).all(axis=1)]
     distinct = points[np.unique(np.round(points, 9), axis=0, return_index=True)[1]]  # but for round-off
     return hull(inside + size * distinct)
 
@@ -130,11 +130,11 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
     whole = boxed(H, b, low, high)
     if not whole.depth > 0:
         return None
-    found = polyhedron(whole.H, whole.b, whole.middle)
-    if found is None or found.faces is None:
+    body = polyhedron(whole.H, whole.b, whole.middle)
+    if body is None or body.faces is None:
         return None
-    inner = ~on_box(found.points[found.faces], low, high)
-    return Shape("mesh", found.points, found.faces[inner]) if np.any(inner) else None
+    inner = ~on_box(body.points[body.faces], low, high)
+    return Shape("mesh", body.points, body.faces[inner]) if np.any(inner) else None
 
 
 def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:

@@ -92,11 +92,11 @@ def fuel_timeline(run: FuelRun) -> Timeline:
 
 def predicted_fuel(run: FuelRun) -> list[Series]:
     """Return the velocity change that each predicted backup flight would spend."""
-    look, found = palette.LOOKS["predicted"], []
+    look, series = palette.LOOKS["predicted"], []
     for one in run.predictions:
         times, values = np.append(one.t, one.t[-1] + AFTER), np.append(one.delta_v, one.delta_v[-1])
-        found.append(Series(times, values, name=look.legend, colour=look.colour))
-    return found
+        series.append(Series(times, values, name=look.legend, colour=look.colour))
+    return series
 
 
 def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
@@ -109,7 +109,7 @@ def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
     def panel(title: str, unit: str, limits: list[Limit], series: list[Series], log: bool = False) -> Panel:
         return Panel(title, title, title, unit, limits, series, log)
 
-    found = {
+    panels = {
         "velocity": [
             panel(name, "m/s", speed, _of_deputies(run, run.x[..., 3 + k])) for k, name in enumerate(AXES)
         ],
@@ -120,10 +120,10 @@ def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
     if q.deputies > 1:
         least, apart = q.deputy_separation, _of_pairs(run, values["phi2"] + q.deputy_separation)
         collision = [Limit(least, "collision", "below")]
-        found["separation"] = [panel("Distance of deputies", "m", collision, apart, log=True)]
+        panels["separation"] = [panel("Distance of deputies", "m", collision, apart, log=True)]
         seen = _of_pairs(run, np.degrees(values["phi5"]) + half)
-        found["deputy_sun"] = [panel("Deputy to sun", "degrees", sun, seen)]
-    return found
+        panels["deputy_sun"] = [panel("Deputy to sun", "degrees", sun, seen)]
+    return panels
 
 
 def thrust_panels(run: InspectionRun) -> list[Panel]:
@@ -138,11 +138,11 @@ def _of_deputies(run: InspectionRun, values: Array) -> list[Series]:
 
 def _of_pairs(run: InspectionRun, values: Array) -> list[Series]:
     """Return the series of values (N, pairs), coloured by the first deputy and dashed by the second."""
-    found = []
+    series = []
     for (i, j), line in zip(run.inspection.pairs.tolist(), values.T, strict=True):
         dash = palette.METHOD_DASHES[j % len(palette.METHOD_DASHES)]
-        found.append(Series(run.t, line, name=f"{i} and {j}", colour=palette.deputy_colour(i), dash=dash))
-    return found
+        series.append(Series(run.t, line, name=f"{i} and {j}", colour=palette.deputy_colour(i), dash=dash))
+    return series
 
 
 def _margin_panels(t: Array, margins: Mapping[str, Array]) -> list[Panel]:
@@ -162,8 +162,8 @@ def _margin_panels(t: Array, margins: Mapping[str, Array]) -> list[Panel]:
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:
     """Return the time at which a deputy is closest to a limit on a distance [s]."""
-    known = {name: found for name, found in margins.items() if found.shape[1]}
-    own = [found.min(axis=1) for name, found in known.items() if MEANING.get(name, ("", ""))[1] == "m"]
+    known = {name: rows for name, rows in margins.items() if rows.shape[1]}
+    own = [rows.min(axis=1) for name, rows in known.items() if MEANING.get(name, ("", ""))[1] == "m"]
     return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])
 
 

@@ -126,7 +126,7 @@ class Pilot(NamedTuple):
 
 def drawn_pilots(picture: Picture) -> list[Pilot]:
     """Everyone whose flights a picture holds; several experimental controllers are named."""
-    found, several = [], len(picture.controllers) > 2
+    pilots, several = [], len(picture.controllers) > 2
     for key in (key for key in {**PILOTS, **picture.flights} if key in picture.flights):
         name, short, colour, dash = PILOTS.get(key, PILOTS["experimental"])
         flights = picture.flights[key]
@@ -134,8 +134,8 @@ def drawn_pilots(picture: Picture) -> list[Pilot]:
             name = short = f"{short} ({flights.controller})"
             if flights.controller in picture.controllers:
                 colour = mode_colour(picture.controllers.index(flights.controller))
-        found.append(Pilot(key, name, short, colour, dash, flights, key == "polaris"))
-    return found
+        pilots.append(Pilot(key, name, short, colour, dash, flights, key == "polaris"))
+    return pilots
 
 
 def alone(picture: Picture) -> list[Pilot]:
@@ -191,14 +191,14 @@ def closeups(picture: Picture) -> list[CloseUp]:
     if picture.system.d < 3:
         return []
     path, space = picture.safe_path()[1], Space.of(picture)
-    found: list[CloseUp] = []
+    passages: list[CloseUp] = []
     for obstacle in picture.obstacles:
         if isinstance(obstacle, KeepIn) or not len(space.corners(obstacle, picture.approach(obstacle).time)):
             continue
         distance = obstacle.signed_distance(picture.safe_path()[0], path, picture.system)
         if np.all(distance > 0):
-            found += _passages(obstacle, space, distance)
-    nearest = sorted(found, key=lambda one: one.distance)[:MOST]
+            passages += _passages(obstacle, space, distance)
+    nearest = sorted(passages, key=lambda one: one.distance)[:MOST]
     return sorted(nearest, key=lambda one: one.time)
 
 
@@ -209,7 +209,7 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
     planes = [[frame.axes[0], frame.axes[2]], [frame.axes[1], frame.axes[2]]]
     hidden = plane_gap(obstacle, picture, frame.flat) <= 0
     gaps = [plane_gap(obstacle, picture, axes) for axes in planes] if hidden.any() else []
-    found = []
+    passages = []
     while hidden.any():
         at = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
         best = int(np.argmax([gap[at] for gap in gaps]))
@@ -224,8 +224,8 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
         hidden[slice(*span)] = False
         if cover is None:
             at = span[0] + int(np.argmin(distance[slice(*span)]))
-        found.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
-    return found
+        passages.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
+    return passages
 
 
 def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:

@@ -43,9 +43,9 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
         return _on_the_line(picture, paths)
     axes = picture.frame.flat if axes is None else axes
     space = Space.of(picture, paths)
-    found = closeups(picture) if len(axes) == 2 else []
+    passages = closeups(picture) if len(axes) == 2 else []
     items = [
-        *unsafe_items(space, axes, found),
+        *unsafe_items(space, axes, passages),
         *_goal(space, axes),
         *_start(picture, axes),
         *(_line(role, path[:, axes]) for role, path in zip(PATHS, picture.path(), strict=True) if len(path)),
@@ -53,7 +53,7 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
     ]
     labels = picture.frame.labels[: len(axes)]
     low, high = space.low[axes], space.high[axes]
-    return Scene(axes, labels, low, high, tuple(items), picture=picture, closeups=tuple(found))
+    return Scene(axes, labels, low, high, tuple(items), picture=picture, closeups=tuple(passages))
 
 
 def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
@@ -102,14 +102,14 @@ def _on_line(obstacle: Obstacle, scene: Scene) -> list[Item]:
         band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[first, last[::-1]]]))
         marks = (Mark(Shape("line", widest)),) if last[at] > first[at] else ()
         return [Item("unsafe", (band,), obstacle.name, marks=marks)]
-    found = []
+    items = []
     for edge, side in zip((ends[0][0], ends[1][0]), (low, high), strict=True):
         seen, near = low < edge < high, np.clip(edge, low, high)
         mark = Mark(Shape("points", np.array([[end / 2, near]])), "" if seen else f": {edge:.4g} m")
         rim = Shape("line", np.array([[0.0, edge], [end, edge]])) if seen else None
         if seen or (np.isfinite(edge) and near == side):
-            found.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
-    return found
+            items.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
+    return items
 
 
 def _line(role: str, points: Array) -> Item:
@@ -126,21 +126,21 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
         shape = geometry.polyhedron(rays, rays @ c + thick, c)
-    found = [Item("start", (Shape("points", c[None]),))]
-    return [*found, Item("initial", (shape,))] if shape else found
+    items = [Item("start", (Shape("points", c[None]),))]
+    return [*items, Item("initial", (shape,))] if shape else items
 
 
 def _goal(space: Space, axes: list[int]) -> list[Item]:
     """The goal's positions: rings of ellipses, a stretch, a point or a box."""
     parts = space.goal()
-    found = [Item("goal", (shape,)) for part in parts if (shape := _part(part, axes))]
+    items = [Item("goal", (shape,)) for part in parts if (shape := _part(part, axes))]
     if len(parts) == 2 and len(axes) == 3:
         inner, outer = (part.points[:, axes] for part in parts)
         a = np.arange(len(inner) - 1)
         b = a + len(inner)
         between = np.vstack([np.stack([a, a + 1, b], axis=1), np.stack([a + 1, b + 1, b], axis=1)])
-        found.append(Item("ring", (Shape("mesh", np.vstack([inner, outer]), between),)))
-    return found
+        items.append(Item("ring", (Shape("mesh", np.vstack([inner, outer]), between),)))
+    return items
 
 
 def _part(part: Shape, axes: list[int]) -> Shape | None:

@@ -110,8 +110,8 @@ class Space:
             rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
             return [Shape("line", b * ring) for b in rims]
         if isinstance(goal, LinearNMT):
-            most = goal.amplitude_max
-            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-most, most)]))]
+            amplitude = goal.amplitude_max
+            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-amplitude, amplitude)]))]
         return self._allowed(goal)
 
     def _allowed(self, goal: Goal) -> list[Shape]:

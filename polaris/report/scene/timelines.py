@@ -102,8 +102,8 @@ def schedule_timeline(
     runs = {one.key: one.flights for one in pilots}
     spent = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
     bound = picture.delta_v_max if proved else None
-    told = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
-    limits = [Limit(bound, told)] if bound else []
+    text = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
+    limits = [Limit(bound, text)] if bound else []
     label, names = input_labels(picture.system)
     what, _, unit = label.rstrip(")").partition(" (")
     titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
@@ -143,10 +143,10 @@ def input_panels(titles: Sequence[str], unit: str, most: ArrayLike, inputs: Sequ
     return panels
 
 
-def _of_axis(one: Series, axis: int, most: float) -> Series:
+def _of_axis(one: Series, axis: int, limit: float) -> Series:
     """Return a series of one input; values that are 0 but for rounding are 0."""
     values, band = one.values[..., axis], None if one.band is None else one.band[..., axis]
-    values = np.where(np.abs(values) < ROUND_OFF * most, 0.0, values)
+    values = np.where(np.abs(values) < ROUND_OFF * limit, 0.0, values)
     return Series(one.times, values, one.pilot, dash=one.dash, step=True, band=band)
 
 
@@ -155,8 +155,8 @@ def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Pane
     series = []
     for key, each in runs.items():
         positions = each.states @ picture.system.position.T
-        found = signed_distances(picture.obstacles, each.times, positions, picture.system).min(axis=0)
-        series.append(Series(each.times, found, key, band=each.nearest[[0, 2]]))
+        distances = signed_distances(picture.obstacles, each.times, positions, picture.system).min(axis=0)
+        series.append(Series(each.times, distances, key, band=each.nearest[[0, 2]]))
     bound = proven_distance(picture) if proved else None
     if bound is not None:
         (K, q), delta = bound.shape, picture.reference.delta
@@ -182,7 +182,7 @@ def proven_distance(picture: Picture) -> Array | None:
     rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
     grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
     bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
-    found, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
+    gaps, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
@@ -190,5 +190,5 @@ def proven_distance(picture: Picture) -> Array | None:
         gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
         apart = np.abs(rows @ system.position) @ twice[0] + np.abs(rows) @ np.abs(system.position) @ twice[1]
         between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T + apart
-        found.append(between.max(axis=-1))
-    return np.asarray(np.maximum(np.min(found, axis=0), 0.0))
+        gaps.append(between.max(axis=-1))
+    return np.asarray(np.maximum(np.min(gaps, axis=0), 0.0))

@@ -25,28 +25,28 @@ APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 
 
-def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
+def unsafe_items(space: Space, axes: list[int], passages: Sequence[CloseUp]) -> list[Item]:
     """All unsafe sets of a scene by its axes and close-ups; unbounded ones are cut."""
     items: list[Item] = []
     for obstacle in space.picture.obstacles:
         if isinstance(obstacle, KeepIn):
             items += _keep_in(obstacle, space.wider(1.0) if len(axes) == 2 else space, axes)
             continue
-        items += _body(obstacle, space, axes, found)
+        items += _body(obstacle, space, axes, passages)
         if isinstance(obstacle, SatelliteObstacle):
             items += _covers(obstacle, space, axes)
     return items
 
 
-def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
+def _body(obstacle: Obstacle, space: Space, axes: list[int], closeups: Sequence[CloseUp]) -> list[Item]:
     """The true set: once, and the way it goes; a moving wall cut to the scene at every instant."""
     system, end = space.picture.system, space.picture.duration
     shown = space.wider(1.0) if len(axes) == 2 else space
-    passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
+    passages = tuple(i for i, one in enumerate(closeups) if one.obstacle is obstacle)
     moving, cut = moves(obstacle, space.picture), not obstacle.drawn.bounded
     marks: tuple[Mark, ...] = ()
     if len(axes) == 2:
-        chosen = [found[i].time for i in passages] or instants(obstacle, space)
+        chosen = [closeups[i].time for i in passages] or instants(obstacle, space)
         marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
     shapes: tuple[Shape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
     motion: dict[str, Any] = {}
@@ -77,7 +77,7 @@ def _marks(
 ) -> tuple[Mark, ...]:
     """Return the set in the plane at some instants, the most important one first, and the chaser then."""
     known, path = space.picture.safe_path()
-    found = []
+    marks = []
     for order, t in enumerate(times):
         shape = _at(obstacle, space, axes, t)
         if shape is None:
@@ -86,8 +86,8 @@ def _marks(
         rim = None if cover is None else flat_outline(cover[:, axes])
         place = path[int(np.argmin(np.abs(known - t)))][axes]
         place = place if moving and t not in space.picture.hand_overs else None  # a slice has it
-        found.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
-    return tuple(found)
+        marks.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
+    return tuple(marks)
 
 
 def instants(obstacle: Obstacle, space: Space) -> list[float]:
@@ -105,20 +105,20 @@ def instants(obstacle: Obstacle, space: Space) -> list[float]:
         return [closest]
     gone = np.linalg.norm((centres - centres[at])[:, axes], axis=1)
     wanted = APART * float(np.max(np.ptp(outline, axis=0)))
-    found = [closest]
+    chosen = [closest]
     for t in picture.hand_overs:
         node = int(np.argmin(np.abs(times - t)))
-        others = np.asarray(obstacle.centre(np.array(found), system))[:, axes]
+        others = np.asarray(obstacle.centre(np.array(chosen), system))[:, axes]
         apart = np.linalg.norm(others - obstacle.centre(t, system)[axes], axis=1)
         if seen[node] and apart.min() > 0.1 * wanted:
-            found.append(t)
+            chosen.append(t)
     if picture.hand_overs:
-        return found
+        return chosen
     for side in (np.arange(at), np.arange(at + 1, len(times))):
         side = side[seen[side] & (gone[side] > 0.5 * wanted)]
         if len(side):
-            found.append(float(times[side[np.argmin(np.abs(gone[side] - wanted))]]))
-    return found
+            chosen.append(float(times[side[np.argmin(np.abs(gone[side] - wanted))]]))
+    return chosen
 
 
 def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
@@ -129,13 +129,13 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
         return [Item("keep_in", (Shape("line", outline),), name)] if len(outline) else []
     inside = obstacle.inside
     surface = geometry.cut_surface(inside.H, inside.b, space.low, space.high)
-    found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
+    items = [Item("keep_in", (surface.along(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
     lines = geometry.edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
     lines = lines[~on_box(lines, space.low, space.high)][..., axes]
     if len(lines):
-        found.append(Item("sides", (Shape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
-    return found
+        items.append(Item("sides", (Shape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
+    return items
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
