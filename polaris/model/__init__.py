@@ -1,1 +1,1 @@
-"""What the world is: systems, obstacles, distances, and what every other room needs."""
+"""Model of the world: systems, obstacles, distances, and basics that every other room needs."""

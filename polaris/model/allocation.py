@@ -160,8 +160,8 @@ class Allocation:
         left = np.maximum(each.T - multipliers @ self.directions.T, 0.0)
         rest = (left / self.lengths).max(axis=2) if self.kind == PROGRAM else np.linalg.norm(left, axis=2)
         sizes, ways = self.sizes[self.signs, np.arange(len(self.u_max))], 1.0 - 2.0 * self.signs
-        found = multipliers * ways[:, None] + rest[..., None] * sizes[:, None]
-        return np.asarray(np.maximum(found, 0.0).max(axis=0))
+        shares = multipliers * ways[:, None] + rest[..., None] * sizes[:, None]
+        return np.asarray(np.maximum(shares, 0.0).max(axis=0))
 
 
 def axis_pairs(limits: Array) -> tuple[Array, Array]:

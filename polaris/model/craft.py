@@ -266,8 +266,8 @@ def lead_of(system: Craft, h: float) -> Lead | None:
         shares = (np.outer(side, layout.weights) + layout.bounds[:-1]) / (1 - layout.mass)
         left = layout.bit / h * layout.carried
         fixed = left * made.at_once(np.abs(made.directions)) + errors.bit
-    most = h / 8 * (fired + errors.part(fired)) - h / 2 * fixed
-    sizes = h / 2 * shares, h / 2 * fixed, np.maximum(most, 0.0)
+    largest = h / 8 * (fired + errors.part(fired)) - h / 2 * fixed
+    sizes = h / 2 * shares, h / 2 * fixed, np.maximum(largest, 0.0)
     return Lead(*(_as_tuples(size * (1 + 1e-9)) for size in sizes))
 
 

@@ -12,7 +12,7 @@ def escape_controls(text: str) -> str:
 
     Names from files may hold them: a terminal obeys them, and some reverse or hide what is shown.
     """
-    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _CONTROLS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def quoted(value: object) -> str:
@@ -20,7 +20,7 @@ def quoted(value: object) -> str:
 
     A text whose control characters are escaped already looks the same as one that holds them.
     """
-    return re.sub(r"\\(\\|x(..))", lambda found: "\\" + (f"u00{found[2]}" if found[2] else ""), repr(value))
+    return re.sub(r"\\(\\|x(..))", lambda match: "\\" + (f"u00{match[2]}" if match[2] else ""), repr(value))
 
 
 def exact(number: float) -> str:

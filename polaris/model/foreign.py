@@ -80,11 +80,11 @@ def _converted(value: object) -> Array | None:
         return _listed(value)
     if not hasattr(kind, "__array__") and kind not in BUFFERS:
         return None
-    found = np.asarray(value)
-    if found.dtype.kind not in "iuf":
+    data = np.asarray(value)
+    if data.dtype.kind not in "iuf":
         return None
     with np.errstate(all="ignore"):
-        floats = np.array(found, dtype=np.float64, subok=False)
+        floats = np.array(data, dtype=np.float64, subok=False)
     if isinstance(value, np.ma.MaskedArray):
         floats[np.asarray(np.ma.getmaskarray(value))] = np.nan
     return floats
@@ -113,5 +113,5 @@ def settled(value: object) -> Any:
     number = real(value)
     if number is not None:
         return number
-    found = numbers(value)
-    return Unreadable(kind_of(value)) if found is None or found.size > LONGEST else found.copy()
+    data = numbers(value)
+    return Unreadable(kind_of(value)) if data is None or data.size > LONGEST else data.copy()

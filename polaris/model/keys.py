@@ -147,8 +147,8 @@ def keys_of(cls: type) -> dict[str, Key]:
     """Return the keys of a dataclass by the names of its fields; fields without one are not in files."""
     hints = get_type_hints(cls, include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    found = {name: [mark for mark in given if isinstance(mark, Key)] for name, given in marks.items()}
-    return {field.name: found[field.name][0] for field in fields(cls) if found[field.name]}
+    keys = {name: [mark for mark in given if isinstance(mark, Key)] for name, given in marks.items()}
+    return {field.name: keys[field.name][0] for field in fields(cls) if keys[field.name]}
 
 
 _RULES = {

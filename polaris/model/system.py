@@ -150,7 +150,7 @@ class LinearSystem:
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """What messages and figures call the inputs: thrust along Hill's axes, or inputs by number."""
+        """Names of the inputs in messages and figures: thrust along Hill's axes, or inputs by number."""
         if self.mean_motion is not None and self.m == 3:
             return tuple(f"{axis} thrust" for axis in HILL_AXES)
         return tuple(f"input {i}" for i in range(self.m))

@@ -67,12 +67,12 @@ class Thrusters:
 
     @property
     def exact(self) -> bool:
-        """Whether what is commanded is what is applied."""
+        """True if commands are applied without error."""
         return not self.proportional and not np.any(self.bit)
 
     @property
     def proportional(self) -> bool:
-        """Whether the errors depend on what is commanded."""
+        """True if the errors depend on the command."""
         return self.along > 0 or self.across > 0 or bool(self.shares)
 
     def table(self, m: int) -> NDArray[np.float64]:
@@ -110,8 +110,8 @@ class Thrusters:
         """Derivative in u of the sum of `part` with weights >= 0, shape (..., m)."""
         apart = 1.0 - np.eye(u.shape[-1])
         others = np.maximum(np.sqrt(np.square(u) @ apart), 1e-300)
-        found = self.along * weights * np.sign(u) + self.across * u * ((weights / others) @ apart)
-        return np.asarray(found + weights @ np.array(self.shares) * np.sign(u) if self.shares else found)
+        slope = self.along * weights * np.sign(u) + self.across * u * ((weights / others) @ apart)
+        return np.asarray(slope + weights @ np.array(self.shares) * np.sign(u) if self.shares else slope)
 
     def _with_shares(self, part: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
         """Add what sizes of commands (..., m) make by the table of a layout."""

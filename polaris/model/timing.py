@@ -1,4 +1,4 @@
-"""What lies between a measurement and the thrust that answers it: observers, delays, jitter, pulses, faults.
+"""Chain from a measurement to the thrust that answers it: observers, delays, jitter, pulses, faults.
 
 Faults until they are isolated: thrust that is not as commanded, or no measurement, for a while.
 """
@@ -83,7 +83,7 @@ class Timing:
 
     @property
     def instant(self) -> bool:
-        """Whether commands take effect at once, and on time."""
+        """True if commands take effect at once, and on time."""
         return not (self.delay > 0 or self.jitter > 0 or self.missed > 0)
 
 
@@ -125,12 +125,12 @@ class Observer:
 
     @property
     def rest(self) -> Array:
-        """What an update leaves of an error, shape (n, n)."""
+        """Map of an error over an update, shape (n, n)."""
         return self.rests[0]
 
     @property
     def rests(self) -> list[Array]:
-        """The same after 0, 1, ... missed periods."""
+        """Maps of an error over an update after 0, 1, ... missed periods, shape (n, n) each."""
         return [np.eye(len(gain)) - gain @ self.measures for gain in (self.gain, *self.after)]
 
 
@@ -152,9 +152,9 @@ class Transient:
 
     @property
     def pushes(self) -> Array:
-        """How far inputs may be from what is commanded meanwhile: a row for each kind, shape (J, m) [N]."""
+        """Largest differences of inputs from commands meanwhile: a row for each kind, shape (J, m) [N]."""
         return np.asarray(np.unique(np.abs(self.thrust) * self.share, axis=0))
 
     def wrong(self, thrusters: Thrusters) -> Array:
-        """The same with the errors that it brings along of thrusters."""
+        """Return the fault thrust plus the proportional thruster error that it causes, shape (J, m) [N]."""
         return np.asarray(self.pushes + thrusters.part(self.pushes))

@@ -22,10 +22,10 @@ def versions() -> dict[str, str]:
     from .compiled import wanted
 
     used = ("numba",) if wanted() else ()
-    found = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
+    known = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib", *used):
         try:
-            found[name] = _installed(name)
+            known[name] = _installed(name)
         except metadata.PackageNotFoundError:  # vendored, or installed without its metadata
-            found[name] = "unknown"
-    return found
+            known[name] = "unknown"
+    return known

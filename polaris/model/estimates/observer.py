@@ -84,25 +84,25 @@ class Filtering:
     @cached_property
     def turned(self) -> list[Array]:
         """Maps by which an update adds to errors so many periods later, periods apart, by its kind."""
-        loop, found = self._forgetting[0], [0 * self.left]
+        loop, maps = self._forgetting[0], [0 * self.left]
         for j, rest in enumerate(self.observer.rests[1:], 2):
             other = rest @ expm(self.system.A * self.h * j) - np.linalg.matrix_power(loop, j)
-            found.append(np.abs(self.left @ other))
-        return found
+            maps.append(np.abs(self.left @ other))
+        return maps
 
     def added(self, noise: Array, w_max: float, E: Array | None) -> list[Array]:
         """Bounds on what an update adds so many periods later, by its kind, (count + kinds, n) each.
 
         Of errors of measurements up to `noise` (r,), of the disturbance, and of rates in a box by columns E.
         """
-        system, observer, found = self.system, self.observer, list[Array]()
+        system, observer, bounds = self.system, self.observer, list[Array]()
         flow = LinearFlow.continuous(system.A, system.D, w_max, self.h / IN_PERIOD, E)
         for j, (gain, rest) in enumerate(zip((observer.gain, *observer.after), observer.rests, strict=True)):
             pushed = flow.disturbance_support((self.left @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1))[
                 -1
             ]
-            found.append(pushed.reshape(self.left.shape[:2]) + np.abs(self.left @ gain) @ noise)
-        return found
+            bounds.append(pushed.reshape(self.left.shape[:2]) + np.abs(self.left @ gain) @ noise)
+        return bounds
 
     def _summed(self, come: list[Array], known: Array) -> Array:
         """Bound what updates add by the worst pattern, by periods, errors before within `known`, (., n)."""
@@ -126,21 +126,21 @@ class Filtering:
         """
         last, kinds = self._forgetting[1], len(come)
 
-        def most(known: Array) -> Array:
+        def worst(known: Array) -> Array:
             """Errors if those so many periods before were within `known`, by the worst pattern."""
             sums = self._summed(come, known)
             sums[self.count :] += np.abs(self.left[self.count :]) @ known
             return np.asarray(np.max(sums[self.count * (kinds == 1) :], axis=0) * (1 + ROUNDED))
 
-        alone = np.linalg.solve(np.eye(self.system.n) - last, most(np.zeros(self.system.n)))
-        found = np.asarray(alone * (1 + ROUNDED))
+        alone = np.linalg.solve(np.eye(self.system.n) - last, worst(np.zeros(self.system.n)))
+        bound = np.asarray(alone * (1 + ROUNDED))
         for _ in range(ROUNDS if kinds > 1 else 0):
-            if np.all((more := most(found)) <= found):
-                return np.asarray(found)
-            found = np.maximum(found, more * (1 + SPARE))
+            if np.all((more := worst(bound)) <= bound):
+                return np.asarray(bound)
+            bound = np.maximum(bound, more * (1 + SPARE))
         if kinds > 1:
             self._refuse()
-        return np.asarray(found)
+        return np.asarray(bound)
 
     def _refuse(self) -> NoReturn:
         missed = len(self.observer.after)
@@ -151,16 +151,16 @@ class Filtering:
 
         Just after an update, by every pattern of missed periods, if updates add `come`.
         """
-        found = np.abs(powers(self._forgetting[0], periods)) @ first * (1 + ROUNDED)
+        bounds = np.abs(powers(self._forgetting[0], periods)) @ first * (1 + ROUNDED)
         for age in range(1, periods + 1):
-            before = found[:age][::-1, :, None]  # at once, one period before, ...
+            before = bounds[:age][::-1, :, None]  # at once, one period before, ...
             each = [(off[: age - j] @ before[j:])[..., 0] for j, off in enumerate(self.turned[:age])]
             sums = np.zeros((age + 1, len(first)))
             for at in range(age):
                 for j, more in enumerate(each[: age - at]):
                     np.maximum(sums[at + j + 1], sums[at] + come[j][at] + more[at], out=sums[at + j + 1])
-            found[age] += sums[age] * (1 + ROUNDED)
-        return found
+            bounds[age] += sums[age] * (1 + ROUNDED)
+        return bounds
 
     def usual(self, settled: Array) -> Array:
         """Bound what is left of `settled` errors, (n,) positive, until little is, (near + late + 1, n).
@@ -168,13 +168,13 @@ class Filtering:
         With `late` periods that may be missed. Raises what `largest` does.
         """
         late, none = len(self.observer.after), [0 * self.left[..., 0]] * len(self.turned)
-        found = self.after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
-        shares = np.max(found / settled, axis=1)
+        bounds = self.after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
+        shares = np.max(bounds / settled, axis=1)
         shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
         if not shares[-1] < 1:
             self._refuse()
         near = int(np.argmax(shares <= LITTLE)) if shares[-1] <= LITTLE else len(shares) - 1
-        return found[: near + late + 1]
+        return bounds[: near + late + 1]
 
     def fading(self, first: Array, settled: Array) -> Array:
         """Bound what is left of errors within `first` (n,) so many periods later, and ever after.
@@ -184,9 +184,9 @@ class Filtering:
         """
         usual, none = self.usual(settled), [0 * self.left[..., 0]] * len(self.turned)
         near = len(usual) - 1 - len(self.observer.after)
-        found = self.after(first, len(usual) - 1, none)
-        share = np.max(found[near:] / settled)
-        return np.vstack([found[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
+        bounds = self.after(first, len(usual) - 1, none)
+        share = np.max(bounds[near:] / settled)
+        return np.vstack([bounds[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
 
     def _fading_always_measured(self, first: Array, periods: int) -> Array:
         """Bound the same without missed periods, so many periods later and ever after, (periods + 2, n)."""
@@ -209,12 +209,12 @@ class Filtering:
 
         Long after the start. Raises what `largest` does.
         """
-        found = self.largest(self.alone(moved))
+        total = self.largest(self.alone(moved))
         if not self.system.thrusters.proportional:
-            return found, np.zeros((self.system.n, self.system.m))
+            return total, np.zeros((self.system.n, self.system.m))
         none = 0 * self.observer.noise
         units = [self.largest(self.added(none, 0.0, column[:, None])) for column in self.system.B.T]
-        return found, np.column_stack(units)
+        return total, np.column_stack(units)
 
     def by_age(self, settled: Array, units: Array, size: Array) -> tuple[tuple[int, ...], Array]:
         """Return ages, and what errors of thrusters of so many periods ago or more make, (ages, n, m).
@@ -254,16 +254,16 @@ def observing(system: Craft, observer: Observer, h: float, moved: Array | float 
     filtering, observer = Filtering(system, observer, h), replace(observer, ages=(), by_age=None)
     alone, units = filtering.parts(moved)
     size = system.thrusters.part(system.u_max)
-    found = (alone + units @ size) * (1 + ROUNDED)
+    error = (alone + units @ size) * (1 + ROUNDED)
     if observer.after:
-        observer = replace(observer, followed=len(filtering.usual(found)) - 1 - len(observer.after))
+        observer = replace(observer, followed=len(filtering.usual(error)) - 1 - len(observer.after))
         if np.any(units):
-            ages, by_age = filtering.by_age(found, units, size)
+            ages, by_age = filtering.by_age(error, units, size)
             observer = replace(observer, ages=ages, by_age=by_age)
     if observer.initial is None:
-        return replace(system, observer=observer, estimate_error=found)
-    left = filtering.by_step(found, alone, moved)
-    return replace(system, observer=replace(observer, settled=found, fading=left), error_by_step=found + left)
+        return replace(system, observer=observer, estimate_error=error)
+    left = filtering.by_step(error, alone, moved)
+    return replace(system, observer=replace(observer, settled=error, fading=left), error_by_step=error + left)
 
 
 def design(
@@ -283,28 +283,28 @@ def design(
         If measurements do not see a motion that does not decay.
     """
     first, *others = SHARES if system.thrusters.proportional else SHARES[:1]
-    found = [_designed(system, measures, noise, h, missed, first)]
+    designs = [_designed(system, measures, noise, h, missed, first)]
     for share in others:
         with suppress(ScenarioError):
-            found.append(_designed(system, measures, noise, h, missed, share))
-    if len(found) == 1:
-        return found[0]
-    each = [Filtering(system, one, h).parts() for one in found]
+            designs.append(_designed(system, measures, noise, h, missed, share))
+    if len(designs) == 1:
+        return designs[0]
+    each = [Filtering(system, one, h).parts() for one in designs]
     full = system.thrusters.part(system.u_max)
     parts = [full * CALM, *[full] * boxed]
     sizes = np.array([[alone + units @ part for part in parts] for alone, units in each])
-    return found[int(np.argmin(np.log(np.maximum(sizes, 1e-300)).sum(axis=(1, 2))))]
+    return designs[int(np.argmin(np.log(np.maximum(sizes, 1e-300)).sum(axis=(1, 2))))]
 
 
 def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float) -> Observer:
     """Design an observer for errors of thrusters under a share of their limits, which forgets in time."""
     for unseen in UNSEEN:
-        found = _made(system, measures, noise, h, missed, share, unseen)
-        filtering = Filtering(system, found, h)
+        made = _made(system, measures, noise, h, missed, share, unseen)
+        filtering = Filtering(system, made, h)
         with suppress(ScenarioError):
-            if not missed or len(filtering.usual(_size(system, found, h))):
+            if not missed or len(filtering.usual(_size(system, made, h))):
                 break
-    return found
+    return made
 
 
 def _made(
@@ -329,13 +329,13 @@ def _made(
         later.append(_kalman(P, measures, covariance))
         whole = np.eye(system.n) - np.linalg.matrix_power(loop, j) @ expm(-system.A * h * j)
         prompt.append(whole @ np.linalg.pinv(measures))
-    plain, found = _size(system, steady, h), list[tuple[float, Observer]]()
+    plain, candidates = _size(system, steady, h), list[tuple[float, Observer]]()
     for after in (prompt, later):
         observer = replace(steady, after=tuple(after))
         with suppress(ScenarioError):
             size = _size(system, observer, h) / np.maximum(plain, 1e-300)
-            found.append((float(size.sum()), observer))
-    return min(found, key=lambda each: each[0])[1] if found else observer
+            candidates.append((float(size.sum()), observer))
+    return min(candidates, key=lambda each: each[0])[1] if candidates else observer
 
 
 def _kalman(P: Array, measures: Array, covariance: Array) -> Array:

@@ -139,11 +139,11 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
     layers = [(hidden, unseen)] * (hidden > 0) + [(hidden + age, added) for age, added in older]
-    found = np.max(errors, axis=0) + sum(added @ full for _, added in layers)
-    told = tuple((age, tuple(map(tuple, added.tolist()))) for age, added in layers)
-    system = replace(system, timing=replace(timing, unseen=told))
-    by_step = None if len(steps) == 1 else found[of_step.ravel()]
-    return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)
+    bounds = np.max(errors, axis=0) + sum(added @ full for _, added in layers)
+    nested = tuple((age, tuple(map(tuple, added.tolist()))) for age, added in layers)
+    system = replace(system, timing=replace(timing, unseen=nested))
+    by_step = None if len(steps) == 1 else bounds[of_step.ravel()]
+    return replace(system, estimate_error=np.max(bounds, axis=0), error_by_step=by_step)
 
 
 def _older(system: Craft, ages: Sequence[float]) -> list[tuple[int, Array]]:

@@ -92,7 +92,7 @@ def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
 
 
 def _durations(t: ArrayLike, count: int) -> Array:
-    """How long each of `count` samples holds [s], shape (..., count).
+    """Return the time for which each of `count` samples holds [s], shape (..., count).
 
     Given one time more than samples, the last is the end; given as many, the last sample holds
     for no time.

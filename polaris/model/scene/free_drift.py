@@ -19,11 +19,11 @@ MOST_HALVINGS = 12  # most halvings of a coarse interval
 
 
 class Drifting(Protocol):
-    """What is asked of an obstacle; every `polaris.Obstacle` has it."""
+    """Interface of an obstacle during free drift; every `polaris.Obstacle` has it."""
 
     @property
     def name(self) -> str:
-        """What `states` calls it."""
+        """Name of the obstacle in `states`."""
 
     @property
     def shape(self) -> Shape:
@@ -88,8 +88,8 @@ class _Search:
         """Entry time [s] of ``C e^{A s} y - c - v s`` into the shape, shape (N,)."""
         step = max(1, CHUNK // (self.coarse.shape[0] * 8 * y.shape[1]))
         parts = [slice(i, i + step) for i in range(0, len(y), step)]
-        found = [self._chunk(shape, y[part], c[part], v[part]) for part in parts]
-        return np.concatenate(found) if found else np.empty(0)
+        times = [self._chunk(shape, y[part], c[part], v[part]) for part in parts]
+        return np.concatenate(times) if times else np.empty(0)
 
     def _chunk(self, shape: Shape, y: Array, c: Array, v: Array) -> Array:
         s = self.h * np.arange(self.count + 1)

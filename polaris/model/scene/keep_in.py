@@ -49,7 +49,7 @@ class Outside:
         return self.inner.exit_time(p, v)
 
     def overlap(self, place: Zonotope) -> float:
-        """How far [m] some point of a zonotope is beyond a facet."""
+        """Return how far [m] some point of a zonotope is beyond a facet."""
         return float(np.max(place.support(self.inner.H) - self.inner.b))
 
 
@@ -102,7 +102,7 @@ class OutsideCone:
         return np.where(self.signed_distance(p) <= 0, 0.0, _in_time(np.minimum(side, end), speed))
 
     def overlap(self, place: Zonotope) -> float:
-        """How far [m] a corner of a zonotope (if many, an end of its generators) is out of the cone."""
+        """Return how far [m] a zonotope's corner (if many, an end of its generators) is out of the cone."""
         few = 2 ** int(np.any(place.G != 0, axis=0).sum()) <= MOST_CORNERS
         ends = place.corners(MOST_CORNERS) if few else place.c + np.hstack([place.G, -place.G]).T
         return -float(self.signed_distance(ends).min())
@@ -113,7 +113,7 @@ class KeepIn(Anchored):
 
     @property
     def path(self) -> str:
-        """What error messages start with."""
+        """Beginning of error messages."""
         return f"keep_in[{quoted(self.name)}]"
 
     @property
@@ -162,13 +162,13 @@ class KeepInPolytope(Faceted, KeepIn):
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """As of all keep-in sets, in the steps in which it holds."""
-        found = super().timed_polytopes(system, delta, cells)
+        timed = super().timed_polytopes(system, delta, cells)
         holds = during(self.begins, self.ends, np.arange(cells, dtype=float) * delta, delta)
         if holds.all() and self.ends == np.inf:
-            return found
+            return timed
         known = all(when < cells * delta for when in (self.begins, self.ends) if when != np.inf)
         factor = np.where(holds, 1.0, FAR)[:, None, None]
-        return tuple(replace(one, offsets=one.offsets * factor, static=known) for one in found)
+        return tuple(replace(one, offsets=one.offsets * factor, static=known) for one in timed)
 
     def signed_distance(self, t: ArrayLike, p: ArrayLike, *known: Any) -> Array:
         """As of all obstacles; inf while it does not hold."""
@@ -178,9 +178,9 @@ class KeepInPolytope(Faceted, KeepIn):
         """As of all obstacles; inf while it does not hold."""
         return self._while(t, super().entry_time(t, p, v, *known))
 
-    def _while(self, t: ArrayLike, found: Array) -> Array:
+    def _while(self, t: ArrayLike, distances: Array) -> Array:
         holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
-        return found if np.all(holds) else np.where(holds, found, np.inf)
+        return distances if np.all(holds) else np.where(holds, distances, np.inf)
 
     def _grown(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)

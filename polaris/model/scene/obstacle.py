@@ -1,4 +1,4 @@
-"""What every obstacle has in common, and the motion of rigid ones."""
+"""Base of all obstacles, and the motion of rigid ones."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -48,9 +48,9 @@ class Obstacle(ABC):
         """
         if not radius > 0:
             return self
-        found = self._grown(radius)
-        object.__setattr__(found, "chaser_radius", self.chaser_radius + radius)
-        return found
+        grown = self._grown(radius)
+        object.__setattr__(grown, "chaser_radius", self.chaser_radius + radius)
+        return grown
 
     def _grown(self, radius: float) -> Self:
         rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
@@ -65,7 +65,7 @@ class Obstacle(ABC):
 
     @property
     def path(self) -> str:
-        """What error messages start with."""
+        """Beginning of error messages."""
         return f"obstacles[{quoted(self.name)}]"
 
     @property
@@ -76,7 +76,7 @@ class Obstacle(ABC):
     @property
     @abstractmethod
     def drawn(self) -> Ball | Polytope:
-        """What figures show, relative to `centre`: the shape, or a polytope for it."""
+        """Shape in figures, relative to `centre`: the true one, or a polytope for it."""
 
     @abstractmethod
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
@@ -278,6 +278,6 @@ def solid(path: str, H: ArrayLike, b: ArrayLike) -> Polytope:
     """Build a polytope with unit rows, refused unless it has an interior."""
     polytope = Polytope(*halfspaces(path, H, b))
     if not polytope.depth > 1e-9 * max(float(np.abs(polytope.b).max()), FLAT):
-        found = "no point satisfies them all" if polytope.depth < 0 else "the set has no volume"
-        raise ScenarioError(f"{path}.b", polytope.b.tolist(), f"H p <= b must have an interior; {found}")
+        detail = "no point satisfies them all" if polytope.depth < 0 else "the set has no volume"
+        raise ScenarioError(f"{path}.b", polytope.b.tolist(), f"H p <= b must have an interior; {detail}")
     return polytope

@@ -157,5 +157,5 @@ def perceive(
         if obstacle.name in seen:
             raise ScenarioError(f"{obstacle.path}.name", obstacle.name, "must differ from the other names")
         seen.add(obstacle.name)
-    found = [obstacle.timed_polytopes(system, delta, cells) for obstacle in obstacles]
-    return tuple(polytope for several in found for polytope in several)
+    sets = [obstacle.timed_polytopes(system, delta, cells) for obstacle in obstacles]
+    return tuple(polytope for several in sets for polytope in several)

@@ -141,8 +141,8 @@ class SatelliteObstacle(Obstacle):
     def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d)."""
         rows = np.vstack([system.position, system.velocity])
-        most = self._cover(system, np.vstack([rows, -rows]), h, count, 1)[2] - self.radius
-        high, low = most[:, : len(rows)], -most[:, len(rows) :]
+        reach = self._cover(system, np.vstack([rows, -rows]), h, count, 1)[2] - self.radius
+        high, low = reach[:, : len(rows)], -reach[:, len(rows) :]
         return (high + low) / 2, (high - low) / 2
 
     def pushes(self, system: LinearSystem) -> tuple[tuple[Array, float], ...]:
@@ -153,15 +153,15 @@ class SatelliteObstacle(Obstacle):
         ScenarioError
             If it has thrust, but the system no acceleration of the position.
         """
-        found = [(system.D, system.w_max)] if system.w_max > 0 else []
-        found += [(column[:, None], 1.0) for column in system.biases.T]  # one of its own, or the chaser's
+        pushes = [(system.D, system.w_max)] if system.w_max > 0 else []
+        pushes += [(column[:, None], 1.0) for column in system.biases.T]  # one of its own, or the chaser's
         if self.thrust_accel_max > 0:
             try:
-                found.append((system.acceleration_input, self.thrust_accel_max))
+                pushes.append((system.acceleration_input, self.thrust_accel_max))
             except ScenarioError as error:
                 rule = f"must be 0 in this system: the position {error.rule}"
                 raise ScenarioError(f"{self.path}.thrust_accel_max", self.thrust_accel_max, rule) from error
-        return tuple(found)
+        return tuple(pushes)
 
     def nominal(self, t: ArrayLike, system: LinearSystem) -> Array:
         """Undisturbed state at times t [s], shape (..., n)."""

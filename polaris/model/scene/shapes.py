@@ -23,7 +23,7 @@ CHUNK = 200_000  # numbers held at once while distances and times to a polytope 
 
 
 class Shape(Protocol):
-    """What the metrics ask of a shape (positions relative to its origin)."""
+    """Interface of a shape for the metrics (positions relative to its origin)."""
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of points (..., d), shape (...,)."""
@@ -50,7 +50,7 @@ def _in_time(path: Array, speed: Array) -> Array:
 
 
 def _in_parts(measure: Callable[..., Array], width: int, *given: Array) -> Array:
-    """What is measured of stacks of vectors (..., d), of so many at a time that `CHUNK` numbers are held."""
+    """Measure stacks of vectors (..., d), so many at a time that `CHUNK` numbers are held, shape (...)."""
     stacks = [np.asarray(one, dtype=float) for one in given]
     shape = np.broadcast_shapes(*(one.shape[:-1] for one in stacks))
     flat = [np.broadcast_to(one, shape + one.shape[-1:]).reshape(-1, one.shape[-1]) for one in stacks]
@@ -143,13 +143,13 @@ class Polytope:
         """
         corners, tolerance = self._minimal_faces
         active = np.abs(corners @ self.H.T - self.b) <= 100 * tolerance
-        found: dict[int, set[tuple[int, ...]]] = {s: set() for s in range(2, self.d + 1)}
+        subsets: dict[int, set[tuple[int, ...]]] = {s: set() for s in range(2, self.d + 1)}
         for row in active:
             rows = [int(i) for i in np.flatnonzero(row)]
-            for s, sets in found.items():
+            for s, sets in subsets.items():
                 sets.update(combinations(rows, s))
         faces = []
-        for sets in found.values():
+        for sets in subsets.values():
             if not sets:
                 continue
             index = np.array(sorted(sets))
@@ -198,7 +198,7 @@ class Polytope:
 
     @cached_property
     def bounded(self) -> bool:
-        """Whether it is bounded: the normals positively span the space."""
+        """True if it is bounded: the normals positively span the space."""
         from scipy.optimize import linprog
 
         if np.linalg.matrix_rank(self.H, tol=1e-10) < self.d:

@@ -59,7 +59,7 @@ class StateLimit(Obstacle):
 
     @property
     def path(self) -> str:
-        """What error messages start with."""
+        """Beginning of error messages."""
         return f"{'keep_in' if self.inside else 'obstacles'}[{quoted(self.name)}]"
 
     @abstractmethod
@@ -83,7 +83,7 @@ class StateLimit(Obstacle):
         """
         self._check_cells(system, delta, cells, system.d)
         holds = self.steps(delta, cells)
-        known, found = max(self.begins, self.ends or 0.0) <= cells * delta, []
+        known, timed = max(self.begins, self.ends or 0.0) <= cells * delta, []
         moved = system.displaced if isinstance(system, Craft) else np.zeros(system.n)
         for i, part in enumerate(self.polytopes(system)):
             rows, b = self._measured(*part, system)
@@ -91,8 +91,8 @@ class StateLimit(Obstacle):
             away = -(FAR**2) * (FAR + np.abs(b))
             offsets = np.where(holds[:, None, None], grown, away) + np.zeros((cells, 2, 1))
             name = f"{self.name}[{i}]" if self.inside else self.name
-            found.append(TimedPolytope(name, rows, offsets, self.inside, known, of_state=True))
-        return tuple(found)
+            timed.append(TimedPolytope(name, rows, offsets, self.inside, known, of_state=True))
+        return tuple(timed)
 
     def steps(self, delta: float, cells: int) -> NDArray[np.bool_]:
         """Return True for the steps, of `delta` [s], in which it holds at any time, (cells,)."""

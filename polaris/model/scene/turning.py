@@ -113,7 +113,7 @@ class TurningKeepIn(StateLimit):
         along, turned = self._turned(middle)
         sides = [along + self._turned(middle + way)[1] for way in (-wide, wide)]
         corners = np.stack([*sides, along + turned / np.cos(wide)[:, None, None]])  # (3, k, F, d)
-        found, far, each = [], FAR**3, np.arange(len(steps))
+        timed, far, each = [], FAR**3, np.arange(len(steps))
         for f, b in enumerate(np.asarray(self.b)):
             for i in range(CORNERS):
                 rows = -corners[i, :, f] @ system.position
@@ -124,8 +124,8 @@ class TurningKeepIn(StateLimit):
                 rows = rows if len(steps) else np.ones((1, system.n))
                 name = f"{self.name}[{CORNERS * f + i}]"
                 known = self.ends <= cells * delta
-                found.append(TimedPolytope(name, rows, offsets, True, known, of_state=True))
-        return tuple(found)
+                timed.append(TimedPolytope(name, rows, offsets, True, known, of_state=True))
+        return tuple(timed)
 
     def signed_distance(
         self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
