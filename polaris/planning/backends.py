@@ -63,22 +63,22 @@ def _warm_highs(**options: Any) -> Any:
 
         def findSolutionValues(self, lp: Any) -> tuple[int, int]:
             try:
-                found: tuple[int, int] = super().findSolutionValues(lp)
+                status: tuple[int, int] = super().findSolutionValues(lp)
             except KeyError:  # statuses that PuLP has no word for, as of a limit on nodes; values are set
-                found = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
-            return found
+                status = (pulp.LpStatusNotSolved, pulp.LpSolutionNoSolutionFound)
+            return status
 
     return WarmHiGHS(msg=False, **options)
 
 
-def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
+def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> Found:
     highspy = silent_highspy()
     kind, gave_up = highspy.HighsModelStatus, [""]
     asked = count()
 
     def ask(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         gave_up[0] = hear(data.mip_primal_bound, data.mip_dual_bound, data.mip_node_count) or gave_up[0]
-        gave_up[0] = gave_up[0] or ("effort_limit" if next(asked) >= ASKED * most else "")
+        gave_up[0] = gave_up[0] or ("effort_limit" if next(asked) >= ASKED * limit else "")
         answer.user_interrupt = bool(gave_up[0])
 
     solver = _warm_highs(
@@ -87,7 +87,7 @@ def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: He
         threads=options.threads,
         callbackTuple=(ask, None),
         callbacksToActivate=[highspy.cb.HighsCallbackType.kCallbackMipInterrupt],
-        mip_max_nodes=most,
+        mip_max_nodes=limit,
         primal_feasibility_tolerance=SOLVER_FEASIBILITY,
         mip_feasibility_tolerance=SOLVER_FEASIBILITY,
     )
@@ -103,7 +103,7 @@ def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: He
     return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, solved, bound, nodes)
 
 
-def _gurobi(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
+def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> Found:
     import gurobipy as gp
     import pulp
 
@@ -121,8 +121,8 @@ def _gurobi(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: H
     settings = {
         "timeLimit": seconds if np.isfinite(seconds) else None,
         "MIPGap": options.gap / 2,  # PuLP's own argument passes a gap of 0 over
-        "NodeLimit": most,
-        "IterationLimit": PIVOTS * most,
+        "NodeLimit": limit,
+        "IterationLimit": PIVOTS * limit,
         "FeasibilityTol": SOLVER_FEASIBILITY,
         "IntFeasTol": SOLVER_FEASIBILITY,
         "Threads": 0 if options.threads is None else options.threads,

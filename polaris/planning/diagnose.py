@@ -108,20 +108,20 @@ def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
     search = PathSearch(rows, stop)
     search.set_prices(0.0, 0.0, short=1e3, fuel=1e-3)
-    found = search.first()
-    half, most = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT
+    path = search.first()
+    half, limit = perf_counter() + 0.5 * max(stop - perf_counter(), 0.0), search.solves + EFFORT
 
     def spent(best: Candidate | None) -> str:
-        return "effort_limit" if search.solves >= most else "time_limit" if perf_counter() > half else ""
+        return "effort_limit" if search.solves >= limit else "time_limit" if perf_counter() > half else ""
 
-    outcome = branch(search, found, 0.02, spent)
+    outcome = branch(search, path, 0.02, spent)
     if outcome.best is None:
         return None, False
     return outcome.best.short, outcome.status == "optimal"
 
 
 def _works(problem: PlanProblem, stop: float, **changes: Any) -> bool:
-    """Whether the quick search finds a plan of a changed problem."""
+    """Return True if the quick search finds a plan of a changed problem."""
     search = PathSearch(Rows(replace(problem, objective="fuel", **changes)), stop)
     search.set_prices(0.0, 0.0, short=1e4)
     path = search.first()

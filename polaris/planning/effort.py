@@ -1,4 +1,4 @@
-"""What a run of the planner has used of its effort and its time, and how far it may still go."""
+"""Account of the effort and time that a run of the planner has used, and limits on the rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ margin, and proving that no larger margin exists once a path is known."""
 
 @dataclass(frozen=True)
 class Allowance:
-    """How far a stage may go: counts of linear programs or nodes, and values of `time.perf_counter`.
+    """Limits of a stage: counts of linear programs or nodes, and values of `time.perf_counter`.
 
     The first of each holds where the stage is `spare`: it may be given up with the path known by then.
     """
@@ -30,7 +30,7 @@ class Allowance:
     spare: Spare
 
     def spent(self, path: Candidate | None, used: float) -> str:
-        """What stops the stage, or an empty string."""
+        """Return the name of the limit that stops the stage, or an empty string."""
         which = 0 if self.spare(path) else 1
         if used >= self.effort[which]:
             return "effort_limit"
@@ -66,9 +66,9 @@ class Effort:
     def allow(self, share: float, spare: Spare) -> Allowance:
         """A share of what is left; `SPARE_SHARE` of it where the stage is spare."""
         options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
-        most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
+        limit = options.max_linear_programs if options.solver == "facets" else options.max_nodes
         spare_end, end = (perf_counter() + (each * self.left if each else 0.0) for each in shares.tolist())
-        effort = used + shares * max(most - used, 0.0)
+        effort = used + shares * max(limit - used, 0.0)
         return Allowance(tuple(effort.tolist()), (spare_end, end), spare)
 
     def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:

@@ -73,7 +73,7 @@ class FollowingSearch(PathSearch):
         return path if path is not None and path.short == 0 else None
 
     def improved(self, path: Candidate | None) -> Candidate | None:
-        """The same with facets chosen anew where it has most room, whatever the guide, while it pays."""
+        """Improve the path: choose facets anew where it has most room, whatever the guide, while it pays."""
         if path is None:
             return None
         guide, self.guide = self.guide, None

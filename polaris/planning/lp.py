@@ -145,9 +145,9 @@ class GrowingLP:
         return np.vstack(self._a), np.concatenate(self._least)
 
     def ray(self) -> Array:
-        """What proves that the program just solved has no point: weights of its rows, shape (R,), or none."""
-        found, weights = self.highs.getDualRay()[1:]
-        return np.asarray(weights, dtype=float) if found else np.zeros(self.rows)
+        """Return weights of rows, (R,), that prove the program just solved infeasible; zeros if not known."""
+        known, weights = self.highs.getDualRay()[1:]
+        return np.asarray(weights, dtype=float) if known else np.zeros(self.rows)
 
     def costs(self, a: Array, lack: Array) -> Array:
         """Lower bounds, shape (J,), on what the optimum loses if one more row has to hold, without solving.

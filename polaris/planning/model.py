@@ -44,8 +44,8 @@ class Model:
         self.back = np.linalg.inv(self.frame)
         self.K, m, new = self.rows.problem.K, self.rows.problem.system.m, self.lp.add_variable
         limit, steps, n = self.rows.limit.tolist(), range(1, self.K + 1), len(self.frame)
-        self.plus = [new(f"p{j // m}_{j % m}", 0.0, most) for j, most in enumerate(limit)]
-        self.minus = [new(f"m{j // m}_{j % m}", 0.0, most) for j, most in enumerate(limit)]
+        self.plus = [new(f"p{j // m}_{j % m}", 0.0, top) for j, top in enumerate(limit)]
+        self.minus = [new(f"m{j // m}_{j % m}", 0.0, top) for j, top in enumerate(limit)]
         self.s = new("s", search.low, search.high)
         self.x = [[new(f"x{k}_{i}") for i in range(n)] for k in steps]
         inputs, price = self.plus + self.minus, np.tile(self.rows.price, 2)
@@ -91,14 +91,14 @@ class Model:
         """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
         rows, search = self.rows, self.search
         options = rows.options(key)
-        most = rows.extreme(options.a, self.budget)
-        least = -most
+        largest = rows.extreme(options.a, self.budget)
+        least = -largest
         if key[0] < 0:  # the goal's own inequalities bound its rows too
             goal = rows.problem.goal.conditions
             floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.length
             least = np.maximum(least, floor[:, None] - options.free)
         big = options.need + options.slope * search.high - least
-        can = np.all(most >= options.need + options.slope * search.low - 1e-9, axis=1)
+        can = np.all(largest >= options.need + options.slope * search.low - 1e-9, axis=1)
         chosen, k = np.nonzero(can)[0].tolist(), options.at
         need = options.need + (options.free if k else 0.0)
         variables = (self.x[k - 1] if k else []) + self._inputs(k) + [self.s]
@@ -226,13 +226,13 @@ def _run(
         model.begin_at(best)
     which = 0 if best is not None and allowed.spare(best) else 1
     nodes, seconds = max(int(allowed.effort[which] - used), 1), allowed.deadline[which] - begun
-    found = backends.run(model.lp, effort.options, nodes, seconds, hear)
+    answer = backends.run(model.lp, effort.options, nodes, seconds, hear)
     effort.add_time("solver", begun)
     binaries = sum(z is not None for z in model.z.values())
     sizes = {"rows": model.lp.numConstraints(), "cols": model.lp.numVariables(), "binaries": binaries}
     effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
-    effort.stats["nodes"] += found.nodes
-    return found
+    effort.stats["nodes"] += answer.nodes
+    return answer
 
 
 def _polished(search: PathSearch, path: Candidate) -> tuple[Candidate | None, dict[Key, float]]:

@@ -1,4 +1,4 @@
-"""What the planner is asked (`PlanProblem`), how (`PlannerOptions`), and what it answers (`Plan`)."""
+"""Problem of the planner (`PlanProblem`), its options (`PlannerOptions`) and its answer (`Plan`)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -94,7 +94,7 @@ class PlanProblem:
 
 @dataclass(frozen=True)
 class Progress:
-    """What a progress callback receives.
+    """Progress of a run of the planner, as a callback receives it.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ ARCS = 8  # parts of a cell
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What the re-check found of a plan, clipped to its input limits and propagated exactly over K cells.
+    """Result of re-checking a plan, clipped to its input limits and propagated exactly over K cells.
 
     `surplus` holds, per unsafe set, the certified lower bound [m] on ``normal p(t) - b(t) - margin`` over
     each cell for each facet, shape (cells, F); `goal` the relative violation of the goal and its name.
@@ -85,9 +85,9 @@ def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
 
 
 def certified(
-    problem: PlanProblem, nu: Array, wanted: Array, value: float, bound: float, status: str, **found: Any
+    problem: PlanProblem, nu: Array, wanted: Array, value: float, bound: float, status: str, **others: Any
 ) -> Plan:
-    """Re-check inputs and make a `Plan` of them, with `found` for the rest; `NotCertified` if one fails."""
+    """Re-check inputs and make a `Plan` of them, with `others` for the rest; `NotCertified` if one fails."""
     K = problem.K
     check = recheck(problem, nu)
     shape = (len(problem.unsafe), problem.cells)
@@ -118,5 +118,5 @@ def certified(
         objective=float(value),
         bound=float(bound),
         gap=float(relative_gap(value, bound)),
-        **found,
+        **others,
     )

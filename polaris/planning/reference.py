@@ -15,7 +15,7 @@ from ..model.tolerances import REFERENCE
 
 @lru_cache(maxsize=256)
 def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
-    """What moves states and held inputs over j parts of q of a step, shapes (q+1, n, n), (q+1, n, m)."""
+    """Return maps of states and held inputs over j of q parts of a step, (q+1, n, n) and (q+1, n, m)."""
     moved, pushed = zip(*(discretize(system.A, system.B, delta * j / q) for j in range(q + 1)), strict=True)
     return np.array(moved), np.array(pushed)
 
@@ -78,7 +78,7 @@ class Reference:
         return np.asarray(np.abs(rate) @ growth(A, self.delta / (nodes.shape[1] - 1)).T)
 
     def extend(self, cells: int) -> "Reference":
-        """The same trajectory followed by `cells` steps with zero input (coasting)."""
+        """Return the trajectory followed by `cells` steps with zero input (coasting)."""
         tail = Reference.propagate(self.system, self.delta, self.chi[-1], np.zeros((cells, self.system.m)))
         return Reference(
             self.system, self.delta, np.vstack([self.chi, tail.chi[1:]]), np.vstack([self.nu, tail.nu])

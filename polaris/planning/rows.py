@@ -97,11 +97,11 @@ class Rows:
         system, q, h = self.problem.system, self.segments, self.problem.delta / self.segments
         A, B = system.A, system.B
         E, F = map(np.array, zip(*(discretize(system.A, system.B, h * i) for i in range(q + 1)), strict=True))
-        found = []
+        maps = []
         for at, lead in ((E, h / 3 * A @ E), (F, h / 3 * (A @ F + B))):
             arcs = np.stack([at[:-1], at[:-1] + lead[:-1], at[1:] - lead[1:]], axis=1)
-            found.append(np.concatenate([arcs.reshape(-1, *at.shape[1:]), at[-1:]]))
-        return found[0], found[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
+            maps.append(np.concatenate([arcs.reshape(-1, *at.shape[1:]), at[-1:]]))
+        return maps[0], maps[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
 
     def options(self, key: Key) -> Disjunction:
         """The facets of unsafe set i to stay beyond in cell k, with what is booked at present.
@@ -134,13 +134,13 @@ class Rows:
         P, Q, share = self.control_points
         cells = self.problem.cells
         points = np.einsum("rin,kn->kri", P, path.chi[:cells]) + np.einsum("rim,km->kri", Q, path.nu[:cells])
-        found = []
+        rooms = []
         for i, normals in enumerate(self._normals):
             b = self._offsets[i]
             offset = b[:, 0, None] * (1 - share[:, None]) + b[:, 1, None] * share[:, None]
             need = offset + self._required[i][:, None] + self._booked(i, np.arange(cells))
-            found.append(np.min(points @ normals.T - need, axis=1))
-        return tuple(found)
+            rooms.append(np.min(points @ normals.T - need, axis=1))
+        return tuple(rooms)
 
     def _options(self, key: Key) -> Disjunction:
         problem, (i, k) = self.problem, key

@@ -47,16 +47,16 @@ def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
         The solver asked for is not installed, or refuses a model of this size.
     """
     options = options or PlannerOptions()
-    found = Planner(problem, options).run()
-    if found.cut_by_clock:
+    answer = Planner(problem, options).run()
+    if answer.cut_by_clock:
         warnings.warn(
             f"the planner's wall clock (planner.time_limit_s = {options.time_limit}) ended its search"
-            f" early ({', '.join(found.cut_by_clock)}): another machine, or another run, may find another"
+            f" early ({', '.join(answer.cut_by_clock)}): another machine, or another run, may find another"
             " plan; allow more time, or less effort",
             ClockWarning,
             stacklevel=2,
         )
-    return found
+    return answer
 
 
 class Planner:
@@ -91,11 +91,11 @@ class Planner:
         full = replace(some, level=top) if some is not None and some.level >= top * (1 - 1e-9) else None
         if not furthest:
             self.search.set_prices(top, top)
-            found = self._minimise("fuel", full, lambda path: top > 0 and path is None)
-            if found.best is not None:
-                return self._certify(found.best, found.best.fuel, found.bound, found.status)
+            outcome = self._minimise("fuel", full, lambda path: top > 0 and path is None)
+            if outcome.best is not None:
+                return self._certify(outcome.best, outcome.best.fuel, outcome.bound, outcome.status)
             if top == 0:
-                self._none(found.status)
+                self._none(outcome.status)
         self.search.set_prices(0.0, top, price)
         share = 1.0 if furthest else MARGIN_SHARE
         reached = self._minimise("margin", some, lambda path: not furthest and path is not None, share)
@@ -103,18 +103,18 @@ class Planner:
         if best is None:
             self._none(reached.status)
         unit = 1.0 if furthest else self.problem.extra_margin
-        most = min(best.level + (self.search.value(best) - reached.bound) / price, top)
+        bound = min(best.level + (self.search.value(best) - reached.bound) / price, top)
         if furthest:
-            return self._certify(best, best.level * unit, most * unit, reached.status)
+            return self._certify(best, best.level * unit, bound * unit, reached.status)
         full_margin = best.level >= top * (1 - 1e-6)
         level = top if full_margin else best.level
         self.search.set_prices(level, level)
-        found = self._minimise("fuel at the margin found", replace(best, level=level), lambda path: False)
-        assert found.best is not None
+        outcome = self._minimise("fuel at the margin found", replace(best, level=level), lambda path: False)
+        assert outcome.best is not None
         if full_margin:  # the first stage gave up too early
-            return self._certify(found.best, found.best.fuel, found.bound, found.status)
-        status = reached.status if reached.status != "optimal" else found.status
-        return self._certify(found.best, level * unit, most * unit, status)
+            return self._certify(outcome.best, outcome.best.fuel, outcome.bound, outcome.status)
+        status = reached.status if reached.status != "optimal" else outcome.status
+        return self._certify(outcome.best, level * unit, bound * unit, status)
 
     def _first(self, top: float, margin_price: float, short_price: float) -> Candidate | None:
         """A path found without branching, by way of paths that lack clearance; None if it still does."""
@@ -135,7 +135,7 @@ class Planner:
         begun, solves = perf_counter(), self.search.solves
         allowed = self.effort.allow(share, spare)
         if self.options.solver == "facets":
-            found = branch(
+            outcome = branch(
                 self.search,
                 best,
                 self.options.gap,
@@ -143,12 +143,12 @@ class Planner:
                 lambda top, bound: self.effort.report(stage, top, bound),
             )
             self.effort.add_time(stage.replace(" ", "_"), begun)
-            self.effort.stats["nodes"] += found.nodes
+            self.effort.stats["nodes"] += outcome.nodes
         else:
-            found = by_back_end(self.effort, stage, best, allowed)
+            outcome = by_back_end(self.effort, stage, best, allowed)
         by, solves = SOLVERS[self.options.solver], self.search.solves - solves
-        self.effort.stages.append(Stage(stage, by, found.status, solves, int(found.nodes)))
-        return found
+        self.effort.stages.append(Stage(stage, by, outcome.status, solves, int(outcome.nodes)))
+        return outcome
 
     def _out_of_time(self) -> NoReturn:
         raise OutOfTime(f"none found in the time given ({self.options.time_limit} s): {NEITHER}")

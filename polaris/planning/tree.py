@@ -126,10 +126,10 @@ class _Tree:
         for at_least, more in children:
             heapq.heappush(self.open, Node(at_least, self.count, {**node.choice, **more}, start))
         if self.splits % (DIVE_EVERY if self.best is not None else DIVE_EVERY_WANTING) == 0:
-            found = self.search.dive(path.choice)
-            found = self.search.improve(found) if found is not None else None
-            if found is not None and found.short == 0 and self.search.value(found) < self.top:
-                self.best, self.top = found, self.search.value(found)
+            better = self.search.dive(path.choice)
+            better = self.search.improve(better) if better is not None else None
+            if better is not None and better.short == 0 and self.search.value(better) < self.top:
+                self.best, self.top = better, self.search.value(better)
 
 
 def split(
