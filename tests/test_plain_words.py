@@ -1,0 +1,124 @@
+"""Plain words as a ratchet: openers of docstrings and names of locals that say nothing, counted per room.
+
+A docstring begins with a verb or with the thing that it defines, a local is named by what it holds. Rooms
+that are not in the table are clean and stay so; the counts of the others may only shrink.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+OPENERS = re.compile(r"\s*(What|Whether|Where|When|How|The same)\b")
+
+LOCALS = {"found", "most", "told"}
+
+LEFT = {
+    "polaris/certificate": 189,
+    "polaris/cli": 30,
+    "polaris/runs": 77,
+    "polaris/scenario": 57,
+    "polaris/simulation": 79,
+    "polaris/synthesis": 220,
+    "benchmarks": 5,
+    "docs": 12,
+    "tests": 27,
+    "tests/asif": 62,
+    "tests/campaign": 21,
+    "tests/flight": 3,
+    "tests/golden": 14,
+    "tests/paper": 2,
+    "tests/polaris": 454,
+    "tests/report": 37,
+    "tests/rta": 31,
+    "tests/traces": 58,
+}
+"""Rooms that are not clean yet, and how many riddles each may have at most."""
+
+FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
+
+
+def unclear(source):
+    """Return the lines and texts of docstrings with such an opener and of locals with such a name.
+
+    Parameters are locals if the function's name is private, or if it has none.
+    """
+    texts, seen = set(), [(ast.parse(source), False)]
+    while seen:
+        node, inside = seen.pop()
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node, clean=False) or ""
+            if OPENERS.match(text):
+                texts.add((node.body[0].lineno, text.strip().splitlines()[0]))
+        if isinstance(node, FUNCTIONS) and (inside or getattr(node, "name", "_").startswith("_")):
+            given = {each for each in ast.walk(node.args) if isinstance(each, ast.arg)}
+            texts |= {(each.lineno, each.arg) for each in given if each.arg in LOCALS}
+        inside = (inside or isinstance(node, FUNCTIONS)) and not isinstance(node, ast.ClassDef)
+        if inside and isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id in LOCALS:
+            texts.add((node.lineno, node.id))
+        seen += [(child, inside) for child in ast.iter_child_nodes(node)]
+    return sorted(texts)
+
+
+def rooms():
+    """Return the files of each room: a folder of a package or of the tests, others as a whole."""
+    files = {}
+    for top in ("polaris", "reach", "benchmarks", "docs", "tests"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).parts
+            room = "/".join(parts[: 2 if top in ("polaris", "tests") and len(parts) > 2 else 1])
+            files.setdefault(room, []).append(path)
+    return files
+
+
+ROOMS = rooms()
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_has_no_more_unclear_words_than_before(room):
+    texts = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in ROOMS[room]
+        for line, text in unclear(path.read_text(encoding="utf-8"))
+    ]
+    limit = LEFT.get(room, 0)
+    assert len(texts) <= limit, f"{len(texts)} in {room}, at most {limit}; say what it is:\n" + "\n".join(
+        texts
+    )
+
+
+def test_the_table_has_no_room_that_is_gone():
+    assert set(LEFT) <= set(ROOMS)
+
+
+def test_openers_and_locals_are_seen():
+    source = '''
+"""How a thing is done."""
+found: int
+class Search:
+    """What is sought."""
+    most: float
+    def __init__(self, told):
+        """The same, begun."""
+        self.found = told
+def limit(most, told=2):
+    """Return the limit, whatever found is."""
+    def nested(found): ...
+    return max((lambda most: most)(1) for found in told)
+def _limit(*found, **told):
+    """Wherever it ends."""
+    with open("x") as most, open("y") as mostly: ...
+'''
+    words = ["How a thing is done.", "What is sought.", "told", "The same, begun."]
+    assert [text for _, text in unclear(source)] == [
+        *words,
+        "found",
+        "found",
+        "most",
+        "found",
+        "told",
+        "most",
+    ]
