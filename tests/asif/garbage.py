@@ -1,4 +1,4 @@
-"""What no filter may stumble over, and what every answer must satisfy."""
+"""Values that no filter may stumble over, and conditions on every answer."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -84,7 +84,7 @@ def odd_times(filtering, x, u):
         return decision.fallback or ""
 
     def told(t):
-        """What is said of the clock."""
+        """Return the sentences about the clock."""
         return [part for part in ask(t).split("; ") if part.startswith(("the time", "called after"))]
 
     for first in (np.nan, None):

@@ -163,8 +163,8 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
     gaps = []
     for x, sun in zip(states, suns, strict=True):
         check = AllTime(brake, sun)
-        found = Planner(check).find(0.0, x)
-        plan = found.plan
+        proven = Planner(check).find(0.0, x)
+        plan = proven.plan
         u, D = brake.thrusts(plan), period
         parts = [Q.held(D * s) for s in (0.25, 0.5, 0.75, 1.0)]
         at = np.concatenate([plan[:1], *(plan[:-1] @ Phi.T + u @ Gamma.T for Phi, Gamma in parts)])
@@ -177,7 +177,7 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
         sun_all = Q.sun_angle(t_all, sun)
         phi = allowable(Q, x_all, sun_all)
         h = exact(x_all, sun_all).h
-        bound = dict(zip(check.labels, found.margins, strict=True))
+        bound = dict(zip(check.labels, proven.margins, strict=True))
         for name in ("phi1", "phi2", "phi3", "phi6", "phi9", "phi10", "phi11"):
             values, labels = phi[name].min(axis=0), [key for key in check.labels if key.split("[")[0] == name]
             for key, value in zip(labels, values, strict=True):
@@ -222,20 +222,20 @@ def test_held_for_long_nothing_is_claimed_across_the_plane():
 
 @pytest.mark.parametrize("distance", [900.0, 9000.0])
 def test_where_the_zone_is_left_out_no_plan_beyond_it_is_proven(distance):
-    """What holding misses grows with the distance, and the tube counts it up to r_max only."""
+    """The error of holding grows with the distance, and the tube counts it up to r_max only."""
     q = Inspection(deputies=1)
     brake = Brake(q, 1.0, Uncertainty(jitter=0.0))
     x = np.array([[0.6 * distance, 0.8 * distance, 0.0, 0.0, 0.0, 0.0]])
     x[:, 3:] = x[:, :3] @ brake.spin.T
     check = AllTime(brake, 0.3, without=("keep_in", "velocity", "speed", "sun"))
-    found = Planner(check).find(0.0, x)
-    assert found.good == (distance < q.distance_max)
-    plan, (Phi, Gamma), astray = found.plan, brake.motion, 0.0
+    proven = Planner(check).find(0.0, x)
+    assert proven.good == (distance < q.distance_max)
+    plan, (Phi, Gamma), astray = proven.plan, brake.motion, 0.0
     for _ in range(200):
         x = x @ Phi.T + brake.follow(x, plan) @ Gamma.T
         plan = brake.extended(plan, 3)[1:]
         astray = max(astray, float(np.linalg.norm((x - plan[0])[0, :3])))
-    assert (astray <= brake.tube.widest[0]) == found.good
+    assert (astray <= brake.tube.widest[0]) == proven.good
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0, 2.0])
@@ -484,8 +484,8 @@ def test_broken_assumptions_are_told():
     f = make("implicit", sun=sun)
     assert not f.filter(0.0, x, np.zeros((5, 3))).unproven
     x[2, 0] += 0.5  # nothing can have moved it
-    told = f.filter(1.0, x, np.zeros((5, 3)))
-    assert "farther from its plan" in told.fallback
+    answer = f.filter(1.0, x, np.zeros((5, 3)))
+    assert "farther from its plan" in answer.fallback
     late = f.filter(9.0, x, None)
     assert "called after" in late.fallback and late.status == "backup"
 
@@ -530,10 +530,10 @@ def test_malformed_calls_and_odd_times(kind):
 def test_the_command_of_the_long_flights(kind, capsys, monkeypatch):
     monkeypatch.setattr(harsh, "PERIODS", (2.0, 1.0))
     harsh.main(["--flights", "4", "--seconds", "20", "--kind", kind, "--errors"])
-    told = capsys.readouterr().out.splitlines()
-    flown = [line.split()[1:3] for line in told[:4]]
+    lines = capsys.readouterr().out.splitlines()
+    flown = [line.split()[1:3] for line in lines[:4]]
     assert flown == [["deputy", "2"], ["cone", "2"], ["far", "2"], ["deputy", "1"]]
-    assert told[-1] == "4 flights of 20 s: 0 violated, 0 periods not proven"
+    assert lines[-1] == "4 flights of 20 s: 0 violated, 0 periods not proven"
 
 
 @pytest.mark.slow

@@ -395,7 +395,7 @@ def test_shapes_are_checked_at_the_door(sharing, loops, monkeypatch):
         np.full((1, 3, 6), np.nan),
         np.where(np.arange(18).reshape(1, 3, 6) == 7, np.nan, x[None, :3]),
     ):
-        found = ask(bad, desired=np.ones((1, 3, 3)))
-        said.append(found.status.tolist())
-        assert np.isnan(found.u).any()  # no answer, and said so
+        answer = ask(bad, desired=np.ones((1, 3, 3)))
+        said.append(answer.status.tolist())
+        assert np.isnan(answer.u).any()  # no answer, and said so
     assert said[0] == [[3, 3, 3]] and 3 in said[1][0]

@@ -49,9 +49,9 @@ def test_nearest_ellipse_against_brute_force():
     across[..., 2], across[..., 5] = np.outer(c, np.cos(psi)), np.outer(c, N * np.sin(psi))
     across = across.reshape(-1, 6)
     for x in np.vstack([states(40), states(40, 1, 20.0, 0.1), states(20, 2, 250.0, 0.2)]):
-        found = LIMITS.nearest(x)
-        assert (velocity_error(found, N) == 0).all()
-        ours = distance_between(x, found)
+        nearest = LIMITS.nearest(x)
+        assert (velocity_error(nearest, N) == 0).all()
+        ours = distance_between(x, nearest)
         in_plane, cross = np.eye(6)[[0, 1, 3, 4]].sum(0), np.eye(6)[[2, 5]].sum(0)
         best_plane = distance_between(x * in_plane, plane).min()
         best_cross = distance_between(x * cross, across).min()

@@ -49,11 +49,11 @@ angles = st.floats(-7, 7)
 
 
 def compare(barrier, formula, z, sun, n, tolerance=1e-9):
-    found = barrier(z, sun)
-    change = np.broadcast_to(found.change, np.shape(found.h))
-    assert found.h == pytest.approx(formula(z, sun), rel=1e-9, abs=tolerance)
+    value = barrier(z, sun)
+    change = np.broadcast_to(value.change, np.shape(value.h))
+    assert value.h == pytest.approx(formula(z, sun), rel=1e-9, abs=tolerance)
     expected = oracle.gradient(lambda at: formula(at, sun), z)
-    np.testing.assert_allclose(found.gradient, expected, rtol=1e-7, atol=tolerance)
+    np.testing.assert_allclose(value.gradient, expected, rtol=1e-7, atol=tolerance)
     # The sun turns at -n, so that the partial derivative with respect to time is -n d/d(sun).
     by_time = -n * oracle.slope(lambda at: formula(z, at), sun)
     assert float(change) == pytest.approx(by_time, rel=1e-7, abs=tolerance)
@@ -110,9 +110,9 @@ def test_deep_in_the_layer(name):
 
 def along_the_motion(barrier, z, sun, u):
     """dh/dt by the chain rule and by finite differences of the barrier itself."""
-    found = barrier(z, sun)
+    value = barrier(z, sun)
     rate = oracle.motion(z, N_) + np.r_[0, 0, 0, u]
-    chain = found.gradient @ rate + float(np.asarray(found.change))
+    chain = value.gradient @ rate + float(np.asarray(value.change))
     step = 1e-3
     ends = [float(barrier(z + sign * step * rate, sun - sign * N_ * step).h) for sign in (1, -1)]
     return chain, (ends[0] - ends[1]) / (2 * step)
@@ -215,8 +215,8 @@ def test_defined_and_continuous_at_special_places(place, z):
     speed = np.linalg.norm(z[3:])
     for name, barrier, _ in FORMS:
         with np.errstate(all="raise", under="ignore"):
-            found = barrier(z, 0.7)
-        assert np.isfinite(found.h) and np.isfinite(found.gradient).all() and np.isfinite(found.change)
+            value = barrier(z, 0.7)
+        assert np.isfinite(value.h) and np.isfinite(value.gradient).all() and np.isfinite(value.change)
         steps = np.linspace(-2e-3, 2e-3, 401)
         for _ in range(4):
             direction = rng.standard_normal(6) * [1, 1, 1, 0.01, 0.01, 0.01]
@@ -261,9 +261,9 @@ def test_allowable_is_the_papers(seed):
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, (5, 6)) * np.r_[[10 ** rng.uniform(0, 3)] * 3, 1.5, 1.5, 1.5]
     sun = rng.uniform(-7, 7)
-    found = allowable(Q, x, sun)
+    limits = allowable(Q, x, sun)
     for name, values in oracle.phi(Q, x, sun).items():
-        np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-7, err_msg=name)
+        np.testing.assert_allclose(limits[name], values, rtol=1e-9, atol=1e-7, err_msg=name)
 
 
 def test_both_orders_of_a_pair_count():
@@ -279,8 +279,8 @@ def test_both_orders_of_a_pair_count():
 
 def test_angles_at_the_chief_and_of_overlapping_deputies_are_defined():
     q = Inspection(deputies=2)
-    found = allowable(q, np.zeros((2, 6)), 0.3)
-    assert all(np.isfinite(values).all() for values in found.values())
+    margins = allowable(q, np.zeros((2, 6)), 0.3)
+    assert all(np.isfinite(values).all() for values in margins.values())
 
 
 INSIDE = {"h1": "phi1", "h2": "phi2", "h3": "phi3", "h4": "phi4", "h5": "phi5", "h6": "phi6"}
@@ -289,7 +289,7 @@ INSIDE = {"h1": "phi1", "h2": "phi2", "h3": "phi3", "h4": "phi4", "h5": "phi5", 
 @given(st.integers(0, 10**6))
 @settings(max_examples=60)
 def test_keeping_h_keeps_phi(seed):
-    """Where h >= 0 the boundary cannot be crossed: on phi = 0, h >= 0 means phi does not decrease.
+    """The boundary cannot be crossed if h >= 0: on phi = 0, h >= 0 means phi does not decrease.
 
     h >= 0 and phi < 0 together mean: outside, and on the way back faster than the layer asks. A safe set is
     therefore {h >= 0 and phi >= 0}, which is what initial conditions are drawn from.

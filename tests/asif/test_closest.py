@@ -77,15 +77,15 @@ def test_never_above_the_infimum(kind):
         for T in (1.0, 19.0, 100.0, 500.0, np.pi / n):
             T = min(T, np.pi / n)
             z = flights(kind, rng, n, T, 8)
-            found = ClosestApproach(n, T)(z)
+            nearest = ClosestApproach(n, T)(z)
             expected = np.array([infimum(one, n, T) for one in z])
-            assert (found.distance <= expected + TOLERANCE).all(), (n, T)
+            assert (nearest.distance <= expected + TOLERANCE).all(), (n, T)
             # and it is reached: the place is on the flight
-            place = np.array([oracle.free_flight(a, n, t) for a, t in zip(z, found.when, strict=True)])
+            place = np.array([oracle.free_flight(a, n, t) for a, t in zip(z, nearest.when, strict=True)])
             size = np.abs(z).max(axis=1, initial=1.0) / min(n, 1e-3)
-            assert (np.abs(place - found.place).max(axis=1) <= 1e-13 * size + 1e-9).all()
-            np.testing.assert_allclose(np.linalg.norm(found.place, axis=1), found.distance, rtol=1e-12)
-            assert (found.when >= 0).all() and (found.when <= T).all()
+            assert (np.abs(place - nearest.place).max(axis=1) <= 1e-13 * size + 1e-9).all()
+            np.testing.assert_allclose(np.linalg.norm(nearest.place, axis=1), nearest.distance, rtol=1e-12)
+            assert (nearest.when >= 0).all() and (nearest.when <= T).all()
 
 
 @pytest.mark.slow
@@ -96,9 +96,9 @@ def test_never_above_the_infimum_of_thousands():
         T = min(10 ** rng.uniform(0, 5), np.pi / n)
         for kind in KINDS:
             z = flights(kind, rng, n, T, 10)
-            found = ClosestApproach(n, T)(z)
+            nearest = ClosestApproach(n, T)(z)
             expected = np.array([infimum(one, n, T) for one in z])
-            assert (found.distance <= expected + TOLERANCE).all(), (kind, n, T)
+            assert (nearest.distance <= expected + TOLERANCE).all(), (kind, n, T)
 
 
 @given(
@@ -207,22 +207,22 @@ def test_gradient_of_the_infimum(seed):
     z = np.r_[rng.uniform(-300, 300, 3), rng.uniform(-1, 1, 3)]
     approach = ClosestApproach(N_ORBIT, 500.0)
     passive = Passive(10.0, approach)
-    found = passive(z)
-    assert found.h == pytest.approx(infimum(z, N_ORBIT, 500.0) - 10.0, abs=1e-6)
+    value = passive(z)
+    assert value.h == pytest.approx(infimum(z, N_ORBIT, 500.0) - 10.0, abs=1e-6)
     at = approach(z).when
 
     def distance(moved):
         return oracle.norm(oracle.free_flight(moved, N_ORBIT, at))
 
-    np.testing.assert_allclose(found.gradient, oracle.gradient(distance, z), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(value.gradient, oracle.gradient(distance, z), rtol=1e-9, atol=1e-9)
     scale = np.r_[1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]
     for _ in range(3):
         way = rng.standard_normal(6) * scale * 1e-4
         ahead, back = passive(z + way).h, passive(z - way).h
         # One-sided slopes bracket it where two minima compete; else all three agree.
-        linear = found.gradient @ way
-        assert min(ahead - found.h, found.h - back) - 1e-6 <= linear + 2e-6
-        assert ahead - found.h <= linear + 2e-6  # an infimum lies below each of its tangents
+        linear = value.gradient @ way
+        assert min(ahead - value.h, value.h - back) - 1e-6 <= linear + 2e-6
+        assert ahead - value.h <= linear + 2e-6  # an infimum lies below each of its tangents
 
 
 def test_passive_at_the_centre_is_finite():
@@ -230,5 +230,5 @@ def test_passive_at_the_centre_is_finite():
     z = np.zeros((2, 6))
     z[1, 3] = 0.1
     with np.errstate(all="raise", under="ignore"):
-        found = passive(z)
-    assert (found.h == -10.0).all() and np.isfinite(found.gradient).all()
+        value = passive(z)
+    assert (value.h == -10.0).all() and np.isfinite(value.gradient).all()

@@ -29,7 +29,7 @@ needs_numba = pytest.mark.skipif(not NUMBA, reason="numba (the extra `fast`) is 
 
 
 def both(make):
-    """What is made with the loops, compiled or as they stand, and what is made without them."""
+    """Make one with the loops, compiled or as they stand, and one without them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled, "wanted", lambda: True)
         looped = make()

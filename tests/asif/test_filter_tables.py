@@ -83,18 +83,18 @@ def test_flight_is_that_of_the_filter_asked_by_hand(flown):
 
 def test_flight_is_judged_and_told(flown):
     kind, folder, shown = flown
-    told = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    assert told["filter"] == {
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["filter"] == {
         "kind": kind,
         "sharing": "centralized" if kind == "explicit" else None,
         "without": [],
         "sampled_data": False,
     }
-    assert told["safe"] and [row["constraint"] for row in told["constraints"]] == [
+    assert summary["safe"] and [row["constraint"] for row in summary["constraints"]] == [
         f"phi{k}" for k in range(1, 12)
     ]
-    assert sum(told["steps"].values()) == 2 * PERIODS and f"Filter ({kind})" in shown
-    claim = told["guarantee"]
+    assert sum(summary["steps"].values()) == 2 * PERIODS and f"Filter ({kind})" in shown
+    claim = summary["guarantee"]
     assert claim["kind"] == "all_time" and claim["periods_covered"] == PERIODS
     assert "Guarantee: all time" in shown
 
@@ -115,9 +115,9 @@ def test_nothing_is_claimed_where_no_plan_is_proven(tmp_path):
     start = 'initial={ kind = "states", sun_angle_deg = 0.0, states = [[985.0, 0.0, 0.0, 0.0, -0.999, 0.0]] }'
     words = [word for setting in (*table, start) for word in ("--set", setting)]
     assert invoke("run", "inspection", *words, "--out", tmp_path / "a", "--no-figures").exit_code == 0
-    told = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))
-    assert told["guarantee"]["kind"] == "none" and "not from every state" in told["guarantee"]["reason"]
-    assert told["guarantee"]["first_missed_s"] == 0.0 and told["steps"]["unproven"] == 3
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["guarantee"]["kind"] == "none" and "not from every state" in summary["guarantee"]["reason"]
+    assert summary["guarantee"]["first_missed_s"] == 0.0 and summary["steps"]["unproven"] == 3
 
 
 def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
@@ -127,9 +127,9 @@ def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
     words = [word for setting in words for word in ("--set", setting)]
     assert invoke("run", "inspection", *words, "--out", tmp_path / "a", "--no-figures").exit_code == 0
     folder = read_run(tmp_path / "a")
-    told = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))
-    claim = told["guarantee"]
-    assert claim["kind"] == "all_time" and told["safe"]
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))
+    claim = summary["guarantee"]
+    assert claim["kind"] == "all_time" and summary["safe"]
     said = "; ".join(claim["assumptions"])
     assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
     run, q = folder.picture(), folder.scenario.inspection()

@@ -34,7 +34,7 @@ def situation(seed, R=12, spread=(20.0, 600.0)):
 
 
 def within(desired):
-    """What the thrusters would give of it: the nearest to that is looked for."""
+    """Clip inputs to the thrust limits: the nearest to the result is looked for."""
     return np.clip(desired, -Q.thrust_max, Q.thrust_max)
 
 
@@ -123,7 +123,7 @@ def test_coasting_is_the_projection_of_each_deputy(name, seed):
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=10)
 def test_shares_add_up_to_the_whole_condition(sharing, name, seed):
-    """Where both deputies of a pair meet their shares, the pair's condition holds, whatever was desired."""
+    """A pair's condition holds if both deputies meet their shares, whatever was desired."""
     families = FAMILIES[name]
     x, sun, desired = situation(seed, spread=(100.0, 600.0))
     answer = Decentralized(families, sharing).batch(x, sun, desired)
@@ -188,14 +188,14 @@ def test_curvature_by_the_thrust_chosen_solves_what_the_worst_thrust_cannot():
         x, sun, desired = situation(seed, spread=(60.0, 500.0))
         status = Centralized(families).project(families(x, sun), within(desired))[1]
         inside = (exact(x, sun).h >= 0).all(axis=1)
-        found = Centralized(families).batch(x, sun, desired)
+        answer = Centralized(families).batch(x, sun, desired)
         short = np.flatnonzero((status >= SHORT).any(axis=1) & inside)
         tried += len(short)
-        for r in short[(found.status[short] < SHORT).all(axis=1)]:
+        for r in short[(answer.status[short] < SHORT).all(axis=1)]:
             solved += 1
             for part in np.linspace(0.1, 2.0, 20):
                 Phi, Gamma = Q.held(part)
-                after = x[r] @ Phi.T + found.u[r] @ Gamma.T
+                after = x[r] @ Phi.T + answer.u[r] @ Gamma.T
                 assert exact(after[None], Q.sun_angle([part], sun[r])).h.min() >= -1e-9
     assert tried >= 5 and solved >= tried / 3
 

@@ -1,4 +1,4 @@
-"""What is refused, and that the message says why; names of rows; what conditions presuppose."""
+"""Refused values, and that the message says why; names of rows; premises of conditions."""
 
 from dataclasses import replace
 

@@ -71,15 +71,15 @@ def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
 
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):
     x, sun, _ = drawn
-    found = fly_block(Flights(Q, x[:3], sun[:3], 30.0), central())
+    block = fly_block(Flights(Q, x[:3], sun[:3], 30.0), central())
     for run in range(3):
         flight = fly_one(Flights(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
         for name, values in allowable(Q, flight.x, flight.sun).items():
             at_samples = values.min()
-            assert found.least[name][run] <= at_samples + 1e-9
+            assert block.least[name][run] <= at_samples + 1e-9
             # Half a second between the instants looked at: nothing moves by more than a metre.
-            assert found.least[name][run] > at_samples - 1.0
-        np.testing.assert_allclose(found.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
+            assert block.least[name][run] > at_samples - 1.0
+        np.testing.assert_allclose(block.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
 
 
 def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
@@ -92,14 +92,14 @@ def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
 
 def test_results_come_back_from_their_columns(drawn):
     x, sun, _ = drawn
-    found = fly_block(Flights(Q, x[:3], sun[:3], 4.0), without_sun())
-    again = Outcome({"run": np.arange(3)} | {name: values.copy() for name, values in found.columns.items()})
-    assert list(again.least) == list(found.least) and "phi5" not in again.least
-    assert np.isnan(found.columns["least_phi5"]).all()
-    for key, values in found.least.items():
+    block = fly_block(Flights(Q, x[:3], sun[:3], 4.0), without_sun())
+    again = Outcome({"run": np.arange(3)} | {name: values.copy() for name, values in block.columns.items()})
+    assert list(again.least) == list(block.least) and "phi5" not in again.least
+    assert np.isnan(block.columns["least_phi5"]).all()
+    for key, values in block.least.items():
         np.testing.assert_array_equal(values, again.least[key])
-    np.testing.assert_array_equal(found.delta_v, again.delta_v)
-    assert again.failures() == found.failures()
+    np.testing.assert_array_equal(block.delta_v, again.delta_v)
+    assert again.failures() == block.failures()
 
 
 def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
@@ -121,9 +121,9 @@ def test_a_failure_says_what_who_and_when():
     x[0, 0] = [0, 300, 0, 0, -0.4, 0]
     x[0, 1] = [0, 289, 0, 0, 0.4, 0]
     x[0, 2] = [0, 0, 1010, 0, 0, 0]
-    found = fly_block(Flights(q, x, np.zeros(1), 10.0), central(q))
-    assert not found.success[0] and any(least[0] < 0 for least in found.least.values())
-    what = {row["what"]: row for row in found.failures()}
+    block = fly_block(Flights(q, x, np.zeros(1), 10.0), central(q))
+    assert not block.success[0] and any(least[0] < 0 for least in block.least.values())
+    what = {row["what"]: row for row in block.failures()}
     assert what["phi2"]["deputies"] == (0, 1) and what["phi2"]["value"] < 0 < what["phi2"]["time"] <= 10
     assert what["phi6"]["deputies"] == (2,) and what["phi6"]["time"] == 0.0
     assert what["phi6"]["value"] == pytest.approx(-10)
@@ -132,8 +132,8 @@ def test_a_failure_says_what_who_and_when():
 
 def test_what_is_left_out_is_not_judged(drawn):
     x, sun, _ = drawn
-    found = fly_block(Flights(Q, x[:2], sun[:2], 3.0), without_sun())
-    assert "phi5" not in found.least and "phi4" in found.least and "phi8" in found.least
+    block = fly_block(Flights(Q, x[:2], sun[:2], 3.0), without_sun())
+    assert "phi5" not in block.least and "phi4" in block.least and "phi8" in block.least
 
 
 def test_left_out_families_and_sampled_studies_are_judged_alike():
@@ -155,17 +155,17 @@ def test_what_cannot_be_told_is_a_failure(drawn):
     lost = x[:1].copy()
     lost[0, 2, 4] = np.nan
     with np.errstate(invalid="ignore"):
-        found = fly_block(Flights(Q, lost, sun[:1], 2.0), central())
-    assert not found.success[0] and found.least["phi1"][0] == -np.inf
+        block = fly_block(Flights(Q, lost, sun[:1], 2.0), central())
+    assert not block.success[0] and block.least["phi1"][0] == -np.inf
 
     class Broken:
         def __call__(self, t, states):
             return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
 
-    found = fly_block(Flights(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
-    assert not found.success.any() and (found.columns["short_s"] == 1.0).all()
-    assert np.isfinite(found.least["phi1"]).all() and not any(
-        (least < 0).any() for least in found.least.values()
+    block = fly_block(Flights(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
+    assert not block.success.any() and (block.columns["short_s"] == 1.0).all()
+    assert np.isfinite(block.least["phi1"]).all() and not any(
+        (least < 0).any() for least in block.least.values()
     )
 
 
@@ -183,12 +183,12 @@ def test_the_papers_monte_carlo(tmp_path):
     folder = run_monte_carlo(tmp_path / "c", scenario, executor=local(2))
     success = {study["name"]: study["success_share"] for study in folder.summary["studies"]}
     shown = Path("docs/inspection.md").read_text(encoding="utf-8")
-    told = {name: float(re.findall(rf"^{name} +\d+ +([0-9.]+) %", shown, re.M)[0]) / 100 for name in success}
-    assert success["centralized"] == told["centralized"] == 1.0
-    assert success["decentralized-no-h5"] == told["decentralized-no-h5"] == 1.0
-    assert success["decentralized-shared"] == told["decentralized-shared"] == 1.0
+    page = {name: float(re.findall(rf"^{name} +\d+ +([0-9.]+) %", shown, re.M)[0]) / 100 for name in success}
+    assert success["centralized"] == page["centralized"] == 1.0
+    assert success["decentralized-no-h5"] == page["decentralized-no-h5"] == 1.0
+    assert success["decentralized-shared"] == page["decentralized-shared"] == 1.0
     few, many = binomtest(round(runs * success["decentralized"]), runs).proportion_ci(0.999)
-    assert few <= told["decentralized"] <= many < 1.0
+    assert few <= page["decentralized"] <= many < 1.0
 
 
 @pytest.mark.slow
@@ -211,10 +211,10 @@ def test_success_hangs_on_the_function_of_h5(tmp_path, shown, coefficients, shar
     }
     folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo", changed))
     assert f"| `{shown} | {share} % |" in Path("docs/inspection.md").read_text(encoding="utf-8")
-    lost, most = runs * (1 - folder.summary["studies"][0]["success_share"]), 2 * (100 - share)
-    assert runs < 200 or lost == pytest.approx(most, abs=1.02)
+    lost, allowed = runs * (1 - folder.summary["studies"][0]["success_share"]), 2 * (100 - share)
+    assert runs < 200 or lost == pytest.approx(allowed, abs=1.02)
     few, many = binomtest(round(lost), runs).proportion_ci(0.999)
-    assert few <= most / 200 <= many and lost <= most + 1.02
+    assert few <= allowed / 200 <= many and lost <= allowed + 1.02
 
 
 @pytest.mark.slow
@@ -223,7 +223,7 @@ def test_published_velocity_limits_fail_the_run_that_is_told():
     flights = Flights(Q, x[-1:], sun[-1:], 30.0)
     assert "(seed 0, run 1908)" in Path("docs/inspection.md").read_text(encoding="utf-8")
     for preset, good in (("afrl", False), ("polaris", True)):
-        found = fly_block(flights, Centralized(Families(Q, preset)))
-        assert found.success[0] == good and (found.least["phi4"][0] >= 0) == good
+        block = fly_block(flights, Centralized(Families(Q, preset)))
+        assert block.success[0] == good and (block.least["phi4"][0] >= 0) == good
         for sharing in ("coasting", "consensus"):
             assert fly_block(flights, Decentralized(Families(Q, preset), sharing)).success[0] == good

@@ -94,8 +94,8 @@ def test_one_class_is_kept_and_judged(kind, loops, monkeypatch):
 
 
 def test_without_them_both_are_violated():
-    found = flown(Inspection(deputies=2), "centralized")
-    assert list(found) == list(KINDS) and found["phi6"].value >= 0
+    judged = flown(Inspection(deputies=2), "centralized")
+    assert list(judged) == list(KINDS) and judged["phi6"].value >= 0
     x = fly_one(
         Flights(Q, START[None], np.zeros(1), 200.0, 1.0, Upwards()),
         make_filter(Families(Q, "linear", without=("ceiling", "formation")), "centralized"),
@@ -140,8 +140,8 @@ def test_the_papers_are_instances_of_the_same_protocol():
     z = np.array([200.0, -300.0, 100.0, 0.1, 0.2, -0.1])
     for one in made:
         value = one.value(z)
-        found = one(z) if one.repeat == 1 else None
-        assert value.shape == () and (found is None or found.gradient.shape == (6,))
+        evaluation = one(z) if one.repeat == 1 else None
+        assert value.shape == () and (evaluation is None or evaluation.gradient.shape == (6,))
         assert one.sampled().label == one.label and one.family == KINDS[one.label].family
 
 

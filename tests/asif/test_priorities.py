@@ -1,4 +1,4 @@
-"""What gives way where no input satisfies all conditions, against linear programs of another solver."""
+"""Least violation where no input satisfies all conditions, against linear programs of another solver."""
 
 import numpy as np
 import pytest
@@ -91,7 +91,7 @@ def witnessed(G, need, rank, short, m):
 
 
 def check_odd(programs):
-    """How many shortages another solver looked at."""
+    """Return the number of shortages that another solver looked at."""
     looked = 0
     for G, bound, desired, limit, rank in programs:
         u = least_violation(G, bound, desired, limit, rank)
@@ -122,8 +122,8 @@ def could_be_less(G, need, rank, short, m):
     allowed[m] = np.inf
     kept = np.isfinite(allowed)
     rows = -G[kept] if kept.any() else None
-    most = (allowed + 1e-7 - need)[kept] if kept.any() else None
-    answer = linprog(-G[m], rows, most, bounds=[(-1, 1)] * G.shape[1])
+    limits = (allowed + 1e-7 - need)[kept] if kept.any() else None
+    answer = linprog(-G[m], rows, limits, bounds=[(-1, 1)] * G.shape[1])
     assert answer.status == 0
     return short[m] - max(need[m] + answer.fun, 0.0)
 
@@ -205,10 +205,10 @@ def test_the_exact_program_agrees_with_another_solver(M):
         need[~free] = 0.1
         cost, limits = np.append(np.zeros(v), 1.0), [(-1, 1)] * v + [(0, None)]
         answer = linprog(cost, -np.column_stack([G, free]), -need, bounds=limits)
-        found = lowest(G, need, free)
-        assert (found is None) == (answer.status == 2)
-        if found is not None:
-            x, y = found
+        solution = lowest(G, need, free)
+        assert (solution is None) == (answer.status == 2)
+        if solution is not None:
+            x, y = solution
             assert x[-1] == pytest.approx(answer.fun, abs=1e-9)
             assert (need - G @ x[:-1] - free * x[-1]).max() < 1e-15 * 10
             assert y @ need - np.abs(y @ G).sum() == pytest.approx(x[-1], abs=1e-12)
@@ -236,9 +236,9 @@ def test_what_is_no_number_is_refused(value, copies):
         G, b, d = (np.array([a] * copies) for a in (np.eye(3)[:2], bound, desired))
         {"row": G, "bound": b, "desired": d}[at][0, 0] = value
         assert least_violation(G[0], b[0], d[0], 1.0, rank[0]) is None
-        found = project(G, b, d, 1.0, rank)
-        assert found.status[0] == FAILED and np.isnan(found.u[0]).all()
-        assert (found.status[1:] == FILTERED).all() and np.isfinite(found.u[1:]).all()
+        answer = project(G, b, d, 1.0, rank)
+        assert answer.status[0] == FAILED and np.isnan(answer.u[0]).all()
+        assert (answer.status[1:] == FILTERED).all() and np.isfinite(answer.u[1:]).all()
     for limit in (value, 0.0, -1.0):
         assert least_violation(np.eye(3), np.ones(3), desired, limit, rank[0, [0, 0, 0]]) is None
 

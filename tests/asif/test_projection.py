@@ -64,14 +64,14 @@ def random_problem(rng, M, v=3, K=1):
 def test_the_projection_is_the_enumerated_one(M):
     rng = np.random.default_rng(M)
     G, bound, desired = random_problem(rng, M, K=60)
-    found = project(G, bound, desired, 1.0)
+    answer = project(G, bound, desired, 1.0)
     for k in range(60):
         expected = enumerated(G[k], bound[k], desired[k], 1.0)
         if expected is None:
-            assert found.status[k] == SHORT
+            assert answer.status[k] == SHORT
         else:
-            assert found.status[k] in (DESIRED, FILTERED)
-            np.testing.assert_allclose(found.u[k], expected, atol=CLOSE)
+            assert answer.status[k] in (DESIRED, FILTERED)
+            np.testing.assert_allclose(answer.u[k], expected, atol=CLOSE)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 30))
@@ -80,11 +80,11 @@ def test_optimality_conditions(seed, M):
     rng = np.random.default_rng(seed)
     G, bound, desired = random_problem(rng, M, K=20)
     for size in (20, 1):  # a batch, and one alone: two ways through the code
-        found = project(G[:size], bound[:size], desired[:size], 1.0)
-        for k in np.flatnonzero(found.status < SHORT):
-            primal, stationarity = residuals(G[k], bound[k], desired[k], 1.0, found.u[k])
+        batch = project(G[:size], bound[:size], desired[:size], 1.0)
+        for k in np.flatnonzero(batch.status < SHORT):
+            primal, stationarity = residuals(G[k], bound[k], desired[k], 1.0, batch.u[k])
             assert primal < CLOSE and stationarity < CLOSE
-        for k in np.flatnonzero(found.status >= SHORT):
+        for k in np.flatnonzero(batch.status >= SHORT):
             rows = G[k] / np.linalg.norm(G[k], axis=1, keepdims=True)
             need = bound[k] / np.linalg.norm(G[k], axis=1)
             answer = linprog(
@@ -96,16 +96,16 @@ def test_optimality_conditions(seed, M):
             least = linprog(
                 np.r_[0, 0, 0, 1], -np.c_[rows, np.ones(M)], -reach, bounds=[(-1, 1)] * 3 + [(None, None)]
             )
-            short = (reach - rows @ found.u[k]).max()
+            short = (reach - rows @ batch.u[k]).max()
             assert short <= max(least.fun, 0.0) + 1e-6
-            assert np.abs(found.u[k]).max() <= 1.0
+            assert np.abs(batch.u[k]).max() <= 1.0
 
 
 def test_agrees_with_a_general_solver():
     rng = np.random.default_rng(10)
     G, bound, desired = random_problem(rng, 6, K=25)
-    found = project(G, bound, desired, 1.0)
-    chosen = np.flatnonzero(found.status == FILTERED)
+    batch = project(G, bound, desired, 1.0)
+    chosen = np.flatnonzero(batch.status == FILTERED)
     assert len(chosen) >= 5
     for k in chosen:
         rows = G[k] / np.linalg.norm(G[k], axis=1, keepdims=True)
@@ -124,7 +124,7 @@ def test_agrees_with_a_general_solver():
             options={"ftol": 1e-14, "maxiter": 200},
         )
         if answer.success and (rows @ answer.x - need).min() > -1e-9:
-            np.testing.assert_allclose(found.u[k], answer.x, atol=1e-5)
+            np.testing.assert_allclose(batch.u[k], answer.x, atol=1e-5)
 
 
 @given(st.integers(0, 10**6))
@@ -137,9 +137,9 @@ def test_what_satisfies_everything_is_left_alone(seed):
         rng.standard_normal((30, 8))
     )
     exact = (np.einsum("kmv,kv->km", G, desired) >= bound + 1e-9).all(axis=1)
-    found = project(G, bound, desired, 1.0)
-    assert (found.u[exact] == desired[exact]).all()
-    np.testing.assert_allclose(found.u, desired, atol=1e-7)
+    answer = project(G, bound, desired, 1.0)
+    assert (answer.u[exact] == desired[exact]).all()
+    np.testing.assert_allclose(answer.u, desired, atol=1e-7)
     # One alone goes to the solver; the filters look first whether there is anything to do.
     one = project(G[:1], bound[:1], desired[:1], 1.0)
     np.testing.assert_allclose(one.u, desired[:1], atol=1e-7)
@@ -159,7 +159,7 @@ def test_coupled_inputs(N, K):
         G = rng.standard_normal((K, M, 3))
         bound = rng.uniform(-2.5, 0.3, (K, M))
         desired = rng.uniform(-1.5, 1.5, (K, N, 3))
-        found = project_coupled(G, bound, desired, 1.0, first, second, np.zeros(bound.shape, dtype=int))
+        batch = project_coupled(G, bound, desired, 1.0, first, second, np.zeros(bound.shape, dtype=int))
         for k in range(K):
             wide = np.zeros((M, N, 3))
             for m in range(M):
@@ -167,9 +167,9 @@ def test_coupled_inputs(N, K):
                 if second[m] >= 0:
                     wide[m, second[m]] -= G[k, m]
             wide = wide.reshape(M, -1)
-            assert np.isfinite(found.u[k]).all() and np.abs(found.u[k]).max() <= 1
-            if found.status[k] < SHORT:
-                primal, stationarity = residuals(wide, bound[k], desired[k].ravel(), 1.0, found.u[k].ravel())
+            assert np.isfinite(batch.u[k]).all() and np.abs(batch.u[k]).max() <= 1
+            if batch.status[k] < SHORT:
+                primal, stationarity = residuals(wide, bound[k], desired[k].ravel(), 1.0, batch.u[k].ravel())
                 assert primal < CLOSE and stationarity < CLOSE
                 seen += 1
     assert seen > 5
@@ -190,11 +190,11 @@ def test_hopeless_programs_get_a_finite_input():
     for G, bound in cases:
         for copies in (1, 9):
             with np.errstate(all="raise", under="ignore"):
-                found = project(
+                answer = project(
                     np.stack([G] * copies), np.array([bound] * copies), np.full((copies, 3), 0.1), 1.0
                 )
-            assert (found.status == SHORT).all(), bound
-            assert np.isfinite(found.u).all() and (np.abs(found.u) <= 1).all()
+            assert (answer.status == SHORT).all(), bound
+            assert np.isfinite(answer.u).all() and (np.abs(answer.u) <= 1).all()
 
 
 def test_the_least_violation_serves_the_other_rows():

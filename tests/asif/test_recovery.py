@@ -81,7 +81,7 @@ def outside(q, K, rng):
 
 
 def recoveries(N, preset, sharing, sampled, K, seconds, seed):
-    """Whether separations that were kept at the start (in place and by their barrier) stay kept; how many."""
+    """Check that separations kept at the start (in place and by their barrier) stay kept; how many."""
     q = Inspection(deputies=N)
     families = Families(q, preset, (), sampled)
     x = outside(q, K, np.random.default_rng(seed))

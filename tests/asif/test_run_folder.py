@@ -61,22 +61,22 @@ def summary(folder):
 
 def test_flight_folder_holds_what_was_flown(folders):
     folder = folders["inspection"]
-    run, told = read_run(folder).picture(), summary(folder)
+    run, table = read_run(folder).picture(), summary(folder)
     assert run.x.shape == (21, 5, 6) and run.u.shape == (20, 5, 3)
     assert np.array_equal(run.x[0], load_scenario("inspection").initial()[0])
     Phi, Gamma = run.inspection.held(1.0)
     assert np.allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, rtol=0, atol=1e-9)
-    assert np.abs(run.u).max() <= 1.0 and told["delta_v_m_s"] == pytest.approx(run.delta_v[-1])
-    assert sum(told["steps"].values()) == run.status.size
-    assert [row["constraint"] for row in told["constraints"]] == [f"phi{k}" for k in range(1, 12)]
-    assert told["safe"] and told["guarantee"]["kind"] == "per_period"
-    assert told["guarantee"]["periods_covered"] == told["guarantee"]["periods"] == 20
+    assert np.abs(run.u).max() <= 1.0 and table["delta_v_m_s"] == pytest.approx(run.delta_v[-1])
+    assert sum(table["steps"].values()) == run.status.size
+    assert [row["constraint"] for row in table["constraints"]] == [f"phi{k}" for k in range(1, 12)]
+    assert table["safe"] and table["guarantee"]["kind"] == "per_period"
+    assert table["guarantee"]["periods_covered"] == table["guarantee"]["periods"] == 20
     distance = np.linalg.norm(run.x[..., :3], axis=2)
-    assert told["constraints"][0]["least_at_samples"] == pytest.approx(distance.min() - 10.0)
+    assert table["constraints"][0]["least_at_samples"] == pytest.approx(distance.min() - 10.0)
     with (folder / "constraints.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["constraint"] for row in rows[:2]] == ["phi1", "phi2"] and len(rows) == 11 + 9
-    assert float(rows[0]["least"]) == told["constraints"][0]["least"]
+    assert float(rows[0]["least"]) == table["constraints"][0]["least"]
 
 
 def test_periods_that_began_unsafe_or_had_no_solution_are_not_covered(folders):
@@ -107,20 +107,20 @@ def test_nothing_is_claimed_beyond_what_the_filter_gives(tmp_path, settings, wor
 
 
 def test_fuel_folder_holds_what_was_flown(folders):
-    folder, told = folders["fuel_limit"], summary(folders["fuel_limit"])
+    folder, table = folders["fuel_limit"], summary(folders["fuel_limit"])
     run = read_run(folder).picture()
-    assert run.x.shape == (21, 6) and told["latched_at_s"] is None and told["safe"]
+    assert run.x.shape == (21, 6) and table["latched_at_s"] is None and table["safe"]
     spent = np.abs(run.u).sum() / run.inspection.mass
-    assert run.delta_v[-1] == pytest.approx(spent) == told["delta_v_m_s"]
+    assert run.delta_v[-1] == pytest.approx(spent) == table["delta_v_m_s"]
 
 
 def test_fuel_limit_is_kept_by_the_backup(tmp_path):
     settings = ("--set", "flight.duration_s=400", "--set", "fuel.spent_m_s=18")
     done = invoke("run", "fuel-limit", *settings, "--out", tmp_path / "a", "--no-figures")
     assert done.exit_code == 0 and "The fuel limit is kept." in done.stdout
-    told = summary(tmp_path / "a")
-    assert 0 < told["latched_at_s"] < 400 and 0 <= told["phi12_least_m_s"] < 2
-    assert told["guarantee"]["kind"] == "by_prediction" and told["delta_v_m_s"] > 19
+    table = summary(tmp_path / "a")
+    assert 0 < table["latched_at_s"] < 400 and 0 <= table["phi12_least_m_s"] < 2
+    assert table["guarantee"]["kind"] == "by_prediction" and table["delta_v_m_s"] > 19
 
 
 @pytest.mark.parametrize(
@@ -133,19 +133,19 @@ def test_fuel_limit_is_kept_by_the_backup(tmp_path):
 def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings):
     words = [word for setting in settings for word in ("--set", setting)]
     done = invoke("run", "fuel-limit", *words, "--out", tmp_path / "a", "--no-figures")
-    told = summary(tmp_path / "a")
-    assert done.exit_code == 0 and told["latched_at_s"] == 0
-    assert told["guarantee"]["kind"] == "none"
-    assert ("fuel ended" if "fuel.spent_m_s=19" in settings else "took over at once") in told["guarantee"][
+    table = summary(tmp_path / "a")
+    assert done.exit_code == 0 and table["latched_at_s"] == 0
+    assert table["guarantee"]["kind"] == "none"
+    assert ("fuel ended" if "fuel.spent_m_s=19" in settings else "took over at once") in table["guarantee"][
         "reason"
     ]
 
 
 def test_campaign_folder_holds_what_was_flown(folders):
-    told, picture = summary(folders["monte_carlo"]), read_run(folders["monte_carlo"]).picture()
-    assert [study["name"] for study in told["studies"]] == list(picture.studies)
-    assert picture.x.shape == (2, 2, 6) and told["guarantee"]["kind"] == "statistical"
-    for study, success in zip(told["studies"], picture.success, strict=True):
+    table, picture = summary(folders["monte_carlo"]), read_run(folders["monte_carlo"]).picture()
+    assert [study["name"] for study in table["studies"]] == list(picture.studies)
+    assert picture.x.shape == (2, 2, 6) and table["guarantee"]["kind"] == "statistical"
+    for study, success in zip(table["studies"], picture.success, strict=True):
         assert study["successes"] == success.sum()
         assert study["success_share_lower_95"] == lower_bound(int(success.sum()), 2)
 

@@ -46,23 +46,23 @@ class Attack:
         self.maps = held(n, self.times)
 
     def rows(self, z, sun):
-        found = self.barrier(z, sun)
+        value = self.barrier(z, sun)
         drift = z @ cw_matrix(self.n).T
         limit = np.full(z.shape[:-1], np.sqrt(3) * self.thrust)
         motion = self.data.motion(z, drift, self.n, limit)
         self.motion = motion
-        M = np.broadcast_to(self.barrier.curvature(z, sun, motion), found.h.shape)
-        if found.h.shape != z.shape[:-1]:
-            drift = np.repeat(drift, found.h.shape[-1] // z.shape[-2], axis=-2)
-        natural = np.einsum("...i,...i->...", found.gradient, drift) + found.change
+        M = np.broadcast_to(self.barrier.curvature(z, sun, motion), value.h.shape)
+        if value.h.shape != z.shape[:-1]:
+            drift = np.repeat(drift, value.h.shape[-1] // z.shape[-2], axis=-2)
+        natural = np.einsum("...i,...i->...", value.gradient, drift) + value.change
         D, share = self.data.period, self.data.share
-        return found.h, found.gradient[..., 3:], -natural - share * found.h / D + M * D / 2, M
+        return value.h, value.gradient[..., 3:], -natural - share * value.h / D + M * D / 2, M
 
     def just_enough(self, G, need, one, two):
         """Inputs between two given ones, moved to equality ``G a = need`` within the box; nan if none."""
-        most = np.sign(G) * self.thrust
-        low = np.where(((G * one).sum(-1) <= need)[..., None], one, -most)
-        high = np.where(((G * two).sum(-1) >= need)[..., None], two, most)
+        limit = np.sign(G) * self.thrust
+        low = np.where(((G * one).sum(-1) <= need)[..., None], one, -limit)
+        high = np.where(((G * two).sum(-1) >= need)[..., None], two, limit)
         a, b = (G * low).sum(-1), (G * high).sum(-1)
         with np.errstate(all="ignore"):
             part = np.clip((need - a) / (b - a), 0, 1)
@@ -77,7 +77,7 @@ class Attack:
         return np.einsum("tij,...j->t...i", Phi, z) + np.einsum("tij,...j->t...i", Gamma, acceleration)
 
     def shortfall(self, z, sun, one, two):
-        """How far h falls below ``(1 - share t / D) h`` (or below 0 for a dropped row), and how many flew."""
+        """Return the largest fall of h below ``(1 - share t / D) h`` (0 for dropped rows), and who flew."""
         h, G, need, M = self.rows(z, sun)
         a = self.just_enough(G, need, one, two)
         flown = np.isfinite(a).all(-1) & (h >= 0) & ~np.isposinf(M)
@@ -227,9 +227,9 @@ def test_curvature_bounds_hold_from_outside_too(kind, factor):
         K = 300
         z, sun = outside_and_near(kind, attack.barrier, rng, K)
         h, G, _, M = attack.rows(z, sun)
-        found = attack.barrier(z, sun)
+        value = attack.barrier(z, sun)
         a = rng.choice([-1 / 12, 0.0, 1 / 12], (K, 3))
-        rate = np.einsum("ki,ki->k", found.gradient, z @ cw_matrix(attack.n).T) + found.change
+        rate = np.einsum("ki,ki->k", value.gradient, z @ cw_matrix(attack.n).T) + value.change
         rate = rate + (G * a).sum(axis=1)
         t = attack.times[:, None]
         path = attack.barrier(attack.fly(z, a), sun - attack.n * t).h
@@ -279,7 +279,7 @@ def test_optimised_attacks_fail_too(kind, period):
         h, _, _, _ = attack.rows(z, np.pi * y[:, 6])
         return np.where(flew, -worst, 1.0 + np.maximum(-h, 0.0))
 
-    found = differential_evolution(
+    optimum = differential_evolution(
         objective,
         [(-1, 1)] * 13,
         maxiter=fewer(150, 60),
@@ -288,7 +288,7 @@ def test_optimised_attacks_fail_too(kind, period):
         vectorized=True,
         updating="deferred",
     )
-    assert found.fun >= -1e-10
+    assert optimum.fun >= -1e-10
 
 
 # --- passively safe manoeuvres -----------------------------------------------------------------------
@@ -511,12 +511,12 @@ def test_filters_ask_for_what_the_attacks_here_only_just_satisfy(period):
     families = Families(q, {name: Strengthening((1e3, 0.0, 0.0)) for name in FAMILIES}, sampled=data)
     z = np.concatenate([rng.normal(size=(60, 1, 3)) * 60, rng.normal(size=(60, 1, 3)) * 0.4], axis=2)
     sun, start, finite = rng.uniform(-3, 3, 60), 0, 0
-    found = families(z, sun)
+    rows = families(z, sun)
     for group in families.groups:
         attack = Attack(group.barrier, q.mean_motion, period, q.thrust_max / q.mass, data.share)
         h, _, need, M = attack.rows(families.stack(z)[..., group.at, :], sun[:, None])
         own = slice(start, start := start + h.shape[-1])
         inside = h > 0
         finite += np.isfinite(M[inside]).sum()
-        np.testing.assert_allclose(found.bound[:, own][inside], need[inside], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rows.bound[:, own][inside], need[inside], rtol=1e-9, atol=1e-12)
     assert start == len(families.labels) and finite > 20

@@ -46,17 +46,17 @@ def counting(monkeypatch):
 
 
 def test_table_has_one_row_per_run_with_everything_that_was_measured(flown):
-    found = rows(flown.path)
-    assert len(found) == 2 * 2 * RUNS
-    keys = {(row["case"], row["batch"], row["run"], row["mode"]) for row in found}
-    assert len(keys) == len(found)
-    seeds = {(row["case"], row["batch"]): (row["seed"], row["seed_truth"]) for row in found}
+    lines = rows(flown.path)
+    assert len(lines) == 2 * 2 * RUNS
+    keys = {(row["case"], row["batch"], row["run"], row["mode"]) for row in lines}
+    assert len(keys) == len(lines)
+    seeds = {(row["case"], row["batch"]): (row["seed"], row["seed_truth"]) for row in lines}
     assert len(set(seeds.values())) == len(seeds), "every batch draws its own"
     for margin, mode in ((0.3, "polaris"), (0.4, "experimental")):
-        mine = [row for row in found if row["planner.extra_margin_m"] == margin and row["mode"] == mode]
+        mine = [row for row in lines if row["planner.extra_margin_m"] == margin and row["mode"] == mode]
         assert len(mine) == RUNS and {row["scenario"] for row in mine} == {"tiny"}
     # a batch is what `simulate` and `evaluate` give for the seeds in its rows
-    first = [row for row in found if (row["case"], row["batch"], row["mode"]) == (1, 2, "polaris")]
+    first = [row for row in lines if (row["case"], row["batch"], row["mode"]) == (1, 2, "polaris")]
     schedule = synthesize(load_scenario(TINY).set("planner.extra_margin_m", 0.4))
     columns = evaluate(simulate(schedule, 5, first[0]["seed"]), first[0]["seed_truth"]).columns()
     assert set(columns) <= set(first[0])
@@ -73,12 +73,12 @@ def test_parameters_keep_their_types_in_the_table(tmp_path):
 
 
 def test_summary_is_that_of_the_table(flown):
-    found = rows(flown.path)
-    told = flown.summary
-    assert told["flown"] == len(found) and told["runs"] == RUNS
-    for case in told["cases"]:
+    lines = rows(flown.path)
+    summary = flown.summary
+    assert summary["flown"] == len(lines) and summary["runs"] == RUNS
+    for case in summary["cases"]:
         for mode in MODES:
-            mine = [row for row in found if row["case"] == case["case"] and row["mode"] == mode]
+            mine = [row for row in lines if row["case"] == case["case"] and row["mode"] == mode]
             entry = case["modes"][mode]
             hits = sum(row["collided"] for row in mine)
             assert entry["violations"] == hits == (RUNS if mode == "experimental" else 0)
@@ -88,8 +88,8 @@ def test_summary_is_that_of_the_table(flown):
             assert entry["mean"]["delta_v_m_s"]["mean"] == pytest.approx(spent.mean(), rel=1e-12)
             assert entry["worst"]["delta_v_m_s"] == spent.max()
             for name in ("max_thrust_ratio", "max_thrust_ratio_safety", "switches"):
-                most = max(row[name] for row in mine)  # of S's thrust where S never flies: no number
-                assert entry["worst"][name] == (None if np.isnan(most) else most), name
+                largest = max(row[name] for row in mine)  # of S's thrust where S never flies: no number
+                assert entry["worst"][name] == (None if np.isnan(largest) else largest), name
             for name in ("min_distance_m", "experimental_share"):
                 assert entry["worst"][name] == min(row[name] for row in mine), name
             nearest = sorted((row["min_distance_m"], row["batch"], row["run"]) for row in mine)[:5]
@@ -252,11 +252,11 @@ def test_other_folders_are_not_touched(tmp_path):
 def test_damaged_manifests_are_told(tmp_path):
     out = run(make_cases([TINY]), 3, tmp_path / "c").path
     manifest = out / "manifest.json"
-    told = json.loads(manifest.read_text(encoding="utf-8"))
+    data = json.loads(manifest.read_text(encoding="utf-8"))
     for changed, word in (
-        ({**told, "seed": 5}, "digest does not fit"),
-        ({**told, "version": "0.0.1"}, "version 0.0.1"),
-        ({**told, "cases": 3}, "damaged"),
+        ({**data, "seed": 5}, "digest does not fit"),
+        ({**data, "version": "0.0.1"}, "version 0.0.1"),
+        ({**data, "cases": 3}, "damaged"),
         ([], "damaged"),
     ):
         manifest.write_text(json.dumps(changed), encoding="utf-8")
@@ -408,9 +408,9 @@ def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
         late.setattr(schedules, "_made", schedules._made.__wrapped__)  # others keep what they made
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
         late.setattr(Effort, "cut_by_clock", struck)
-        found = run(make_cases([TINY]), 3, tmp_path / "c").summary
-    assert found["flown"] == 0 and "raise planner.time_limit_s" in found["cases"][0]["failure"]
-    assert found["cases"][0]["exit_code"] == 4
+        summary = run(make_cases([TINY]), 3, tmp_path / "c").summary
+    assert summary["flown"] == 0 and "raise planner.time_limit_s" in summary["cases"][0]["failure"]
+    assert summary["cases"][0]["exit_code"] == 4
     assert run(make_cases([TINY]), 3, tmp_path / "c").summary["flown"] == 3
 
 
@@ -423,8 +423,8 @@ def test_a_full_disk_names_the_path_keeps_the_parts_and_goes_on(flown, tmp_path,
         real(table, path, **options)
 
     monkeypatch.setattr(pq, "write_table", write)
-    told = r"c/runs.*No space left on device.*Free some space.* runs are kept in .*goes on"
-    with pytest.raises(PolarisError, match=told):
+    pattern = r"c/runs.*No space left on device.*Free some space.* runs are kept in .*goes on"
+    with pytest.raises(PolarisError, match=pattern):
         fly(out)
     assert table(out).items() < table(flown.path).items()
     assert not [path for path in out.rglob("*") if ".new-" in path.name]
@@ -447,8 +447,8 @@ def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatc
     real = batch.fly_batch
 
     def fly_batch(task):
-        found = real(task)
-        return batch.Batch("0" * 64, found.columns) if task.batch == 1 else found
+        made = real(task)
+        return batch.Batch("0" * 64, made.columns) if task.batch == 1 else made
 
     monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
     with pytest.raises(PolarisError, match="different schedules.*5 runs are kept"):

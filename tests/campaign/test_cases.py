@@ -16,14 +16,14 @@ from tests.campaign.scene import TINY, cases
 def test_every_combination_of_the_grid_is_a_case():
     grid = parse_grid(["planner.extra_margin_m=0.3, 0.4", "system.input_max=1.0,2.0,3.0"])
     assert grid == {"planner.extra_margin_m": [0.3, 0.4], "system.input_max": [1.0, 2.0, 3.0]}
-    found = make_cases([TINY], grid, ["simulation.runs=3"])
-    assert [dict(case.parameters) for case in found] == [
+    made = make_cases([TINY], grid, ["simulation.runs=3"])
+    assert [dict(case.parameters) for case in made] == [
         {"planner.extra_margin_m": margin, "system.input_max": limit}
         for margin in (0.3, 0.4)
         for limit in (1.0, 2.0, 3.0)
     ]
-    assert found[4].label == "tiny, planner.extra_margin_m=0.4, system.input_max=2"
-    assert "input_max = 2.0" in found[4].text and "runs = 3" in found[4].text
+    assert made[4].label == "tiny, planner.extra_margin_m=0.4, system.input_max=2"
+    assert "input_max = 2.0" in made[4].text and "runs = 3" in made[4].text
 
 
 def test_values_of_a_grid_are_those_of_set():
@@ -155,11 +155,11 @@ def test_interval_of_a_mean_covers_as_often_as_it_says():
 
 def test_no_confidence_bound_is_impossible():
     rng = np.random.default_rng(1)
-    for name, (least, most) in POSSIBLE.items():
+    for name, (least, largest) in POSSIBLE.items():
         for scale in (1e-3, 0.5, 1.0):
-            values = np.minimum(scale * rng.uniform(size=3) ** 4, most)
+            values = np.minimum(scale * rng.uniform(size=3) ** 4, largest)
             values[0] = least
             mean, low, high = mean_interval(values, within=possible(name))
-            assert least <= low <= mean <= high <= most
+            assert least <= low <= mean <= high <= largest
             mean, low, high = mean_interval(values - values[::-1], within=possible(name, difference=True))
-            assert least - most <= low <= mean <= high <= most - least
+            assert least - largest <= low <= mean <= high <= largest - least

@@ -85,8 +85,8 @@ def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path
 
     killer = threading.Thread(target=kill)
     killer.start()
-    told = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
-    with pytest.raises(PolarisError, match=told), cluster(address) as crew:
+    pattern = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
+    with pytest.raises(PolarisError, match=pattern), cluster(address) as crew:
         fly(out, crew)
     killer.join()
     assert capfd.readouterr() == ("", "")  # no traceback of Dask's
@@ -99,8 +99,8 @@ def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path
     monkeypatch.setattr("polaris.runs.campaign.workers.TICK", 0.2)
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
     with distributed.LocalCluster(n_workers=0, **options) as here:
-        told = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
-        with cluster(here.scheduler_address) as crew, pytest.raises(PolarisError, match=told):
+        pattern = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
+        with cluster(here.scheduler_address) as crew, pytest.raises(PolarisError, match=pattern):
             fly(tmp_path / "c", crew)
         assert table(tmp_path / "c") == {}
         here.scale(1)

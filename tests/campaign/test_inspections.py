@@ -41,14 +41,14 @@ def flown(tmp_path_factory):
 @pytest.fixture
 def seen(monkeypatch):
     """Batches flown from here on."""
-    found, real = [], batch.fly_batch
+    batches, real = [], batch.fly_batch
 
     def fly_batch(task):
-        found.append(task.batch)
+        batches.append(task.batch)
         return real(task)
 
     monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
-    return found
+    return batches
 
 
 def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_table(flown):
@@ -88,15 +88,15 @@ def test_a_pool_gives_the_same_table(flown, tmp_path):
 
 def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
     folder = read_campaign(flown.path)
-    found = replay_run(folder, 0, 1, 1, "decentralized")
+    again = replay_run(folder, 0, 1, 1, "decentralized")
     columns = folder.read(0)
     place = np.flatnonzero((columns["mode"] == "decentralized") & (columns["batch"] == 1))[1]
-    np.testing.assert_equal(found.row, {name: values[place] for name, values in columns.items()})
-    run = found.arrays
+    np.testing.assert_equal(again.row, {name: values[place] for name, values in columns.items()})
+    run = again.arrays
     assert run["states"].shape == (4, 2, 6) and run["thrust_N"].shape == (3, 2, 3)
-    assert run["states"][0, 1, 2] == found.row["deputy_1_rz_m"]
+    assert run["states"][0, 1, 2] == again.row["deputy_1_rz_m"]
     spent = np.abs(run["thrust_N"]).sum(axis=(0, 2)) / scenario().inspection().mass
-    assert [found.row[f"delta_v_{i}_m_s"] for i in (0, 1)] == pytest.approx(spent)
+    assert [again.row[f"delta_v_{i}_m_s"] for i in (0, 1)] == pytest.approx(spent)
     with pytest.raises(ScenarioError, match="not ranked"):
         find_worst(folder, 1)
     with pytest.raises(ScenarioError, match="was not flown"):
@@ -122,9 +122,9 @@ def test_it_runs_as_any_scenario_does(flown, tmp_path):
 def test_no_initial_conditions_is_one_message(tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.inspection.flights.sampling.PATIENCE", 4000)
     monkeypatch.setattr(inspections, "_made", inspections._made.__wrapped__)
-    with pytest.raises(PolarisError, match="hardly any of 4096 samples") as told:
+    with pytest.raises(PolarisError, match="hardly any of 4096 samples") as raised:
         run_monte_carlo(tmp_path / "c", scenario("campaign.deputies=30"))
-    assert told.value.exit_code == 2
+    assert raised.value.exit_code == 2
 
 
 # -- the extra ``campaign`` ---------------------------------------------------------------------------
@@ -154,8 +154,8 @@ def test_the_monte_carlo_runs_on_the_default_install(flown, tmp_path, seen, defa
     before = table(out)
     (out / "runs" / "case-0000-batch-00002.npz").write_bytes(before["case-0000-batch-00000.npz"][:-99])
     assert invoke(*words, "--no-figures").exit_code == 0 and seen[3:] == [2] and table(out) == before
-    told = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert told["studies"] == flown.summary["studies"]
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["studies"] == flown.summary["studies"]
     place = ("--case", 0, "--batch", 1, "--run", 1, "--mode", "centralized", "--out", tmp_path / "one.csv")
     assert (done := invoke("campaign-replay", out, *place)).exit_code == 0, done.output
     with (tmp_path / "one.csv").open(encoding="utf-8", newline="") as file:

@@ -27,18 +27,18 @@ def invoke(*arguments):
 def test_replay_gives_the_numbers_of_the_table(flown, mode):
     folder, mass = read_campaign(flown.path), load_scenario(TINY).problem().system.mass
     for case, batch, run in ((0, 0, 0), (1, 2, 3), (1, 4, 1)):
-        found = replay_run(folder, case, batch, run, mode)
+        again = replay_run(folder, case, batch, run, mode)
         (row,) = [
             row
             for row in rows(flown.path)
             if (row["case"], row["batch"], row["run"], row["mode"]) == (case, batch, run, mode)
         ]
-        np.testing.assert_equal(found.row, row)
+        np.testing.assert_equal(again.row, row)
         # the trajectory is that of these numbers, up to the refinement between the nodes
-        distances, times = found.arrays["distances_m"], found.arrays["times_s"]
+        distances, times = again.arrays["distances_m"], again.arrays["times_s"]
         assert distances.min() == pytest.approx(row["min_distance_m"], abs=5e-3)
         assert distances.min() >= row["min_distance_m"]
-        held = np.abs(found.arrays["inputs"]).sum() * times[1] / mass
+        held = np.abs(again.arrays["inputs"]).sum() * times[1] / mass
         assert held == pytest.approx(row["delta_v_m_s"], rel=0.05)
 
 
@@ -55,10 +55,10 @@ def test_replay_gives_the_numbers_of_the_table(flown, mode):
 def test_a_fault_befalls_every_second_run_and_is_flown_again(kind, late, seen, tmp_path):
     scene = load_scenario(TINY).with_assignments([*SOFT, *TWOS, late, *seen])
     folder = fly_campaign(make_cases([scene]), 12, tmp_path / "c", batch=6)
-    found, calm = rows(folder.path), fly_campaign(make_cases([scene]), 12, tmp_path / "d", batch=6, calm=True)
-    assert [row["fault"] for row in found] == ["", kind] * 6
-    assert len({row["fault_begins_s"] for row in found[1::2]}) > 3
-    for i, (row, other) in enumerate(zip(found, rows(calm.path), strict=True)):
+    lines, calm = rows(folder.path), fly_campaign(make_cases([scene]), 12, tmp_path / "d", batch=6, calm=True)
+    assert [row["fault"] for row in lines] == ["", kind] * 6
+    assert len({row["fault_begins_s"] for row in lines[1::2]}) > 3
+    for i, (row, other) in enumerate(zip(lines, rows(calm.path), strict=True)):
         assert not row["collided"] and row["max_thrust_ratio_safety"] <= 1
         same = row["min_distance_m"] == pytest.approx(other["min_distance_m"], rel=1e-9)
         assert same and row["fault_ends_s"] != row["fault_ends_s"] if i % 2 == 0 else "fault" not in other
@@ -67,7 +67,7 @@ def test_a_fault_befalls_every_second_run_and_is_flown_again(kind, late, seen, t
         modes, times = again.arrays["modes"], again.arrays["times_s"][:-1]
         assert (1 in modes) or i % 2
         assert not np.any(modes[times >= row["fault_ends_s"]])
-    moved = [a["delta_v_m_s"] - b["delta_v_m_s"] for a, b in zip(found, rows(calm.path), strict=True)]
+    moved = [a["delta_v_m_s"] - b["delta_v_m_s"] for a, b in zip(lines, rows(calm.path), strict=True)]
     assert np.all(np.abs(moved[1::2]) > 1e-6)
 
 
@@ -84,10 +84,10 @@ def test_replay_of_other_satellites_is_what_was_measured(tmp_path):
     scene = scene.set("obstacles", [scene.to_dict()["obstacles"][0], other])
     folder = fly_campaign(make_cases([scene]), 260, tmp_path / "c", batch=260)
     for run in (3, 255):
-        found = replay_run(folder, 0, 0, run)
-        nearest = found.arrays["distances_m"].min(axis=0)
-        assert (found.arrays["distances_m"].argmin(axis=0) == 1).any(), "the other satellite has a part in it"
-        assert nearest.mean() == pytest.approx(found.row["mean_distance_m"], rel=1e-9)
+        again = replay_run(folder, 0, 0, run)
+        nearest = again.arrays["distances_m"].min(axis=0)
+        assert (again.arrays["distances_m"].argmin(axis=0) == 1).any(), "the other satellite has a part in it"
+        assert nearest.mean() == pytest.approx(again.row["mean_distance_m"], rel=1e-9)
 
 
 def test_the_worst_runs_are_found_in_their_order(flown):
@@ -131,9 +131,9 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
     real = schedules.ScheduleRuns.fly
 
     def another(self, task, mode, run=None):
-        found = real(self, task, mode, run)
-        found.columns["delta_v_m_s"] = np.nextafter(found.columns["delta_v_m_s"], np.inf)
-        return found
+        made = real(self, task, mode, run)
+        made.columns["delta_v_m_s"] = np.nextafter(made.columns["delta_v_m_s"], np.inf)
+        return made
 
     monkeypatch.setattr(schedules.ScheduleRuns, "fly", another)
     with pytest.raises(PolarisError, match="differently on this machine: delta_v_m_s"):
@@ -154,9 +154,9 @@ def test_commands_fly_print_and_replay(tmp_path, monkeypatch):
         and "1: tiny, system.input_max=0.02: no schedule" in (done.stdout)
     )
     before = table("runs/tiny-campaign")
-    told = invoke("campaign", TINY, *options, *grid, "--json")
-    assert told.exit_code == 0 and table("runs/tiny-campaign") == before
-    summary = json.loads(told.stdout)
+    printed = invoke("campaign", TINY, *options, *grid, "--json")
+    assert printed.exit_code == 0 and table("runs/tiny-campaign") == before
+    summary = json.loads(printed.stdout)
     assert [("failure" in case) for case in summary["cases"]] == [False, True]
     worst = summary["cases"][0]["modes"]["polaris"]["worst_runs"][1]
     shown = invoke(

@@ -23,7 +23,7 @@ def robot(latency=0.0, trust="thrust_limits", half=HALF):
 
 @dataclass
 class Delivery:
-    """What arrives at one decision, and which families of faults it must be explained by."""
+    """Data that arrive at one decision, and the families of faults that must explain them."""
 
     now: float
     stamp: object

@@ -73,12 +73,12 @@ def test_switches_and_shares_by_hand():
     made = scene("robot")
     conditions = Conditions.draw(made, 1, 0)
     flight = fly(made, METHODS["schedule"](made), conditions)
-    found = measure(made, flight, conditions, "schedule")
+    metrics = measure(made, flight, conditions, "schedule")
     modes = np.repeat(made.schedule.modes, made.clearance.q)
-    assert found.experimental_share[0] == pytest.approx(np.mean(modes > 0), abs=1e-12)
-    assert found.switches[0] == np.count_nonzero(np.diff(modes))
-    assert found.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * made.h / made.system.mass)
-    assert found.mean_distance[0] >= found.min_distance[0]
+    assert metrics.experimental_share[0] == pytest.approx(np.mean(modes > 0), abs=1e-12)
+    assert metrics.switches[0] == np.count_nonzero(np.diff(modes))
+    assert metrics.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * made.h / made.system.mass)
+    assert metrics.mean_distance[0] >= metrics.min_distance[0]
 
 
 def test_changes_to_a_filtered_input_and_back_are_switches():
@@ -87,9 +87,9 @@ def test_changes_to_a_filtered_input_and_back_are_switches():
     flight = fly(made, METHODS["asif_implicit"](made), conditions)
     who = flown(made, flight)
     assert (who == -1).any() and (who == 1).any()
-    found = measure(made, flight, conditions, "filter")
-    assert found.switches.tolist() == np.count_nonzero(np.diff(who, axis=1), axis=1).tolist()
-    assert found.switches.min() > 0
+    metrics = measure(made, flight, conditions, "filter")
+    assert metrics.switches.tolist() == np.count_nonzero(np.diff(who, axis=1), axis=1).tolist()
+    assert metrics.switches.min() > 0
 
 
 def test_deviation_is_that_from_what_u_wants():
@@ -122,8 +122,8 @@ def test_no_difference_is_made_of_infinite_times():
     metrics = measure(made, flight, conditions, "safety")
     metrics.min_ttc[:] = [np.inf, 1.0, 2.0]
     one = outcome(metrics, flight.deviation)
-    told = one.summary()["min_ttc_s"]
-    assert told == {"mean": None, "low": None, "high": None, "worst": 1.0}
+    summary = one.summary()["min_ttc_s"]
+    assert summary == {"mean": None, "low": None, "high": None, "worst": 1.0}
     rows = {row["metric"]: row for row in one.against(outcome(metrics, flight.deviation, "other"))}
     assert rows["min_ttc_s"]["difference"] is None
     assert rows["min_distance_m"]["difference"] == 0.0
@@ -174,14 +174,14 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     keys = {name.split(".")[0] for name in tuning}
     comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
     table = write_comparison(tmp_path / "one", scenario, comparison).summary
-    told = {
+    settings = {
         f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
     }
-    assert told == tuning
+    assert settings == tuning
     for key, options in ((key, one.options) for key, one in METHODS.items() if one.options):
-        found = compare_methods(schedule, 1, 0, methods=(key,)).results[key].settings
-        assert set(found) == {option.name for option in options}
-        assert all(found[option.name] != tuning.get(f"{key}.{option.name}") for option in options)
+        defaults = compare_methods(schedule, 1, 0, methods=(key,)).results[key].settings
+        assert set(defaults) == {option.name for option in options}
+        assert all(defaults[option.name] != tuning.get(f"{key}.{option.name}") for option in options)
     for wrong in ({"monitor.alpha": 1.0}, {"nothing": 1.0}, {"schedule.dwell": 2}, {"monitor.dwell": 1.5}):
         with pytest.raises(ScenarioError, match="tuning|dwell"):
             compare_methods(schedule, 1, 0, tuning=wrong)
@@ -203,8 +203,8 @@ def test_folder_holds_what_was_found(tmp_path):
     table = read_run(tmp_path / "one").summary
     assert [method["key"] for method in table["methods"]] == [key for key in METHODS if key in FEW]
     for method in table["methods"]:
-        told = comparison.results[method["key"]].summary()
-        assert method["metrics"]["min_distance_m"] == told["min_distance_m"]
+        summary = comparison.results[method["key"]].summary()
+        assert method["metrics"]["min_distance_m"] == summary["min_distance_m"]
         assert set(method["metrics"]) <= set(DEFINITIONS)
     shown = folder.picture().shown
     for key in FEW:
@@ -245,7 +245,7 @@ def test_command(tmp_path):
     table = json.loads(again.stdout)
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
     assert table["methods"][2]["settings"] == {"reentry": 0.1, "dwell": 4.0}
-    for arguments, told in (
+    for arguments, rule in (
         (["compare", "inspection"], "must be a scenario of the kind 'schedule'"),
         (["compare", str(TINY), "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
@@ -254,5 +254,5 @@ def test_command(tmp_path):
         (["compare", "nowhere"], "nowhere"),
     ):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])
-        assert failed.exit_code == 2 and told in failed.output, failed.output
+        assert failed.exit_code == 2 and rule in failed.output, failed.output
         assert not (tmp_path / "other").exists()

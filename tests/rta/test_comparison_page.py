@@ -27,9 +27,9 @@ def rows(table):
 
 def value(name, method, column):
     """The number of one cell, a mean without its interval."""
-    found = {key: row for key, row in rows(TABLES[name]).items() if key.startswith(method)}
-    assert found, (name, method)
-    cells = next(iter(found.values()))
+    matches = {key: row for key, row in rows(TABLES[name]).items() if key.startswith(method)}
+    assert matches, (name, method)
+    cells = next(iter(matches.values()))
     return float(cells[column].split(" ± ")[0])
 
 
@@ -211,8 +211,8 @@ def test_tables_that_differ_are_found():
 @pytest.mark.parametrize("name", page.SCENES)
 def test_a_scenes_table_is_flown_again(name):
     swept, _ = page.read_sweep(TABLES["sweep"])
-    found = {key: page.own(values, name) for key, values in swept.items()}
-    tuned = {key: best for key, best in found.items() if best is not None}
+    own = {key: page.own(values, name) for key, values in swept.items()}
+    tuned = {key: best for key, best in own.items() if best is not None}
     table, _ = page.scene_table(scheduled(name)[1], page.RUNS, tuned)
     compare(TABLES[name], table)
 
@@ -222,15 +222,15 @@ def test_a_scenes_table_is_flown_again(name):
 def test_the_sweep_is_flown_again(name, monkeypatch):
     """Every value on one scene, or on all, but for the longest look-aheads and the largest buffers."""
     for key, options in page.SWEPT.items():
-        for i, most in ((i, {"horizon": 0.2, "buffer": 0.2}.get(one.name)) for i, one in enumerate(options)):
-            if most is not None and len(options) > 1:
-                monkeypatch.setitem(page.VALUES, key, [at for at in page.VALUES[key] if at[i] <= most])
+        for i, limit in ((i, {"horizon": 0.2, "buffer": 0.2}.get(one.name)) for i, one in enumerate(options)):
+            if limit is not None and len(options) > 1:
+                monkeypatch.setitem(page.VALUES, key, [at for at in page.VALUES[key] if at[i] <= limit])
         one_in = fewer(1, len(page.SCENES))
         some = page.VALUES[key][page.SCENES.index(name) % one_in :: one_in]
         monkeypatch.setitem(page.VALUES, key, some)
-    found = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
+    again = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
     swept, _ = page.read_sweep(TABLES["sweep"])
-    for key, values in found.items():
+    for key, values in again.items():
         for setting, cells in values.items():
             shown, real = swept[key][setting][name], page.read_cell(str(cells[name]))
             assert shown.violations == pytest.approx(real.violations, abs=1), (key, setting)

@@ -81,15 +81,15 @@ def flown(grid, key, conditions):
 def test_a_fault_at_any_instant_is_survived_under_the_monitor(told):
     schedule = hostile(tiny(told))
     grid = DecisionGrid.of(schedule)
-    found = flown(grid, "monitor", conditions := everywhere(grid, 2))
-    assert found.experimental_share.mean() > 0.1
-    assert found.min_distance.min() >= 0 and np.nanmax(found.max_thrust_ratio_safety) <= 1
+    metrics = flown(grid, "monitor", conditions := everywhere(grid, 2))
+    assert metrics.experimental_share.mean() > 0.1
+    assert metrics.min_distance.min() >= 0 and np.nanmax(metrics.max_thrust_ratio_safety) <= 1
     if told == ON:  # what the same flights do to a monitor whose proof leaves the fault out
         left_out = replace(schedule.safety.tracking.system, transients=())
         tracking = replace(schedule.safety.tracking, system=left_out)
         naive = DecisionGrid.of(replace(schedule, safety=replace(schedule.safety, tracking=tracking)))
-        found = flown(naive, "monitor", conditions)
-        assert np.nanmax(found.max_thrust_ratio_safety) > 1.05
+        metrics = flown(naive, "monitor", conditions)
+        assert np.nanmax(metrics.max_thrust_ratio_safety) > 1.05
 
 
 @pytest.mark.slow
@@ -105,12 +105,12 @@ def test_random_scenes_survive_faults_under_every_method_that_promises_it(seed):
             conditions = everywhere(grid, max(grid.decisions * grid.nodes // 10, 1))
             for key in PROVEN:
                 try:
-                    found = flown(grid, key, conditions)
+                    metrics = flown(grid, key, conditions)
                 except (NotCertified, ScenarioError) as error:
                     assert isinstance(error, NotCertified) or (key == PROVEN[1] and latency + nodes > 1)
                     continue
-                assert found.min_distance.min() >= 0, key
-                assert np.all(~(found.max_thrust_ratio_safety > 1)), key
+                assert metrics.min_distance.min() >= 0, key
+                assert np.all(~(metrics.max_thrust_ratio_safety > 1)), key
 
 
 def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
@@ -161,17 +161,17 @@ def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_t
     late = replace(system.timing, delay=hidden * h)
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
-    found = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
+    seen = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
     loop = Loop.of(system.A, system.B, h)
-    bound = moved(found, found.transients[0], 0 * fault.gains, loop).max(axis=0)
+    bound = moved(seen, seen.transients[0], 0 * fault.gains, loop).max(axis=0)
     Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
     assert np.all(np.abs(np.linalg.matrix_power(Ad, hidden + latency) @ Bd @ fault.pushes[-1]) <= bound)
 
 
 def test_where_navigation_may_be_lost_an_older_measurement_is_none():
     """S would fly on an estimate that is older than what is booked for it."""
-    for told, mode in ((LOST, 0), (WEAK, 1)):
-        schedule = tiny(told)
+    for fault, mode in ((LOST, 0), (WEAK, 1)):
+        schedule = tiny(fault)
         grid, h = DecisionGrid.of(schedule, half_widths=0.02), schedule.safety.tracking.flow.h
         loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.held
         for k in range(10):

@@ -194,14 +194,14 @@ def test_u_is_not_trusted_unless_that_is_asked_for():
 def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier(slope):
     made = scene("robot", half=0.005)
     conditions = Conditions.draw(made, 8, 2)
-    found = []
+    firsts = []
     for method in (ImplicitASIF(made), ImplicitASIF(made, slope=slope)):
         flight = fly(made, method, conditions)
         metrics = measure(made, flight, conditions, method.name)
         assert not metrics.collided.any()
         assert np.nanmax(np.append(metrics.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
-        found.append((flight.why != 0).argmax(axis=1))  # the first decision that is not the desired input
-    assert (found[1] <= found[0]).all() and (found[1] < found[0]).any()
+        firsts.append((flight.why != 0).argmax(axis=1))  # the first decision that is not the desired input
+    assert (firsts[1] <= firsts[0]).all() and (firsts[1] < firsts[0]).any()
 
 
 def test_same_conditions_give_the_same_flights():
@@ -237,7 +237,7 @@ def test_no_limit_is_left_out_however_late_it_is():
         shares = np.where(
             limits > 0, need / np.where(limits > 0, limits, 1.0), np.where(need > 0, np.inf, 0.0)
         )
-        told, near = recovery.share(node, errors, size, demand), shares[:, : demand.near].max(axis=1)
-        assert np.all(np.minimum(shares.max(axis=1), 1e3) <= told * (1 + 1e-9))
+        share, near = recovery.share(node, errors, size, demand), shares[:, : demand.near].max(axis=1)
+        assert np.all(np.minimum(shares.max(axis=1), 1e3) <= share * (1 + 1e-9))
         late += np.count_nonzero(shares.max(axis=1) > near * (1 + 1e-6))
     assert late > 0

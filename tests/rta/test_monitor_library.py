@@ -39,10 +39,10 @@ class Whimsical(Monitor):
 def kept(monitor, runs=8, seed=1):
     """Nothing is hit, and S is asked for no more than there is; switches per run."""
     conditions = Conditions.draw(monitor.grid, runs, seed)  # worst cases against this very reference
-    found = measure(monitor.grid, fly(monitor.grid, monitor, conditions), conditions, "monitor")
-    assert found.min_distance.min() > 0
-    assert np.nanmax(np.append(found.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
-    return found.switches.mean()
+    metrics = measure(monitor.grid, fly(monitor.grid, monitor, conditions), conditions, "monitor")
+    assert metrics.min_distance.min() > 0
+    assert np.nanmax(np.append(metrics.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
+    return metrics.switches.mean()
 
 
 @cache

@@ -164,5 +164,5 @@ def test_foreign_values_never_raise(name):
         assert real(value) is None or name == "scalar" or n == 1
         json.dumps(jsonable(value), allow_nan=False)
         json.dumps(jsonable(settled(odd(name, n))), allow_nan=False)
-        found = numbers(odd(name, n), (n,))
-        assert found is None or (name in oddities.not_finite(n) and not np.isfinite(found).all()), name
+        array = numbers(odd(name, n), (n,))
+        assert array is None or (name in oddities.not_finite(n) and not np.isfinite(array).all()), name

@@ -49,8 +49,8 @@ class Flight:
         return self.grid.xi[k * self.grid.nodes].copy()
 
     def honest(self, k, **changed):
-        told = {"stamp": k * self.grid.period, "state": self.at(k), **changed}
-        return Measurement(**told)
+        data = {"stamp": k * self.grid.period, "state": self.at(k), **changed}
+        return Measurement(**data)
 
     def step(self, k, measurement="honest", now=None, **told):
         measured = self.honest(k) if measurement == "honest" else measurement
@@ -208,8 +208,8 @@ def test_missed_decisions_are_forgiven_with_a_second_clock_or_a_number():
     flights = Flight(), Flight(), Flight()
     for k in (0, 1, 2, 5, 6, 7):
         alone, both, counted = (
-            flight.step(k, **told)
-            for flight, told in zip(flights, ({}, {"reference": 100.0 + k}, {"number": k}), strict=True)
+            flight.step(k, **clocks)
+            for flight, clocks in zip(flights, ({}, {"reference": 100.0 + k}, {"number": k}), strict=True)
         )
         assert both.mode == counted.mode == 1  # after the missed ones at once
         assert [fault.family for fault in counted.faults] == ["missed"] * (k == 5)

@@ -29,8 +29,8 @@ def flown(latency):
     flattered = {
         run for run, mine in enumerate(operators) if any(isinstance(o, streams.Flattering) for o in mine)
     }
-    told = {"second_clock": range(0, runs, 2), "applied": flattered.union(range(0, runs, 3))}
-    return monitor, operators, *fly_streams(monitor, operators, deciders, 7, **told)
+    options = {"second_clock": range(0, runs, 2), "applied": flattered.union(range(0, runs, 3))}
+    return monitor, operators, *fly_streams(monitor, operators, deciders, 7, **options)
 
 
 def test_there_are_enough_streams_and_both_controllers_fly():
@@ -137,8 +137,8 @@ def test_a_replayed_log_gives_the_same_decisions(tmp_path):
     operators = plans(3, scene.decisions, scene.system.n)[::8]
     logs = [DecisionLog(tmp_path / f"{run}.jsonl", flush_every=50) for run in range(len(operators))]
     deciders = [OnlineMonitor(monitor, PATIENT, log).step for log in logs]
-    told = {"second_clock": range(0, len(logs), 2), "applied": range(0, len(logs), 3)}
-    steps, _ = fly_streams(monitor, operators, deciders, 8, **told)
+    options = {"second_clock": range(0, len(logs), 2), "applied": range(0, len(logs), 3)}
+    steps, _ = fly_streams(monitor, operators, deciders, 8, **options)
     for run, log in enumerate(logs):
         log.close()
         again = replay_log(read_log(tmp_path / f"{run}.jsonl"), monitor, PATIENT)

@@ -94,10 +94,10 @@ def test_every_bundled_scenario_passes_it_or_is_refused(name):
             (SwitchingEnv if scenario.kind == "schedule" else InspectionEnv)(scenario)
         return
     env = InspectionEnv(scenario) if scenario.kind == "inspection" else SwitchingEnv(scheduled(name)[1])
-    for told in ({"intervened"}, {"intervened", "proven" if scenario.kind == "inspection" else "margin"}):
+    for keys in ({"intervened"}, {"intervened", "proven" if scenario.kind == "inspection" else "margin"}):
         check_env(env.unwrapped, skip_render_check=True)
         env.reset(seed=1)
-        assert told <= env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4].keys()
+        assert keys <= env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4].keys()
         env = Shield(env, penalty=0.5)
 
 
@@ -150,9 +150,9 @@ def test_what_does_not_fit_is_told():
         (lambda: SwitchingEnv(sampled(), input_scale=np.ones(3)), "input_scale"),
         (lambda: SwitchingEnv(DecisionGrid.of(sampled(), 0.5, 0.25)), "latency"),
     ):
-        with pytest.raises(ScenarioError) as told:
+        with pytest.raises(ScenarioError) as raised:
             make()
-        assert told.value.field == field
+        assert raised.value.field == field
 
 
 # -- what a policy reads and is paid for ----------------------------------------------------------------
@@ -381,10 +381,10 @@ def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
     assert collisions == 0 and schedule.guarantee == "proved" and schedule.share() > 0.2
     verdict = verify_document(certificate(schedule, scenario.name))
     assert verdict.outcome == "VERIFIED", verdict.text()
-    found = compare_methods(schedule, 6, methods=["experimental", "schedule", "monitor"]).results
-    assert all(found[key].claim.kind == "proved" for key in ("schedule", "monitor"))
-    assert not any(found[key].metrics.collided.any() for key in ("schedule", "monitor"))
-    assert found["schedule"].metrics.experimental_share.mean() == pytest.approx(schedule.share())
+    results = compare_methods(schedule, 6, methods=["experimental", "schedule", "monitor"]).results
+    assert all(results[key].claim.kind == "proved" for key in ("schedule", "monitor"))
+    assert not any(results[key].metrics.collided.any() for key in ("schedule", "monitor"))
+    assert results["schedule"].metrics.experimental_share.mean() == pytest.approx(schedule.share())
 
 
 def test_inspection_is_kept_by_an_assured_filter():
@@ -393,15 +393,15 @@ def test_inspection_is_kept_by_an_assured_filter():
         env = InspectionEnv(inspected())
         env = Shield(env, penalty=0.5) if shielded else env
         env.reset(seed=0)
-        told = []
+        rows = []
         for _ in range(60):
             inward = -np.sign(env.unwrapped.many.flights.x[0, :, :3]).ravel()
             _, reward, over, ended, info = env.step(inward.astype(np.float32))
-            told.append((over, info["intervened"], info["proven"], info["least"]))
+            rows.append((over, info["intervened"], info["proven"], info["least"]))
             assert not shielded or reward <= 1 / 60 - 0.5 * info["intervened"]
             if over or ended:
                 break
-        ends[shielded] = np.array(told, dtype=float)
+        ends[shielded] = np.array(rows, dtype=float)
     assert not ends[True][:, 0].any() and ends[True][:, 2].all() and (ends[True][:, 3] >= 0).all()
     assert 0 < ends[True][:, 1].sum() < len(ends[True]) == 60
     assert ends[False][-1, 0] and ends[False][-1, 3] < 0
@@ -419,18 +419,18 @@ def test_inspections_flown_together_are_those_flown_alone(proven):
     for run in range(3):
         one = Shield(InspectionEnv(short), proven=proven)
         seen, over = one.reset(seed=0)[0], False
-        for action, told in zip(actions[:, run], together[1:], strict=True):
+        for action, step in zip(actions[:, run], together[1:], strict=True):
             if over:  # a step that only begins anew
                 (seen, _), over = one.reset(), False
-                assert not told[4]["_least"][run] and told[1][run] == 0
+                assert not step[4]["_least"][run] and step[1][run] == 0
             else:
                 seen, reward, failed, over, info = one.step(action)
                 assert not failed and info["least"] >= 0 and info["proven"] == proven
-                assert (reward, over) == pytest.approx((told[1][run], told[3][run]), abs=1e-12)
-                assert info["status"] == told[4]["status"][run]
+                assert (reward, over) == pytest.approx((step[1][run], step[3][run]), abs=1e-12)
+                assert info["status"] == step[4]["status"][run]
                 assert np.isfinite(action).all() or info["intervened"] == 1
-            np.testing.assert_allclose(seen, told[0][run], atol=1e-6)
-    assert sum(told[3].sum() for told in together[1:]) == 6
+            np.testing.assert_allclose(seen, step[0][run], atol=1e-6)
+    assert sum(step[3].sum() for step in together[1:]) == 6
     assert speed(many, 1) > 0
 
 
