@@ -55,7 +55,7 @@ def write_comparison(target, run, flights, methods=4):
     sources = ["polaris", "safety", "experimental"] + ["polaris"] * (methods - 3)
     names = ["Polaris schedule", "S alone", "U alone"] + [f"filter {i}" for i in range(methods - 3)]
     keys = ["schedule", "safety", "experimental"] + [f"filter_{i}" for i in range(methods - 3)]
-    arrays, told = {}, []
+    arrays, rows = {}, []
     for i, (key, name, source) in enumerate(zip(keys, names, sources, strict=True)):
         item = flights[source]
         per_node = np.repeat(item.modes, (len(item.times) - 1) // len(item.modes))
@@ -68,7 +68,7 @@ def write_comparison(target, run, flights, methods=4):
             f"{key}_modes": modes,
             f"{key}_distance_m": item.nearest,
         }
-        told.append(
+        rows.append(
             {
                 "key": key,
                 "name": name,
@@ -85,7 +85,7 @@ def write_comparison(target, run, flights, methods=4):
                 },
             }
         )
-    told.append(
+    rows.append(
         {
             "key": "gone",
             "name": "needs a licence",
@@ -112,7 +112,7 @@ def write_comparison(target, run, flights, methods=4):
             "statement": "Every method flies the same runs.",
         },
         "definitions": {"min_distance_m": "least signed distance"},
-        "methods": told,
+        "methods": rows,
         "paired": [
             {
                 "method": key,
@@ -141,5 +141,5 @@ def write_comparison(target, run, flights, methods=4):
 
 
 def without_runs(flights):
-    """The same flights with the first run alone."""
+    """Return the flights with the first run alone."""
     return {key: replace(item, labels=item.labels[:1]) for key, item in flights.items()}

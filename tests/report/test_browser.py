@@ -117,10 +117,10 @@ def browser(tmp_path_factory):
 def wait(browser, script, *args, most=MOST):
     """Ask until the answer is true."""
     until = time.monotonic() + most
-    while not (found := browser.execute_script(script, *args)):
+    while not (answer := browser.execute_script(script, *args)):
         assert time.monotonic() < until, script
         time.sleep(0.1)
-    return found
+    return answer
 
 
 def open_page(browser, address):
@@ -227,14 +227,14 @@ def test_a_recoverable_set_holds_the_chaser_or_bears_its_own_time(browser, page)
                 time.sleep(0.1)
         else:
             t = browser.execute_script("return document.getElementById('timelines').layout.shapes[0].x0")
-        found = wait(browser, SLICE)
-        edge = np.array(found["outline"]).T
-        along, now = np.diff(edge, axis=0), abs(found["t"] - t) < 1e-3
-        beside = np.array(found["here" if now else "place"]) - edge[:-1]
+        drawn = wait(browser, SLICE)
+        edge = np.array(drawn["outline"]).T
+        along, now = np.diff(edge, axis=0), abs(drawn["t"] - t) < 1e-3
+        beside = np.array(drawn["here" if now else "place"]) - edge[:-1]
         assert np.all(along[:, 0] * beside[:, 1] - along[:, 1] * beside[:, 0] > -1e-4)
-        assert found["text"] == f"recoverable at {found['t']:.4g} s" and found["t"] < t + 1e-3
-        assert (found["filled"], found["dash"]) == ((True, "solid") if now else (False, "dash"))
-        assert now or found["place"] != found["here"]
+        assert drawn["text"] == f"recoverable at {drawn['t']:.4g} s" and drawn["t"] < t + 1e-3
+        assert (drawn["filled"], drawn["dash"]) == ((True, "solid") if now else (False, "dash"))
+        assert now or drawn["place"] != drawn["here"]
         filled += now
     assert 2 <= filled < 10  # where it opens, and at the start
     assert_quiet(browser)
@@ -310,13 +310,13 @@ def contrast(a, b):
 
 def assert_readable(browser, dark):
     """Texts and lines stand out against the page, which is dark or light all over."""
-    found = browser.execute_script(LUMINANCES)
-    (paper,) = found["paper"]
+    tones = browser.execute_script(LUMINANCES)
+    (paper,) = tones["paper"]
     assert (paper < 0.05) if dark else (paper > 0.9)
-    assert all(one is None or abs(one - paper) < 0.01 or one == 0 for one in found["plots"])
-    assert found["ink"] and min(contrast(one, paper) for one in found["ink"]) > 4
-    assert found["words"] and min(contrast(one, paper) for one in found["words"]) > 2.4
-    assert found["lines"] and min(contrast(one, paper) for one in found["lines"]) > (2 if dark else 1.2)
+    assert all(one is None or abs(one - paper) < 0.01 or one == 0 for one in tones["plots"])
+    assert tones["ink"] and min(contrast(one, paper) for one in tones["ink"]) > 4
+    assert tones["words"] and min(contrast(one, paper) for one in tones["words"]) > 2.4
+    assert tones["lines"] and min(contrast(one, paper) for one in tones["lines"]) > (2 if dark else 1.2)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -356,13 +356,13 @@ return Object.fromEntries([...scene.querySelectorAll('.annotation-text-g')].map(
 def assert_names_apart(browser, wanted, width):
     """All names are in the scene, within its frame, and none covers another."""
     until = time.monotonic() + MOST
-    while not set(found := browser.execute_script(NAMES)) >= wanted:
-        assert time.monotonic() < until, (wanted, found)
+    while not set(named := browser.execute_script(NAMES)) >= wanted:
+        assert time.monotonic() < until, (wanted, named)
         time.sleep(0.1)
-    boxes = np.array(list(found.values()))
+    boxes = np.array(list(named.values()))
     assert np.all(boxes[:, :2] >= -1) and np.all(boxes[:, 2] <= width + 1)
     over = np.minimum(boxes[:, None, 2:], boxes[:, 2:]) - np.maximum(boxes[:, None, :2], boxes[:, :2])
-    assert not np.any(np.triu(np.all(over > 0, axis=2), 1)), found
+    assert not np.any(np.triu(np.all(over > 0, axis=2), 1)), named
 
 
 def test_names_in_the_plane_are_apart_on_a_phone(browser, page, screen):

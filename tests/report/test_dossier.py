@@ -37,8 +37,8 @@ def value(files, address):
     """Value at an address, read without the dossier."""
     file, path = address.split(": ")
     for key in path.split("."):
-        found = files[file]
-        files = {file: [one[key] for one in found] if isinstance(found, list) else found[key]}
+        part = files[file]
+        files = {file: [one[key] for one in part] if isinstance(part, list) else part[key]}
     return files[file]
 
 
@@ -50,7 +50,7 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
     text = text_of(pdf)
     files = {"summary.json": json.loads((run / "summary.json").read_text())}
     files["scenario.toml"] = tomllib.loads((run / "scenario.toml").read_text())
-    found = 0
+    compared = 0
     for clause in CLAUSES:
         assert clause.title in text
         for one in clause.evidence:
@@ -66,11 +66,11 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
                 assert float(shown[0].removesuffix(" %")) == pytest.approx(
                     scale * expected, rel=1e-3, abs=0.05 * (scale > 1)
                 ), line
-                found += 1
+                compared += 1
             elif isinstance(expected, int):
                 assert line.startswith(f"{one.words}: {expected} "), line
-                found += 1
-    assert found >= 8
+                compared += 1
+    assert compared >= 8
     claim = files["summary.json"]["guarantee"]
     assert all(one.split(",")[0] in text for one in claim["assumptions"])
     assert hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest() in text
@@ -100,9 +100,9 @@ def test_what_the_checker_does_not_confirm_is_not_claimed(run):
 
 def test_what_a_run_does_not_have_is_said(run):
     dossier = lines_of(run, Verdict("VERIFIED"))
-    told = {one.address: dossier.answer(one) for clause in CLAUSES for one in clause.evidence}
-    assert told["claim: Passive safety"] == told["scenario.toml: faults.kind"] == ABSENT
-    assert told["claim: Safe"] != ABSENT and told["check: outcome"] == "VERIFIED"
+    answers = {one.address: dossier.answer(one) for clause in CLAUSES for one in clause.evidence}
+    assert answers["claim: Passive safety"] == answers["scenario.toml: faults.kind"] == ABSENT
+    assert answers["claim: Safe"] != ABSENT and answers["check: outcome"] == "VERIFIED"
 
 
 def test_long_texts_of_files_make_no_more_pages(run):

@@ -50,7 +50,7 @@ def data_of(html):
 
 
 def words(html):
-    """What a reader sees, scripts and styles apart."""
+    """Return the text that a reader sees, scripts and styles apart."""
     return " ".join(" ".join(Tags(HIDDEN.sub("", html)).texts).split())
 
 
@@ -121,8 +121,8 @@ def test_timelines_are_those_of_the_folder(run, html):
         rtol=1e-5,
         equal_nan=True,
     )
-    told = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
-    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, told, strict=True))
+    shares = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
+    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, shares, strict=True))
     flights = folder.picture().flights["polaris"]
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
@@ -142,9 +142,9 @@ def test_band_and_proof_lie_around_the_simulated_distances(run, html):
 
 
 def test_first_screen_answers_what_a_reader_asks(run, html):
-    summary, told = read_run(run).summary, words(html)
-    head = told[: told.index("The flight")]
-    goal, found = summary["guarantee"]["goal"], summary["synthesis"]
+    summary, shown = read_run(run).summary, words(html)
+    head = shown[: shown.index("The flight")]
+    goal, known = summary["guarantee"]["goal"], summary["synthesis"]
     assert goal["reached"] is True and f"Does it arrive? at {goal['by_s']:.6g} s proven, within" in head
     assert "Is it safe? ✓ proved" in head
     for key, text in (
@@ -155,10 +155,10 @@ def test_first_screen_answers_what_a_reader_asks(run, html):
         assert goal[key] <= float(bound) <= goal[key] * 1.001
     for who in ("polaris", "safety"):
         assert f"{summary[who]['delta_v_m_s']:.4g} m/s" in head
-    assert f"U {100 * found['experimental_share']:.1f} %" in head and f"{found['switches']} switch" in head
+    assert f"U {100 * known['experimental_share']:.1f} %" in head and f"{known['switches']} switch" in head
     modes = read_run(run).picture().modes
     bar = [int(width) for width in re.findall(r'<i style="flex: (\d+)', html)]
-    assert sum(bar) == len(modes) and len(bar) == 1 + found["switches"]
+    assert sum(bar) == len(modes) and len(bar) == 1 + known["switches"]
 
 
 @pytest.mark.parametrize(
@@ -217,13 +217,13 @@ def test_page_opens_at_the_closest_approach(run, html):
 
 
 def test_tables_show_the_numbers_of_the_summary(run, html):
-    summary, told = read_run(run).summary, words(html)
+    summary, text = read_run(run).summary, words(html)
     for who in ("safety", "experimental", "polaris"):
-        assert f"{summary[who]['min_distance_m']:.4g} m" in told
-        assert f"{100 * summary[who]['experimental_share']:.1f} %" in told
+        assert f"{summary[who]['min_distance_m']:.4g} m" in text
+        assert f"{100 * summary[who]['experimental_share']:.1f} %" in text
     for assumption in summary["guarantee"]["assumptions"]:
-        assert assumption in told
-    assert "What is not proven" in told and "How far it reaches" in told and "✓ proved" in told
+        assert assumption in text
+    assert "What is not proven" in text and "How far it reaches" in text and "✓ proved" in text
 
 
 def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
@@ -234,8 +234,8 @@ def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
         data["synthesis"]["planner"]["margin_m"] = 29.99996
 
     rewrite_json(folder / "summary.json", nearly)
-    told = words(report_of(folder, tmp_path))
-    assert "99.9% of the room is left, least at" in told and "29.99 m" in told
+    text = words(report_of(folder, tmp_path))
+    assert "99.9% of the room is left, least at" in text and "29.99 m" in text
     show_summary(read_run(folder).summary, "run")
     printed = capsys.readouterr().out
     assert "Start: 99.9% of the room" in printed and "clearance 29.99 m" in printed
@@ -251,20 +251,20 @@ def test_no_raw_value_is_ever_printed(run, tmp_path):
         del data["definitions"]  # they explain what null means
 
     rewrite_json(folder / "summary.json", empty)
-    told = words(report_of(folder, tmp_path))
-    assert not re.search(r"\b(null|nan|NaN|inf|Infinity|None|undefined)\b", told)
-    assert "∞" in told and "none" in told
+    text = words(report_of(folder, tmp_path))
+    assert not re.search(r"\b(null|nan|NaN|inf|Infinity|None|undefined)\b", text)
+    assert "∞" in text and "none" in text
 
 
 def test_horizon_is_said(run, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
-    for horizon, until, told in (
+    for horizon, until, text in (
         ("infinite", None, "for all time"),
         ("none", 12.0, "end of the schedule only"),
     ):
         change = {"horizon": horizon, "until_s": until}
         rewrite_json(folder / "summary.json", lambda data, change=change: data["guarantee"].update(change))
-        assert told in words(report_of(folder, tmp_path))
+        assert text in words(report_of(folder, tmp_path))
 
 
 def test_a_run_that_claims_nothing_says_aloud_that_nothing_is_proven(run, html, tmp_path):
@@ -306,17 +306,17 @@ def test_names_of_methods_are_inert(comparison, tmp_path):
 
 def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     html = report_of(comparison, tmp_path)
-    told, data = words(html), data_of(html)
+    text, data = words(html), data_of(html)
     assert [one["key"] for one in data["pilots"]] == ["schedule", "safety", "experimental", "filter_0"]
     assert "slice" not in {layer["group"] for layer in data["scene"]["layers"]}  # they are not of these runs
     for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
-        assert name in told
-    assert "4.5 to 5.5" in told and "worst 4" in told and "never heard of (m)" in told
-    assert "-1.5 to -0.5" in told and "Method less Polaris schedule" in told
+        assert name in text
+    assert "4.5 to 5.5" in text and "worst 4" in text and "never heard of (m)" in text
+    assert "-1.5 to -0.5" in text and "Method less Polaris schedule" in text
     assert {one["mode"] for one in data["modes"]} == {-1, 0, 1}
     assert (
-        "40 decisions in 2 stretches" in told
-        and EVIL in told
+        "40 decisions in 2 stretches" in text
+        and EVIL in text
         and "alert(1)</script>" not in HIDDEN.sub("", html)
     )
 
@@ -361,14 +361,14 @@ def inspections(tmp_path_factory):
     }.items():
         done[kind] = place / kind
         extra = ("--set", "campaign.deputies=2", "--workers", "1") if kind == "campaign" else ()
-        told = CliRunner().invoke(cli.app, [*command, *extra, "--out", str(done[kind]), "--no-figures", "-q"])
-        assert told.exit_code == 0, told.output
+        ran = CliRunner().invoke(cli.app, [*command, *extra, "--out", str(done[kind]), "--no-figures", "-q"])
+        assert ran.exit_code == 0, ran.output
     return done
 
 
 def test_flight_of_deputies(inspections, tmp_path):
     html = report_of(inspections["flight"], tmp_path)
-    data, told = data_of(html), words(html)
+    data, text = data_of(html), words(html)
     assert [one["name"] for one in data["pilots"]] == [f"deputy {i}" for i in range(5)]
     lines = {one["name"]: one for panel in data["panels"] for one in panel["series"] if one["pilot"] is None}
     assert set(lines) == {f"phi{i}" for i in range(1, 12)}
@@ -377,8 +377,8 @@ def test_flight_of_deputies(inspections, tmp_path):
         assert min(lines[row["constraint"]]["y"]) == pytest.approx(
             row["least_at_samples"], rel=1e-5, abs=1e-9
         )
-        assert f"{row['least']:.4g} {row['unit']}".replace("^2", "²") in told
-    assert "No constraint is violated" in told and "What is claimed" in told
+        assert f"{row['least']:.4g} {row['unit']}".replace("^2", "²") in text
+    assert "No constraint is violated" in text and "What is claimed" in text
 
 
 def test_flight_into_the_fuel_limit(inspections, tmp_path):
@@ -392,8 +392,8 @@ def test_flight_into_the_fuel_limit(inspections, tmp_path):
 def test_campaign_is_tables_alone(inspections, tmp_path):
     html = report_of(inspections["campaign"], tmp_path)
     assert data_of(html) == {} and "var Plotly" not in html and len(html) < 100_000
-    told = words(html)
-    assert "statistical" in told and "decentralized-no-h5" in told
+    text = words(html)
+    assert "statistical" in text and "decentralized-no-h5" in text
 
 
 # -- the command ------------------------------------------------------------------------------------
@@ -405,8 +405,8 @@ def invoke(*args):
 
 def test_command_writes_beside_the_run(run, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
-    told = invoke(folder)
-    assert told.exit_code == 0 and told.stdout.strip() == str(folder / "report.html")
+    result = invoke(folder)
+    assert result.exit_code == 0 and result.stdout.strip() == str(folder / "report.html")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
     assert not list(folder.glob(".report*"))
 
@@ -418,8 +418,8 @@ def test_one_error_for_what_is_no_folder_of_ours(run, tmp_path):
     cases = [(tmp_path / "empty",), (tmp_path / "missing",), (damaged,), (run, "--out", tmp_path)]
     cases.append((run, "--out", tmp_path / "no" / "where.html"))
     for case in cases:
-        told = invoke(*case)
-        assert told.exit_code == 2 and told.stderr.startswith("error: ") and told.stderr.count("\n") == 1
+        asked = invoke(*case)
+        assert asked.exit_code == 2 and asked.stderr.startswith("error: ") and asked.stderr.count("\n") == 1
     assert not list(damaged.glob("*report*"))
 
 

@@ -120,13 +120,13 @@ class Tags(HTMLParser):
 
 def test_table_has_heads_scopes_and_inert_texts():
     evil = '"><img src=x onerror=alert(1)>'
-    found = Tags(
+    tags = Tags(
         table(Table(evil, [evil, "b"], [[Cell(evil), words(evil)], [Cell("x"), value_cell(2.5)]], True))
     )
-    assert not [tag for tag, _ in found.tags if tag == "img"]
-    assert found.texts.count(evil) == 4  # caption, head, two cells
-    assert [attrs["scope"] for tag, attrs in found.tags if tag == "th"] == ["col", "col", "row", "row"]
-    assert [attrs["data-sort"] for tag, attrs in found.tags if tag == "td"] == [evil, "2.5"]
+    assert not [tag for tag, _ in tags.tags if tag == "img"]
+    assert tags.texts.count(evil) == 4  # caption, head, two cells
+    assert [attrs["scope"] for tag, attrs in tags.tags if tag == "th"] == ["col", "col", "row", "row"]
+    assert [attrs["data-sort"] for tag, attrs in tags.tags if tag == "td"] == [evil, "2.5"]
 
 
 def test_the_command_line_and_the_page_show_the_same_table(capsys):
@@ -149,9 +149,9 @@ def test_decisions_are_joined_while_nothing_changes():
         {"method": "a", "t": 1, "mode": 1, "margin": 0.25, "reason": "inside"},
         {"method": "a", "t": 2, "mode": 0, "margin": -0.1, "reason": "leaves"},
     ]
-    found = stretches([*map(json.dumps, rows), "", "\n"])
-    assert found == {"a": [[rows[0], rows[2]], [rows[3]]], "b": [[rows[1]]]}
-    assert "0.25" in _log(found["a"]) and "0 to 1 s" in _log(found["a"]) and "none" in _log(found["b"])
+    joined = stretches([*map(json.dumps, rows), "", "\n"])
+    assert joined == {"a": [[rows[0], rows[2]], [rows[3]]], "b": [[rows[1]]]}
+    assert "0.25" in _log(joined["a"]) and "0 to 1 s" in _log(joined["a"]) and "none" in _log(joined["b"])
 
 
 # -- thinning ---------------------------------------------------------------------------------------

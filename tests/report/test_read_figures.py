@@ -61,7 +61,7 @@ def texts_of(figure):
     """All texts that are seen, with their extents."""
     renderer = figure._get_renderer()
     hidden = {text for ax in figure.axes for text in ax.texts if not text.get_visible()}
-    found = [one for one in figure.findobj(Text) if one.get_text().strip() and one.get_visible()]
+    texts = [one for one in figure.findobj(Text) if one.get_text().strip() and one.get_visible()]
     for ax in figure.axes:
         for axis in ax._axis_map.values():
             low, high = sorted(axis.get_view_interval())
@@ -73,16 +73,16 @@ def texts_of(figure):
                 if not low <= tick.get_loc() <= high or not tick.get_visible()
             }
         hidden |= set() if ax.axison else set(ax.findobj(Text))
-    return [(one, one.get_window_extent(renderer)) for one in found if one not in hidden]
+    return [(one, one.get_window_extent(renderer)) for one in texts if one not in hidden]
 
 
 def assert_texts_are_apart(figure):
     """No text lies on another, and all are within the figure."""
-    found, slack = texts_of(figure), 1.0
-    for one, box in found:
+    texts, slack = texts_of(figure), 1.0
+    for one, box in texts:
         assert box.x0 >= -slack and box.y0 >= -slack, one
         assert box.x1 <= figure.bbox.x1 + slack and box.y1 <= figure.bbox.y1 + slack, one
-    for (one, a), (other, b) in itertools.combinations(found, 2):
+    for (one, a), (other, b) in itertools.combinations(texts, 2):
         wide, high = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
         if min(wide, high) > slack:
             assert one.get_rotation() % 90 or other.get_rotation() % 90, (one, other)
@@ -124,7 +124,7 @@ def colours_of(artist):
 
 
 def alike(colour, other):
-    """Whether a colour is another one, or that one mixed with white."""
+    """Return True if a colour is another one, or that one mixed with white."""
     light, full = 1 - np.array(colour[:3]), 1 - np.array(other[:3])
     share = float(light @ full) / max(float(full @ full), 1e-9)
     return 0.1 < share < 1.05 and np.abs(light - share * full).max() < 0.06

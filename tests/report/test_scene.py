@@ -119,11 +119,11 @@ def scene(space):
 
 
 def test_every_set_is_in_the_scene(scene):
-    found = named(scene)
+    layers = named(scene)
     meshes = {"ball", "box", "wall", "shutter", "visitor", "visitor is within", "sight (stay inside)", "goal"}
-    assert {name for name, layer in found.items() if layer["kind"] == "mesh"} >= meshes
-    assert "corridor (stay inside)" not in found  # its faces are out of view
-    assert {"safe reference", "start", "initial set", "reachable now", "sight: its sides"} <= set(found)
+    assert {name for name, layer in layers.items() if layer["kind"] == "mesh"} >= meshes
+    assert "corridor (stay inside)" not in layers  # its faces are out of view
+    assert {"safe reference", "start", "initial set", "reachable now", "sight: its sides"} <= set(layers)
 
 
 def test_axes_are_those_of_the_figures(scene):
@@ -133,19 +133,19 @@ def test_axes_are_those_of_the_figures(scene):
 
 
 def test_moving_sets_are_where_they_are_at_each_time(scene):
-    found = named(scene)
-    ball = found["ball"]
+    layers = named(scene)
+    ball = layers["ball"]
     middle = np.array(ball["p"]).mean(axis=1) + np.array(ball["shift"])[:, -1]
     assert np.allclose(middle, [0, 0.5 * K * DELTA, 0], atol=1e-4) and ball["t"][-1] == K * DELTA
     for t in np.linspace(0, K * DELTA, 1001):  # between its frames too
-        points = at(found["shutter"], t)
+        points = at(layers["shutter"], t)
         assert points is None or points[0].min() == pytest.approx(90 - 0.2 * t, abs=1e-3)
     assert points is not None
 
 
 def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
-    found = named(scene)
-    cover = found["visitor is within"]
+    layers = named(scene)
+    cover = layers["visitor is within"]
     visitor = space.obstacles[4]
     (timed,) = visitor.timed_polytopes(space.system, DELTA, K)
     for t in np.linspace(0, K * DELTA, 301)[:-1]:
@@ -189,14 +189,14 @@ def test_tube_contains_the_reference(space, scene):
     ],
 )
 def test_other_goals_are_drawn_if_they_have_a_place(space, goal):
-    found = named(scene_of(picture(space.system, [], goal), []))
-    assert ("goal" in found) == (not np.isinf(getattr(goal, "half_widths", np.zeros(3))[:3]).any())
+    layers = named(scene_of(picture(space.system, [], goal), []))
+    assert ("goal" in layers) == (not np.isinf(getattr(goal, "half_widths", np.zeros(3))[:3]).any())
 
 
 def test_new_kinds_are_drawn_without_being_known():
     pictured = picture(integrator(3), [Rod()], Near())
-    found = named(scene_of(pictured, []))
-    rod, goal = (np.array(found[name]["p"]) for name in ("rod", "goal"))
+    layers = named(scene_of(pictured, []))
+    rod, goal = (np.array(layers[name]["p"]) for name in ("rod", "goal"))
     low, high = np.sort(rod, axis=1)[:2, 0], np.sort(rod, axis=1)[:2, -1]
     assert np.allclose(low, [5, -35]) and np.allclose(high, [15, -25]) and np.ptp(rod[2]) > 10
     assert np.allclose(goal.min(axis=1), [16, -4, -4]) and np.allclose(goal.max(axis=1), [24, 4, 4])
@@ -234,10 +234,10 @@ def test_what_is_unbounded_fills_any_frame_in_the_plane():
     wall = PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True)
     goal = Box(np.zeros(4), np.r_[np.inf, 5.0, np.inf, np.inf])
     scene = scene_of(picture(integrator(2), [wall], goal), [])
-    found, (low, high) = named(scene), scene["range"][0]
-    x, y = np.array(found["wall"]["p"])
+    layers, (low, high) = named(scene), scene["range"][0]
+    x, y = np.array(layers["wall"]["p"])
     assert x.min() < low - 0.5 * (high - low) and x.max() > high + 0.5 * (high - low) and y.min() == 70
-    x, y = np.array(found["goal"]["p"])
+    x, y = np.array(layers["goal"]["p"])
     assert np.allclose([x.min(), x.max()], [low, high], rtol=1e-4) and np.allclose(
         [y.min(), y.max()], [-5, 5]
     )
@@ -251,8 +251,8 @@ def test_scene_in_the_plane_is_of_areas():
         SatelliteObstacle("other", [20, 20, 0, 0], [1, 1, 0, 0], 3.0),
         KeepInCone("sight", [-100, -100], [1, 1], 0.5),
     ]
-    found = named(scene_of(picture(integrator(2), obstacles, goal), []))
-    kinds = {name: layer["kind"] for name, layer in found.items()}
+    layers = named(scene_of(picture(integrator(2), obstacles, goal), []))
+    kinds = {name: layer["kind"] for name, layer in layers.items()}
     assert {kinds[name] for name in ("ball", "other", "other is within", "reachable now")} == {"area"}
     assert kinds["sight (stay inside)"] == "line" and "mesh" not in kinds.values()
 

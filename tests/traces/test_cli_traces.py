@@ -59,8 +59,8 @@ def test_evaluate_as_json_is_strict(path):
     assert debris["drift_ttc_s"]["min"] == pytest.approx(4, abs=0.1)
     assert data["agents"]["chaser"]["usage"]["untrusted"] == 1
     away = save(path.parent, trace({"a": agent([[0, 5, 0, 0, 1, 0, 0]])}, s=entry("point", [0, [0, 0, 0]])))
-    found = json.loads(invoke("evaluate", away, "--json").stdout, parse_constant=strict)
-    assert found["agents"]["a"]["unsafe"]["s"]["ttc_s"] == {
+    printed = json.loads(invoke("evaluate", away, "--json").stdout, parse_constant=strict)
+    assert printed["agents"]["a"]["unsafe"]["s"]["ttc_s"] == {
         "min": None,
         "mean": None,
         "max": None,
@@ -147,12 +147,12 @@ def test_export_writes_what_evaluate_reads(run, tmp_path):
     path = tmp_path / "t.json"
     done = invoke("export", run.path, path)
     assert done.exit_code == 0 and "run 'closest' of polaris" in done.stdout
-    told = run.summary["polaris"]
-    found = evaluate_trace(read_trace(path)).agents["chaser"]
-    assert found.usage["untrusted"] == pytest.approx(told["experimental_share"])
-    assert found.switches == told["switches"]
-    least = min(item.distance.min for item in found.unsafe)
-    assert told["min_distance_m"] <= least + 1e-9
+    summary = run.summary["polaris"]
+    metrics = evaluate_trace(read_trace(path)).agents["chaser"]
+    assert metrics.usage["untrusted"] == pytest.approx(summary["experimental_share"])
+    assert metrics.switches == summary["switches"]
+    least = min(item.distance.min for item in metrics.unsafe)
+    assert summary["min_distance_m"] <= least + 1e-9
     words = ["--controller", "safety", "--run", "nominal", "--quiet", "--force"]
     done = invoke("export", run.path, path, *words)
     assert (done.exit_code, done.output) == (0, "")
@@ -178,9 +178,9 @@ def test_export_of_no_run_folder(run, tmp_path):
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory):
     scenario, schedule = synthesised()
-    found = compare_methods(schedule, 4, 0, methods=("experimental", "schedule", "asif_implicit"))
+    comparison = compare_methods(schedule, 4, 0, methods=("experimental", "schedule", "asif_implicit"))
     out = tmp_path_factory.mktemp("compared") / "tiny"
-    return write_comparison(out, scenario, found)
+    return write_comparison(out, scenario, comparison)
 
 
 @pytest.mark.parametrize("method", ["experimental", "schedule", "asif_implicit"])
@@ -189,28 +189,28 @@ def test_export_of_a_method_has_its_least_distance(compared, tmp_path, method):
     path, shown = tmp_path / "t.json", compared.picture().shown[method]
     done = invoke("export", compared.path, path, "--method", method, "--run", "closest")
     assert done.exit_code == 0 and f"run 'closest' of {method}, {len(shown.times)} samples" in done.stdout
-    found = evaluate_trace(read_trace(path)).agents["chaser"]
-    least = min(item.distance.min for item in found.unsafe)
+    metrics = evaluate_trace(read_trace(path)).agents["chaser"]
+    least = min(item.distance.min for item in metrics.unsafe)
     step = np.abs(np.diff(shown.nearest[0])).max()
     assert least == pytest.approx(shown.nearest[0].min(), abs=step)
     flown = np.bincount(shown.modes[0] + 1, minlength=3) / shown.modes.shape[1]
-    told = [found.usage[mode] for mode in ("unknown", "safety", "untrusted")]
-    assert told == pytest.approx([flown[0], flown[1], flown[2:].sum()])
-    assert (told[0] > 0) == (method == "asif_implicit")  # only that one changes inputs
+    usage = [metrics.usage[mode] for mode in ("unknown", "safety", "untrusted")]
+    assert usage == pytest.approx([flown[0], flown[1], flown[2:].sum()])
+    assert (usage[0] > 0) == (method == "asif_implicit")  # only that one changes inputs
 
 
 def test_export_of_a_comparison_takes_its_own_options(compared, run, tmp_path):
     path = tmp_path / "t.json"
     assert "of schedule" in invoke("export", compared.path, path).stdout
     path.unlink()
-    for folder, arguments, told in (
+    for folder, arguments, word in (
         (compared.path, ["--method", "nobody"], "--method"),
         (compared.path, ["--method", "schedule", "--run", "run 77"], "--run"),
         (compared.path, ["--controller", "polaris"], "--controller"),
         (run.path, ["--method", "schedule"], "comparison folder"),
     ):
         done = invoke("export", folder, path, *arguments)
-        assert done.exit_code == 2 and told in done.stderr and done.stderr.count("\n") == 1
+        assert done.exit_code == 2 and word in done.stderr and done.stderr.count("\n") == 1
         assert not path.exists()
 
 
@@ -219,9 +219,9 @@ def test_a_million_rows_take_seconds(tmp_path):
     N = 10**6
     t = np.arange(N) * 0.1
     states = np.cumsum(np.random.default_rng(0).normal(size=(N, 6)), axis=0)
-    found = Trace({"a": AgentTrace(t, states)}, {"b": BallTrace(t, states[:, :3] + 5, np.ones(N))})
-    back = read_trace(write_trace(tmp_path / "t.json", found))
-    assert back.same_as(found)
+    flight = Trace({"a": AgentTrace(t, states)}, {"b": BallTrace(t, states[:, :3] + 5, np.ones(N))})
+    back = read_trace(write_trace(tmp_path / "t.json", flight))
+    assert back.same_as(flight)
     assert evaluate_trace(back).agents["a"].unsafe[0].distance.max == pytest.approx(np.sqrt(75) - 1)
 
 

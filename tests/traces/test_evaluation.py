@@ -34,12 +34,12 @@ CUBE = [[[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], [
 SYSTEM = clohessy_wiltshire(0.0012, 1.0, 1.0)
 
 
-def against(found, name="s", of="a"):
-    return next(item for item in found.agents[of].unsafe if item.name == name)
+def against(metrics, name="s", of="a"):
+    return next(item for item in metrics.agents[of].unsafe if item.name == name)
 
 
-def measured(found, **sets):
-    return evaluate_trace(Trace(found.agents, sets))
+def measured(flown, **sets):
+    return evaluate_trace(Trace(flown.agents, sets))
 
 
 def still(kind, *parts):
@@ -61,18 +61,18 @@ def still(kind, *parts):
 )
 def test_head_on_at_every_kind_of_set(item):
     """From 11 m at 2 m/s: 10, 8, 6 m away, and 5, 4, 3 s."""
-    found = against(measured(moving([11, 0, 0], [-2, 0, 0]), s=item))
-    assert (found.distance.min, found.distance.mean, found.distance.max) == (6, 8, 10)
-    assert (found.ttc.min, found.ttc.mean, found.ttc.max) == (3, 4, 5)
-    assert (found.distance.at, found.ttc.at, found.ttc.share) == (2, 2, 1)
+    metrics = against(measured(moving([11, 0, 0], [-2, 0, 0]), s=item))
+    assert (metrics.distance.min, metrics.distance.mean, metrics.distance.max) == (6, 8, 10)
+    assert (metrics.ttc.min, metrics.ttc.mean, metrics.ttc.max) == (3, 4, 5)
+    assert (metrics.distance.at, metrics.ttc.at, metrics.ttc.share) == (2, 2, 1)
 
 
 def test_point():
     """From (4, 3) along -x: 5 m away, and never met; from (4, 0): met after 2 s at 2 m/s."""
-    found = against(measured(moving([4, 3], [-2, 0], [0.0]), s=still(PointTrace, [0, 0])))
-    assert (found.distance.min, found.ttc.min) == (5, INF)
-    found = against(measured(moving([4, 0], [-2, 0], [0.0]), s=still(PointTrace, [0, 0])))
-    assert (found.distance.min, found.ttc.min) == (4, 2)
+    metrics = against(measured(moving([4, 3], [-2, 0], [0.0]), s=still(PointTrace, [0, 0])))
+    assert (metrics.distance.min, metrics.ttc.min) == (5, INF)
+    metrics = against(measured(moving([4, 0], [-2, 0], [0.0]), s=still(PointTrace, [0, 0])))
+    assert (metrics.distance.min, metrics.ttc.min) == (4, 2)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +84,9 @@ def test_point():
     ],
 )
 def test_penetration_is_negative_and_no_time_away(item, depth):
-    found = against(measured(moving([0.5, 0, 0], [1, 0, 0], [0.0]), s=item))
-    assert found.distance.min == pytest.approx(depth, abs=1e-12)
-    assert found.ttc.min == found.ttc.max == 0
+    metrics = against(measured(moving([0.5, 0, 0], [1, 0, 0], [0.0]), s=item))
+    assert metrics.distance.min == pytest.approx(depth, abs=1e-12)
+    assert metrics.ttc.min == metrics.ttc.max == 0
 
 
 def test_tangency_counts_and_a_miss_does_not():
@@ -99,24 +99,24 @@ def test_tangency_counts_and_a_miss_does_not():
 
 @pytest.mark.parametrize("v", [[1, 0, 0], [0, 0, 0], [0, 3, 0]], ids=["away", "zero speed", "past"])
 def test_no_collision_is_inf(v):
-    found = against(measured(moving([5, 0, 0], v, [0.0, 1.0]), s=still(BallTrace, [0, 0, 0], 1)))
-    assert found.ttc.min == found.ttc.mean == found.ttc.max == INF
-    assert found.ttc.share == 0 and np.isnan(found.ttc.at)
+    metrics = against(measured(moving([5, 0, 0], v, [0.0, 1.0]), s=still(BallTrace, [0, 0, 0], 1)))
+    assert metrics.ttc.min == metrics.ttc.mean == metrics.ttc.max == INF
+    assert metrics.ttc.share == 0 and np.isnan(metrics.ttc.at)
 
 
 def test_corner_of_a_box_is_euclidean():
-    found = against(
+    metrics = against(
         measured(moving([4, 5, 0], [0, 0, 0], [0.0]), s=still(RectangleTrace, [0, 0, 0], [2, 2, 2]))
     )
-    assert found.distance.min == 5
+    assert metrics.distance.min == 5
 
 
 def test_true_relative_velocity():
     """A ball that follows at 1 m/s an agent that flees at 0.5 m/s: 9 m, 18 s."""
     t = np.arange(3.0)
     ball = BallTrace(t, t[:, None] * [1.0, 0, 0], np.ones(3))
-    found = against(measured(moving([10, 0, 0], [0.5, 0, 0]), s=ball))
-    assert found.ttc.max == pytest.approx(18) and found.ttc.min == pytest.approx(16)
+    metrics = against(measured(moving([10, 0, 0], [0.5, 0, 0]), s=ball))
+    assert metrics.ttc.max == pytest.approx(18) and metrics.ttc.min == pytest.approx(16)
     polytope = PolytopeTrace(t, np.array([CUBE[0]]), np.array(CUBE[1]) + t[:, None] * np.array(CUBE[0])[:, 0])
     same = against(measured(moving([10, 0, 0], [0.5, 0, 0]), s=polytope))
     assert (same.ttc.min, same.ttc.max) == (pytest.approx(16), pytest.approx(18))
@@ -132,8 +132,8 @@ def test_known_velocities_of_a_ball_are_used_instead_of_differences():
 
     def ttc(*velocities):
         ball = BallTrace(t, centers, np.ones(len(t)), *velocities)
-        found = evaluate_trace(Trace(a.agents, {"s": ball}), velocity=(3, 4, 5))
-        return found.agents["a"].unsafe[0].ttc
+        metrics = evaluate_trace(Trace(a.agents, {"s": ball}), velocity=(3, 4, 5))
+        return metrics.agents["a"].unsafe[0].ttc
 
     known = ttc(rates)
     assert known.min == pytest.approx(199 / 2, rel=1e-9)
@@ -145,8 +145,8 @@ def test_mean_is_over_time():
     """1 m away for 9 s, 3 m at the end of the tenth: the trapezoid, not a third of 1 + 1 + 3."""
     t = np.array([0.0, 9.0, 10.0])
     states = np.array([[2.0, 0, 0], [2, 0, 0], [4, 0, 0]])
-    found = against(measured(Trace({"a": AgentTrace(t, states)}), s=still(BallTrace, [0, 0, 0], 1)))
-    assert found.distance.mean == pytest.approx((9 * 1 + 1 * 2) / 10)
+    metrics = against(measured(Trace({"a": AgentTrace(t, states)}), s=still(BallTrace, [0, 0, 0], 1)))
+    assert metrics.distance.mean == pytest.approx((9 * 1 + 1 * 2) / 10)
 
 
 # -- motion between stamps ------------------------------------------------------------------------------
@@ -156,12 +156,12 @@ def test_sets_move_linearly_between_their_stamps():
     """Stamps 0 and 4 s; the agent is sampled every second, at rest 10 m away."""
     a = moving([10, 0, 0], [0, 0, 0], range(7))
     ball = BallTrace(np.array([0.0, 4.0]), np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([1.0, 3.0]))
-    found = against(measured(a, s=ball))
+    metrics = against(measured(a, s=ball))
     # 9, 7.5, 6, 4.5, 3 m, and at rest after that
-    assert (found.distance.max, found.distance.min, found.distance.at) == (9, 3, 4)
-    assert found.distance.mean == pytest.approx((9 / 2 + 7.5 + 6 + 4.5 + 3 + 3 + 3 / 2) / 6)
+    assert (metrics.distance.max, metrics.distance.min, metrics.distance.at) == (9, 3, 4)
+    assert metrics.distance.mean == pytest.approx((9 / 2 + 7.5 + 6 + 4.5 + 3 + 3 + 3 / 2) / 6)
     # sizes are those of the instant: 9 m at 1 m/s; and no motion after the last stamp
-    assert (found.ttc.min, found.ttc.max) == (3, INF)
+    assert (metrics.ttc.min, metrics.ttc.max) == (3, INF)
 
 
 def test_growing_box_and_growing_polytope_are_the_same():
@@ -187,8 +187,8 @@ def test_polytope_that_turns_is_what_it_is_at_both_stamps():
 
     def at(p, t):
         states = np.array([p], dtype=float)
-        found = measured(Trace({"a": AgentTrace(np.array([t]), states)}), s=bar)
-        return against(found).distance.min
+        metrics = measured(Trace({"a": AgentTrace(np.array([t]), states)}), s=bar)
+        return against(metrics).distance.min
 
     assert (at([8, 0], 0.0), at([8, 0], 2.0)) == (pytest.approx(3), pytest.approx(7))
     assert at([8, 0], 1.0) == pytest.approx(3) and at([0, 8], 1.0) == pytest.approx(3)
@@ -202,9 +202,9 @@ def test_turning_polytope_that_moves_has_the_velocity_of_its_centre():
     A[2] = A[2] @ np.array([[-1.0, 0], [0, -1]])
     b = 1.0 + np.einsum("kfd,kd->kf", A, t[:, None] * [1.0, 0])
     still_there = Trace({"a": AgentTrace(t, np.broadcast_to([10.0, 0], (3, 2)))})
-    found = against(measured(still_there, s=PolytopeTrace(t, A, b)))
-    assert (found.distance.max, found.distance.min) == (pytest.approx(9), pytest.approx(7))
-    assert (found.ttc.max, found.ttc.min) == (pytest.approx(9), pytest.approx(7))
+    metrics = against(measured(still_there, s=PolytopeTrace(t, A, b)))
+    assert (metrics.distance.max, metrics.distance.min) == (pytest.approx(9), pytest.approx(7))
+    assert (metrics.ttc.max, metrics.ttc.min) == (pytest.approx(9), pytest.approx(7))
 
 
 def test_sets_with_the_agents_stamps_are_paired_row_by_row():
@@ -212,8 +212,8 @@ def test_sets_with_the_agents_stamps_are_paired_row_by_row():
     t = np.array([0.0, 0.0, 1.0])
     a = AgentTrace(t, np.array([[5.0, 0], [6, 0], [7, 0]]))
     ball = BallTrace(t, np.array([[0.0, 0], [1, 0], [2, 0]]), np.ones(3))
-    found = against(evaluate_trace(Trace({"a": a}, {"s": ball})))
-    assert (found.distance.min, found.distance.max) == (4, 4)
+    metrics = against(evaluate_trace(Trace({"a": a}, {"s": ball})))
+    assert (metrics.distance.min, metrics.distance.max) == (4, 4)
 
 
 def test_interpolation_and_rates():
@@ -236,8 +236,8 @@ def test_interpolation_and_rates():
 
 def pair(p, v, q, w, times=(0.0,), radius=0.0):
     one, other = moving(p, v, times).agents["a"], moving(q, w, times).agents["a"]
-    found = evaluate_trace(Trace({"a": one, "b": other}), agent_radius=radius)
-    return found.agents["a"].others[0], found.agents["b"].others[0]
+    metrics = evaluate_trace(Trace({"a": one, "b": other}), agent_radius=radius)
+    return metrics.agents["a"].others[0], metrics.agents["b"].others[0]
 
 
 def test_agents_head_on():
@@ -264,9 +264,9 @@ def test_agents_are_compared_while_both_are_there():
     one = AgentTrace(np.arange(5.0), np.zeros((5, 2)))
     other = AgentTrace(np.array([3.0, 7.0]), np.array([[4.0, 0], [8, 0]]))
     late = AgentTrace(np.array([8.0]), np.zeros((1, 2)))
-    found = evaluate_trace(Trace({"a": one, "b": other, "c": late}), dims=2).agents["a"].others
-    assert (found[0].distance.min, found[0].distance.max) == (4, 5)
-    assert found[1].distance is None and found[1].ttc is None
+    others = evaluate_trace(Trace({"a": one, "b": other, "c": late}), dims=2).agents["a"].others
+    assert (others[0].distance.min, others[0].distance.max) == (4, 5)
+    assert others[1].distance is None and others[1].ttc is None
 
 
 # -- velocities -------------------------------------------------------------------------------------------
@@ -275,9 +275,9 @@ def test_agents_are_compared_while_both_are_there():
 def test_velocity_by_differences_says_so():
     t = np.arange(3.0)
     a = AgentTrace(t, np.array([10.0, 8.0, 6.0])[:, None] * [1.0, 0, 0])
-    found = measured(Trace({"a": a}), s=still(BallTrace, [0, 0, 0], 1))
-    assert found.agents["a"].velocity == "differences of positions"
-    assert (against(found).ttc.max, against(found).ttc.min) == (4.5, 2.5)
+    metrics = measured(Trace({"a": a}), s=still(BallTrace, [0, 0, 0], 1))
+    assert metrics.agents["a"].velocity == "differences of positions"
+    assert (against(metrics).ttc.max, against(metrics).ttc.min) == (4.5, 2.5)
 
 
 def test_velocity_entries_can_be_named():
@@ -298,9 +298,9 @@ def test_entries_that_are_no_velocity_are_not_taken_for_one():
     t = np.arange(5.0)
     states = np.column_stack([t * 0, 3 * t, np.full(5, np.pi / 2), np.full(5, 3.0)])
     flown = Trace({"a": AgentTrace(t, states)})
-    found = measured(flown, s=still(BallTrace, [0, 50], 1))
-    assert found.agents["a"].velocity.startswith("differences of positions (states 2, 3 do not change")
-    assert against(found).ttc.min == pytest.approx(37 / 3)
+    metrics = measured(flown, s=still(BallTrace, [0, 50], 1))
+    assert metrics.agents["a"].velocity.startswith("differences of positions (states 2, 3 do not change")
+    assert against(metrics).ttc.min == pytest.approx(37 / 3)
     fine = measured(moving([0, 0], [0, 3]), s=still(BallTrace, [0, 50], 1))
     assert fine.notes == () and fine.agents["a"].velocity == "states 2, 3"
     sets = {"s": still(BallTrace, [0, 50], 1)}
@@ -328,19 +328,19 @@ def test_headings_at_random(d):
         angles = [] if d == 1 else [np.arctan2(v[:, 1], v[:, 0])]
         angles += [np.arcsin(v[:, 2] / speed)] if d == 3 else []
         sets = {"s": still(BallTrace, np.zeros(d).tolist(), 1)}
-        told = Trace({"a": AgentTrace(t, np.column_stack([p, *angles, speed]))}, sets)
+        angular = Trace({"a": AgentTrace(t, np.column_stack([p, *angles, speed]))}, sets)
         vector = Trace({"a": AgentTrace(t, np.column_stack([p, v]))}, sets)
-        one = against(evaluate_trace(told, velocity=Heading(2 * d - 1, tuple(range(d, 2 * d - 1))))).ttc
+        one = against(evaluate_trace(angular, velocity=Heading(2 * d - 1, tuple(range(d, 2 * d - 1))))).ttc
         other = against(evaluate_trace(vector, velocity=list(range(d, 2 * d)))).ttc
         assert (one.min, one.share) == pytest.approx((other.min, other.share))
 
 
 def test_one_sample_without_velocity():
     a = {"a": AgentTrace(np.zeros(1), np.array([[5.0, 0, 0]]), np.array([2]))}
-    found = evaluate_trace(Trace(a, {"s": still(BallTrace, [0, 0, 0], 1)}))
-    assert against(found).distance.min == 4 and against(found).ttc is None
-    assert found.agents["a"].velocity.startswith("unknown")
-    assert found.agents["a"].usage["untrusted"] == 1 and found.agents["a"].switches == 0
+    metrics = evaluate_trace(Trace(a, {"s": still(BallTrace, [0, 0, 0], 1)}))
+    assert against(metrics).distance.min == 4 and against(metrics).ttc is None
+    assert metrics.agents["a"].velocity.startswith("unknown")
+    assert metrics.agents["a"].usage["untrusted"] == 1 and metrics.agents["a"].switches == 0
 
 
 # -- free drift -------------------------------------------------------------------------------------------
@@ -351,10 +351,10 @@ def test_free_drift_is_that_of_hill():
     x = np.array([0.0, 400.0, 0.0, 0.24, 0.0, 0.0])
     ahead = (free_flight(0.0012, 600.0) @ x)[:3]
     a = Trace({"a": AgentTrace(np.zeros(1), x[None])}, {"s": still(BallTrace, ahead, 1)})
-    found = against(evaluate_trace(a, system=SYSTEM))
+    metrics = against(evaluate_trace(a, system=SYSTEM))
     speed = np.linalg.norm((free_flight(0.0012, 600.0) @ x)[3:])
-    assert found.drift_ttc.min == pytest.approx(600 - 1 / speed, abs=0.05)
-    assert found.ttc.min == INF
+    assert metrics.drift_ttc.min == pytest.approx(600 - 1 / speed, abs=0.05)
+    assert metrics.ttc.min == INF
     behind = evaluate_trace(Trace(a.agents, {"s": still(BallTrace, [-500, 0, 0], 1)}), system=SYSTEM)
     assert against(behind).drift_ttc.min == INF
 
@@ -365,12 +365,12 @@ def test_free_drift_of_sets_that_change():
     x = np.array([[20.0, 0, 0, -1.0, 0, 0]] * 2)
     ball = BallTrace(t, np.zeros((2, 3)), np.array([2.0, 5.0]))
     cube = PolytopeTrace(t, np.array([CUBE[0]]), np.array([[2.0] * 6, [5.0] * 6]))
-    found = evaluate_trace(Trace({"a": AgentTrace(t, x)}, {"s": ball, "c": cube}), system=SYSTEM)
+    metrics = evaluate_trace(Trace({"a": AgentTrace(t, x)}, {"s": ball, "c": cube}), system=SYSTEM)
     for name in ("s", "c"):
-        one = against(found, name)
+        one = against(metrics, name)
         assert one.drift_ttc.max == pytest.approx(18, abs=0.1)
         assert one.drift_ttc.min == pytest.approx(15, abs=0.1)
-    assert any("5235.99 s ahead" in note for note in found.notes)
+    assert any("5235.99 s ahead" in note for note in metrics.notes)
 
 
 def test_free_drift_needs_the_systems_states():
@@ -385,8 +385,8 @@ def test_free_drift_needs_the_systems_states():
 
 def usage(times, modes):
     a = AgentTrace(np.array(times, dtype=float), np.zeros((len(times), 1)), np.array(modes))
-    found = evaluate_trace(Trace({"a": a})).agents["a"]
-    return {name: share for name, share in found.usage.items() if share}, found.switches
+    metrics = evaluate_trace(Trace({"a": a})).agents["a"]
+    return {name: share for name, share in metrics.usage.items() if share}, metrics.switches
 
 
 def test_usage_is_by_time_and_switches_are_inside():
@@ -406,15 +406,15 @@ def test_usage_is_by_time_and_switches_are_inside():
 
 def test_running_times():
     a = AgentTrace(np.arange(2.0), np.zeros((2, 1)), running_times=np.array([0.1, 0.3, 0.2]))
-    found = evaluate_trace(Trace({"a": a})).agents["a"]
-    assert found.running_times == (pytest.approx(0.2), 0.3, 0.1)
+    metrics = evaluate_trace(Trace({"a": a})).agents["a"]
+    assert metrics.running_times == (pytest.approx(0.2), 0.3, 0.1)
 
 
 # -- stamps -----------------------------------------------------------------------------------------------
 
 
 def stamped():
-    """What the simulator writes of x = 10 - t for 4 s at dt = 1, S from 2 s on; and a set that follows."""
+    """Return the simulator's trace of x = 10 - t for 4 s at dt = 1, S from 2 s on; a set follows."""
     rows = [[0, 10.0, 0], [0, 9.0, 0], [1, 8.0, 0], [2, 7.0, 0], [3, 6.0, 0]]
     data = trace(
         {"a": agent(rows, [1, 2, 2, 3, 3])},
@@ -424,10 +424,10 @@ def stamped():
 
 
 def test_restamping_gives_every_state_its_own_time():
-    found = restamp(stamped())
-    assert found.agents["a"].times.tolist() == [0, 1, 2, 3, 4]
-    assert found.agents["a"].modes.tolist() == [2, 2, 3, 3]
-    assert found.unsafe["s"].times.tolist() == [0, 1, 2, 3, 4]
+    restamped = restamp(stamped())
+    assert restamped.agents["a"].times.tolist() == [0, 1, 2, 3, 4]
+    assert restamped.agents["a"].modes.tolist() == [2, 2, 3, 3]
+    assert restamped.unsafe["s"].times.tolist() == [0, 1, 2, 3, 4]
     measured = evaluate_trace(stamped(), restamp=True, dims=2)
     one = measured.agents["a"]
     assert (one.duration, one.usage["untrusted"], one.usage["safety"], one.switches) == (4, 0.5, 0.5, 1)
@@ -436,9 +436,9 @@ def test_restamping_gives_every_state_its_own_time():
 
 
 def test_stamps_of_the_simulator_are_pointed_out():
-    found = evaluate_trace(stamped(), dims=2)
-    assert any("--restamp" in note for note in found.notes)
-    assert found.agents["a"].duration == 3
+    metrics = evaluate_trace(stamped(), dims=2)
+    assert any("--restamp" in note for note in metrics.notes)
+    assert metrics.agents["a"].duration == 3
 
 
 def test_restamping_what_needs_none_is_refused():
@@ -449,9 +449,9 @@ def test_restamping_what_needs_none_is_refused():
 
 
 def test_sets_with_stamps_of_their_own_keep_them():
-    found = stamped()
+    flown = stamped()
     other = BallTrace(np.array([0.0, 4.0]), np.zeros((2, 2)), np.ones(2))
-    assert restamp(Trace(found.agents, {"s": other})).unsafe["s"].times.tolist() == [0, 4]
+    assert restamp(Trace(flown.agents, {"s": other})).unsafe["s"].times.tolist() == [0, 4]
 
 
 # -- axes -------------------------------------------------------------------------------------------------
@@ -461,16 +461,16 @@ def test_axes_are_told_from_the_sets():
     states = np.array([[3.0, 4.0, 12.0, 9.0, 9.0]])
     a = {"a": AgentTrace(np.zeros(1), states)}
     for d, distance in ((1, 3), (2, 5), (3, 13)):
-        found = evaluate_trace(Trace(a, {"s": still(PointTrace, [0] * d)}))
-        assert (found.dims, against(found).distance.min) == (d, distance)
+        metrics = evaluate_trace(Trace(a, {"s": still(PointTrace, [0] * d)}))
+        assert (metrics.dims, against(metrics).distance.min) == (d, distance)
 
 
 def test_fewer_axes_take_the_first_of_a_set():
     a = {"a": AgentTrace(np.zeros(1), np.array([[3.0, 4.0, 12.0]]))}
     sets = {"s": still(RectangleTrace, [0, 0, 0], [2, 2, 2]), "p": still(BallTrace, [0, 0, 5], 1)}
-    found = evaluate_trace(Trace(a, sets), dims=2)
-    assert against(found).distance.min == pytest.approx(np.hypot(2, 3))
-    assert against(found, "p").distance.min == 4
+    metrics = evaluate_trace(Trace(a, sets), dims=2)
+    assert against(metrics).distance.min == pytest.approx(np.hypot(2, 3))
+    assert against(metrics, "p").distance.min == 4
     with pytest.raises(ScenarioError, match=r"unsafe\.c"):
         evaluate_trace(
             Trace(
@@ -498,9 +498,9 @@ def test_axes_that_cannot_be_told():
 
 def test_nothing_to_be_far_from():
     """No sets and no other agent: usage alone."""
-    found = evaluate_trace(parse_trace(trace({"a": agent([[0, 1.0], [1, 2.0]])})))
-    assert found.dims is None and found.agents["a"].unsafe == found.agents["a"].others == ()
-    assert found.agents["a"].usage["untrusted"] == 1
+    metrics = evaluate_trace(parse_trace(trace({"a": agent([[0, 1.0], [1, 2.0]])})))
+    assert metrics.dims is None and metrics.agents["a"].unsafe == metrics.agents["a"].others == ()
+    assert metrics.agents["a"].usage["untrusted"] == 1
 
 
 def test_empty_polytopes_are_refused_by_row():

@@ -47,7 +47,7 @@ def folder(tmp_path_factory):
 )
 def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path):
     run = folder(name)
-    told, system = run.summary[controller], run.scenario.system()
+    summary, system = run.summary[controller], run.scenario.system()
     exported = export_run(run.path, controller).trace
     assert read_trace(write_trace(tmp_path / "t.json", exported)).same_as(exported)
     agent = exported.agents["chaser"]
@@ -66,26 +66,26 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
         )
         cover = evaluate_trace(exported).agents["chaser"].unsafe[0].distance
         exported = true.trace
-        assert cover.min <= told["min_distance_m"] + 1e-6  # over-approximated
-    found = evaluate_trace(exported, system=system).agents["chaser"]
-    assert found.usage["untrusted"] == pytest.approx(told["experimental_share"])
-    assert found.usage["unknown"] == found.usage["normal"] == 0
-    assert found.switches == told["switches"]
-    least = min(item.distance.min for item in found.unsafe)
+        assert cover.min <= summary["min_distance_m"] + 1e-6  # over-approximated
+    metrics = evaluate_trace(exported, system=system).agents["chaser"]
+    assert metrics.usage["untrusted"] == pytest.approx(summary["experimental_share"])
+    assert metrics.usage["unknown"] == metrics.usage["normal"] == 0
+    assert metrics.switches == summary["switches"]
+    least = min(item.distance.min for item in metrics.unsafe)
     relative = [agent.states[:, : system.d] - item.centers for item in exported.unsafe.values()]
     step = max(np.linalg.norm(np.diff(position, axis=0), axis=1).max() for position in relative)
-    assert told["min_distance_m"] - 1e-9 <= least <= told["min_distance_m"] + step / 2
-    ttc = np.inf if told["min_ttc_s"] is None else told["min_ttc_s"]
-    assert min(item.ttc.min for item in found.unsafe) == pytest.approx(ttc, rel=1e-6)
+    assert summary["min_distance_m"] - 1e-9 <= least <= summary["min_distance_m"] + step / 2
+    ttc = np.inf if summary["min_ttc_s"] is None else summary["min_ttc_s"]
+    assert min(item.ttc.min for item in metrics.unsafe) == pytest.approx(ttc, rel=1e-6)
     if name != "dynamic":  # another satellite drifts, a set of a trace keeps its velocity
         steps = len(run.json("schedule.json")["modes"])  # the summary asks at their starts
         every = (len(agent.times) - 1) // steps
         starts = AgentTrace(agent.times[::every], agent.states[::every])
         asked = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
-        drift = np.inf if told["min_ttc_free_drift_s"] is None else told["min_ttc_free_drift_s"]
+        drift = np.inf if summary["min_ttc_free_drift_s"] is None else summary["min_ttc_free_drift_s"]
         asked_least = min(item.drift_ttc.min for item in asked.agents["chaser"].unsafe)
         assert asked_least == pytest.approx(drift, rel=1e-3, abs=0.05)
-        assert min(item.drift_ttc.min for item in found.unsafe) <= drift + 0.1
+        assert min(item.drift_ttc.min for item in metrics.unsafe) <= drift + 0.1
 
 
 def test_runs_are_chosen_by_name(folder):
@@ -122,10 +122,10 @@ def test_true_sets_are_themselves():
     assert exported.notes == ()
     kinds = [item.set_type for item in exported.trace.unsafe.values()]
     assert kinds == ["rectangle", "ball", "polytope", "polytope"]
-    found = evaluate_trace(exported.trace).agents["chaser"]
+    metrics = evaluate_trace(exported.trace).agents["chaser"]
     distances = signed_distances(obstacles, T, STATES[:, :3])
     times = ray_ttc(obstacles, T, STATES[:, :3], STATES[:, 3:])
-    for item, distance, ttc in zip(found.unsafe, distances, times, strict=True):
+    for item, distance, ttc in zip(metrics.unsafe, distances, times, strict=True):
         assert item.distance.min == pytest.approx(distance.min(), rel=1e-9)
         assert item.distance.max == pytest.approx(distance.max(), rel=1e-9)
         assert item.ttc.min == pytest.approx(ttc.min(), rel=1e-6)
@@ -146,10 +146,10 @@ def test_keep_in_sets_go_facet_by_facet():
     exported = to_trace(T, STATES, MODES, [corridor, cone], SYSTEM)
     assert list(exported.trace.unsafe)[:2] == ["corridor[0]", "corridor[1]"]
     assert len(exported.trace.unsafe) == 6 + 12 and len(exported.notes) == 2
-    found = evaluate_trace(exported.trace).agents["chaser"].unsafe
+    metrics = evaluate_trace(exported.trace).agents["chaser"].unsafe
     truth = signed_distances([corridor, cone], T, STATES[:, :3]).min(axis=1)
-    assert min(item.distance.min for item in found[:6]) == pytest.approx(truth[0])
-    leaving = min(item.distance.min for item in found[6:])
+    assert min(item.distance.min for item in metrics[:6]) == pytest.approx(truth[0])
+    leaving = min(item.distance.min for item in metrics[6:])
     assert 0.9 * truth[1] < leaving <= truth[1]
 
 

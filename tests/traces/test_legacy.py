@@ -27,10 +27,10 @@ CUBE = np.array([[[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0,
 T = np.arange(3.0)
 
 
-def both(found, **options):
+def both(flight, **options):
     """(ours, what RTAEval's methods return) of agent a; velocities are differences, as defect 9 demands."""
-    ours = evaluate_trace(found, velocity="differences", **options).agents["a"]
-    legacy = evaluate_legacy(found, velocity="differences", **options)["a"]
+    ours = evaluate_trace(flight, velocity="differences", **options).agents["a"]
+    legacy = evaluate_legacy(flight, velocity="differences", **options)["a"]
     return ours, legacy
 
 
@@ -76,8 +76,8 @@ def test_2_ttc_has_no_sign_no_miss_and_no_zero():
     def case(x, v, other=0.0):
         p = x + T * v
         states = np.column_stack([p, p, np.full(3, other)])
-        found = Trace({"a": AgentTrace(T, states)}, {"s": ball([0], 1)})
-        ours, legacy = both(found, dims=1)
+        flight = Trace({"a": AgentTrace(T, states)}, {"s": ball([0], 1)})
+        ours, legacy = both(flight, dims=1)
         return ours.unsafe[0].ttc, tuple(part["s"] for part in legacy["compute_unsafe_TTC"])
 
     ours, legacy = case(10, -2)  # approaching: 4.5 s, and right
@@ -93,8 +93,8 @@ def test_2_ttc_has_no_sign_no_miss_and_no_zero():
 def test_2_a_miss_gets_a_time():
     """In two axes, past the ball by 5 m."""
     p = np.column_stack([10 - T, np.full(3, 6.0)])
-    found = Trace({"a": AgentTrace(T, np.column_stack([p, np.zeros(3)]))}, {"s": ball([0, 0], 1)})
-    ours, legacy = both(found)
+    flight = Trace({"a": AgentTrace(T, np.column_stack([p, np.zeros(3)]))}, {"s": ball([0, 0], 1)})
+    ours, legacy = both(flight)
     assert ours.unsafe[0].ttc.min == np.inf
     assert np.isfinite(legacy["compute_unsafe_TTC"][0]["s"])
     # 5 m of (6, 0), over 1 m/s projected on the line from (10, 6)
@@ -148,10 +148,10 @@ def test_5_agents_head_on_never_meet(gap, speeds, true):
         states = np.column_stack([x + T * speed * np.cos(heading), T * 0, T * 0 + heading, T * 0 + speed])
         return AgentTrace(T, states)
 
-    found = Trace({"a": flying(0, 0.0, speeds[0]), "b": flying(gap, np.pi, speeds[1])})
+    flight = Trace({"a": flying(0, 0.0, speeds[0]), "b": flying(gap, np.pi, speeds[1])})
     velocity = Heading(3, (2,))
-    ours = evaluate_trace(found, dims=2, velocity=velocity, agent_radius=1e-9).agents["a"]
-    legacy = evaluate_legacy(found, dims=2, velocity=velocity)["a"]
+    ours = evaluate_trace(flight, dims=2, velocity=velocity, agent_radius=1e-9).agents["a"]
+    legacy = evaluate_legacy(flight, dims=2, velocity=velocity)["a"]
     assert ours.others[0].ttc.max == pytest.approx(true)
     assert legacy["compute_agent_TTC"] == ({"b": 1e20}, {"b": 1e20}, {"b": 1e20})
 
@@ -222,9 +222,9 @@ def test_rows_are_paired_by_their_place():
 
 def test_9_velocity_vectors_are_unsupported():
     states = np.column_stack([10 - T, T * 0, T * 0, -np.ones(3), T * 0, T * 0])
-    found = Trace({"a": AgentTrace(T, states)}, {"s": ball([0, 0, 0], 2)})
-    assert evaluate_trace(found).agents["a"].unsafe[0].ttc.max == 8
-    legacy = evaluate_legacy(found)["a"]
+    flight = Trace({"a": AgentTrace(T, states)}, {"s": ball([0, 0, 0], 2)})
+    assert evaluate_trace(flight).agents["a"].unsafe[0].ttc.max == 8
+    legacy = evaluate_legacy(flight)["a"]
     assert legacy["compute_unsafe_TTC"] == "raises: the states have no heading"
 
 
@@ -237,9 +237,9 @@ DATA = Path(__file__).parent / "data"
 def test_equal_to_what_rtaeval_printed(name, heading, kind, stated):
     """For traces its own simulator and evaluator wrote; heading, pitch and speed are found without a word."""
     file = DATA / f"{name}_{kind if kind == 'sim' else 'eval_ego1'}.json.gz"
-    found = parse_trace(json.loads(gzip.decompress(file.read_bytes())))
+    flight = parse_trace(json.loads(gzip.decompress(file.read_bytes())))
     velocity = heading if stated else None
-    agents = strict(evaluate_legacy(found, velocity=velocity))
+    agents = strict(evaluate_legacy(flight, velocity=velocity))
     printed = json.loads((DATA / f"{name}_rtaeval_results.json").read_text())["ego1"]
     wanted = {key.split("@")[0]: value for key, value in printed.items() if key.endswith(kind)}
     assert len(wanted) == 5
@@ -252,8 +252,8 @@ def test_equal_to_what_rtaeval_printed(name, heading, kind, stated):
 @pytest.mark.parametrize("velocity, rel", [(None, 1e-3), (Heading(5, (3, 4)), 1e-2)])
 def test_dubins_traces_of_rtaeval_measured_right(kind, velocity, rel):
     """Heading, pitch and speed are no velocity: 1.09 s from the building, on course for 8.5 %."""
-    found = parse_trace(json.loads(gzip.decompress((DATA / f"simpleDubins_{kind}.json.gz").read_bytes())))
-    ego = evaluate_trace(found, velocity=velocity).agents["ego1"]
+    flight = parse_trace(json.loads(gzip.decompress((DATA / f"simpleDubins_{kind}.json.gz").read_bytes())))
+    ego = evaluate_trace(flight, velocity=velocity).agents["ego1"]
     building = next(item for item in ego.unsafe if item.name == "building")
     assert building.ttc.min == pytest.approx(1.093, rel=rel)
     assert building.ttc.share == pytest.approx(0.085, abs=3e-3)
@@ -262,13 +262,13 @@ def test_dubins_traces_of_rtaeval_measured_right(kind, velocity, rel):
 def test_10_stamps_and_modes_lag():
     """x = 10 - t, S from 2 s on: half of the time, where RTAEval counts the initial row in."""
     rows = [[0, 10.0], [0, 9.0], [1, 8.0], [2, 7.0], [3, 6.0]]
-    found = parse_trace(trace({"a": agent(rows, [2, 2, 2, 3, 3])}, s=entry("point", [0, 0])))
-    legacy = evaluate_legacy(found)["a"]
+    flight = parse_trace(trace({"a": agent(rows, [2, 2, 2, 3, 3])}, s=entry("point", [0, 0])))
+    legacy = evaluate_legacy(flight)["a"]
     assert legacy["controllerUsage"] == (0.6, 0.4, 1)
-    ours = evaluate_trace(found, restamp=True).agents["a"]
+    ours = evaluate_trace(flight, restamp=True).agents["a"]
     assert (ours.usage["untrusted"], ours.usage["safety"]) == (0.5, 0.5)
     assert (ours.duration, ours.unsafe[0].distance.at, ours.unsafe[0].ttc.max) == (4, 4, 10)
-    assert evaluate_trace(found).agents["a"].duration == 3
+    assert evaluate_trace(flight).agents["a"].duration == 3
 
 
 def test_running_times_come_in_an_order_of_their_own():

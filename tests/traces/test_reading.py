@@ -50,8 +50,8 @@ def test_flat_and_nested_rows_are_the_same(tmp_path):
     ],
 )
 def test_modes_in_every_form(modes):
-    found = parse_trace(trace({"a": agent([[t, 0.0] for t in range(3)], modes)}))
-    assert found.agents["a"].modes.tolist() == [1, 2, 3]
+    parsed = parse_trace(trace({"a": agent([[t, 0.0] for t in range(3)], modes)}))
+    assert parsed.agents["a"].modes.tolist() == [1, 2, 3]
 
 
 @pytest.mark.parametrize("modes", [None, [None, None], ["UNKNOWN", None], [-1, None]])
@@ -62,9 +62,9 @@ def test_unknown_modes(tmp_path, modes):
 
 
 def test_other_numbers_stay_and_are_unknown(tmp_path):
-    found = read(tmp_path, trace({"a": agent([[0, 0.0], [1, 0.0]], [7, 3])})).agents["a"]
-    assert found.modes.tolist() == [7, 3]
-    assert found.known_modes.tolist() == [UNKNOWN, 3]
+    parsed = read(tmp_path, trace({"a": agent([[0, 0.0], [1, 0.0]], [7, 3])})).agents["a"]
+    assert parsed.modes.tolist() == [7, 3]
+    assert parsed.known_modes.tolist() == [UNKNOWN, 3]
 
 
 @pytest.mark.parametrize(
@@ -113,21 +113,21 @@ def test_objects_in_memory():
         "agents": {"a": {"state_trace": rows, "mode_trace": (Mode.UNTRUSTED, Mode.SAFETY)}},
         "unsafe": {"b": {"set_type": "ball", "state_trace": [(np.float64(0), (np.array([0, 0]), 2))]}},
     }
-    found = parse_trace(data)
-    assert found.agents["a"].states.tolist() == [[1, 2], [3, 4]]
-    assert found.agents["a"].modes.tolist() == [2, 3]
-    assert found.unsafe["b"].radii.tolist() == [2]
+    parsed = parse_trace(data)
+    assert parsed.agents["a"].states.tolist() == [[1, 2], [3, 4]]
+    assert parsed.agents["a"].modes.tolist() == [2, 3]
+    assert parsed.unsafe["b"].radii.tolist() == [2]
 
 
 def test_what_is_not_known_is_passed_over_and_told(tmp_path):
     data = trace({"a": agent([[0, 0.0]], colour="red")}, b={**entry("point", [0, 1]), "mass": 3})
-    found = read(tmp_path, data | {"version": 2})
-    assert found.ignored == ("version", "agents.a.colour", "unsafe.b.mass")
+    parsed = read(tmp_path, data | {"version": 2})
+    assert parsed.ignored == ("version", "agents.a.colour", "unsafe.b.mass")
 
 
 def test_names_may_be_anything(tmp_path):
-    found = read(tmp_path, trace({"": agent([[0, 0.0]]), "[red] ä.b": agent([[0, 0.0]])}))
-    assert list(found.agents) == ["", "[red] ä.b"]
+    parsed = read(tmp_path, trace({"": agent([[0, 0.0]]), "[red] ä.b": agent([[0, 0.0]])}))
+    assert list(parsed.agents) == ["", "[red] ä.b"]
 
 
 def test_byte_order_mark(tmp_path):
@@ -311,9 +311,9 @@ def test_many_rows_are_read_in_linear_time(tmp_path):
     data = trace(
         {"a": agent(rows)}, s=entry("ball", *([t / 10, [[1.0, 2.0, 3.0], 1.0]] for t in range(20_000)))
     )
-    found = read(tmp_path, data)
-    assert found.agents["a"].states.shape == (20_000, 3)
-    assert found.unsafe["s"].centers.shape == (20_000, 3)
+    parsed = read(tmp_path, data)
+    assert parsed.agents["a"].states.shape == (20_000, 3)
+    assert parsed.unsafe["s"].centers.shape == (20_000, 3)
 
 
 def ball(velocities, kind="ball"):
@@ -323,8 +323,8 @@ def ball(velocities, kind="ball"):
 
 
 def test_velocities_of_a_ball(tmp_path):
-    found = read(tmp_path, ball([[0, 0, 1], [0, 0, 2.5]]))
-    assert found.unsafe["b"].velocities.tolist() == [[0, 0, 1], [0, 0, 2.5]] and not found.ignored
+    parsed = read(tmp_path, ball([[0, 0, 1], [0, 0, 2.5]]))
+    assert parsed.unsafe["b"].velocities.tolist() == [[0, 0, 1], [0, 0, 2.5]] and not parsed.ignored
     assert read(tmp_path, ball(None)).unsafe["b"].velocities is None
     assert read(tmp_path, ball([[0, 0, 1]] * 2, "point")).ignored == ("unsafe.b.velocity_trace",)
 

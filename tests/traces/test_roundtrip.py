@@ -1,4 +1,4 @@
-"""What is written is read back exactly."""
+"""Traces that are written are read back exactly."""
 
 import json
 
@@ -74,11 +74,11 @@ TRACES = st.builds(
 
 @settings(max_examples=30)
 @given(TRACES)
-def test_written_and_read_is_the_same(tmp_path_factory, found):
-    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", found, force=True)
+def test_written_and_read_is_the_same(tmp_path_factory, flown):
+    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", flown, force=True)
     back = read_trace(path)
-    assert back.same_as(found) and found.same_as(back)
-    assert parse_trace(trace_data(found)).same_as(found)
+    assert back.same_as(flown) and flown.same_as(back)
+    assert parse_trace(trace_data(flown)).same_as(flown)
 
 
 def test_same_as_sees_differences():
@@ -98,7 +98,7 @@ def test_same_as_sees_differences():
 def test_form_is_that_of_rtaeval(tmp_path):
     """Flat rows of agents, nested rows of sets, full lengths, modes as numbers."""
     t = np.array([0.0, 1.0])
-    found = Trace(
+    flown = Trace(
         {"a": AgentTrace(t, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([2, 3]))},
         {
             "p": PointTrace(t[:1], np.array([[1.0, 2.0]])),
@@ -107,7 +107,7 @@ def test_form_is_that_of_rtaeval(tmp_path):
             "h": PolytopeTrace(t, np.array([[[1.0, 0.0]]]), np.array([[5.0], [6.0]])),
         },
     )
-    data = json.loads(write_trace(tmp_path / "t.json", found).read_text(encoding="utf-8"))
+    data = json.loads(write_trace(tmp_path / "t.json", flown).read_text(encoding="utf-8"))
     assert data == {
         "agents": {"a": {"state_trace": [[0, 1, 2], [1, 3, 4]], "mode_trace": [2, 3]}},
         "unsafe": {
