@@ -33,14 +33,14 @@ DOCS = Path(__file__).resolve().parents[1]
 
 def schema() -> dict[str, Any]:
     """JSON Schema of the scenario format; every field carries its unit under ``unit``."""
-    found: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found, "title": "Polaris scenario"}
+    tables: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **tables, "title": "Polaris scenario"}
 
 
 def file_schema() -> dict[str, Any]:
     """JSON Schema of a file, whose orbit and start set may follow from sources that it names."""
-    found, sources = schema(), _tidy(TypeAdapter(OrbitSource | StartSource).json_schema()["$defs"])
-    tables = found["$defs"]
+    whole, sources = schema(), _tidy(TypeAdapter(OrbitSource | StartSource).json_schema()["$defs"])
+    tables = whole["$defs"]
     orbit, start = tables["Orbit"], sources["StartSource"]
     orbit["properties"] |= sources["OrbitSource"]["properties"]
     orbit["required"] = [
@@ -48,17 +48,17 @@ def file_schema() -> dict[str, Any]:
     ]
     tables["ClohessyWiltshire"]["required"].remove("mean_motion_rad_s")
     tables["StartSource"] = start
-    found["properties"]["initial_set"]["oneOf"].append({"$ref": "#/$defs/StartSource"})
-    return found
+    whole["properties"]["initial_set"]["oneOf"].append({"$ref": "#/$defs/StartSource"})
+    return whole
 
 
 def inspection_schema() -> dict[str, Any]:
     """JSON Schema of the scenarios of the inspection problem, one model for each kind."""
-    found: dict[str, Any] = _tidy(TypeAdapter(reduce(or_, INSPECTIONS.values())).json_schema())
+    tables: dict[str, Any] = _tidy(TypeAdapter(reduce(or_, INSPECTIONS.values())).json_schema())
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "oneOf": found["anyOf"],
-        "$defs": found["$defs"],
+        "oneOf": tables["anyOf"],
+        "$defs": tables["$defs"],
         "title": "Polaris inspection scenario",
     }
 
@@ -89,7 +89,7 @@ def reference_text() -> str:
     for part, lines in (("schedule", _schedule_lines()), ("inspection", _inspection_lines())):
         pattern = rf"(<!-- {part}: .+? -->\n\n).*?(\n\n<!-- end -->)"
         made = "\n".join(lines).strip("\n")
-        text = re.sub(pattern, lambda found, made=made: found[1] + made + found[2], text, flags=re.S)
+        text = re.sub(pattern, lambda match, made=made: match[1] + made + match[2], text, flags=re.S)
     return text
 
 
@@ -98,7 +98,7 @@ def _schedule_lines() -> Iterator[str]:
     whole = schema()
     tables = whole["$defs"]
     yield from ("## Top level", "", *_fields(whole, tables))
-    told = False  # what a controller follows is described once
+    described = False  # what a controller follows is described once
     for key, node in whole["properties"].items():
         members = list(_members(node, tables))
         if not members:
@@ -112,8 +112,8 @@ def _schedule_lines() -> Iterator[str]:
                 yield from _choices(inner, parts, tables, "####")
         for member in members:
             reference = member["properties"].get("reference")
-            if reference and not told:
-                told = True
+            if reference and not described:
+                described = True
                 yield from ("", "#### `reference` of a controller")
                 yield from _choices({}, list(_members(reference, tables)), tables, "#####")
 
@@ -194,7 +194,7 @@ def _words(node: dict[str, Any]) -> list[str]:
 
 
 def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
-    """What may be written, in words."""
+    """Return the values that may be written, in words."""
     if _words(node):
         return ", ".join(f"`{word}`" for word in _words(node))
     if any(_members(node, tables)):
@@ -225,7 +225,7 @@ def _range(node: dict[str, Any]) -> str:
 
 
 def texts() -> dict[str, str]:
-    """What the files hold, by their names."""
+    """Return the contents of the files, by their names."""
     schemas = {SCHEMA_FILE: file_schema(), INSPECTION_FILE: inspection_schema()}
     written = {name: json.dumps(node, indent=2, ensure_ascii=False) + "\n" for name, node in schemas.items()}
     return {**written, REFERENCE_FILE: reference_text()}

@@ -162,7 +162,7 @@ class Declared:
     @cached_property
     def loop(self) -> dict[bytes, str]:
         """States and channels that each source adds, in words, by all that it adds."""
-        system, found = self.problem.system, {}
+        system, texts = self.problem.system, {}
         loop = Loop.of(system.A, system.B, self.problem.period)
         for source in sources(system, self.problem.period):
             before, loop = loop, source.extend(loop)
@@ -170,8 +170,8 @@ class Declared:
             names = [f"{states} states"] * bool(states) + list(dict.fromkeys(c.name for c in channels))
             values = [(c.name, c.size, c.rate, c.noise, c.lag, c.share is None) for c in channels]
             key = pickle.dumps((type(source).__name__, states, values))
-            found[key] = f"`{type(source).__name__}`: {', '.join(names)}"
-        return found
+            texts[key] = f"`{type(source).__name__}`: {', '.join(names)}"
+        return texts
 
     @cached_property
     def craft(self) -> Craft:
@@ -216,8 +216,8 @@ class Declared:
         """Return the sentences that are printed with the guarantee, by their first words."""
         premises = assumed(self.problem.system, self.problem.period)
         allocated, radius = self.problem.allocation is not None, chaser_radius(self.problem.unsafe)
-        told = replace(premises, allocated=allocated, chaser=radius).told()
-        return {sentence.split(":")[0]: sentence for sentence in told}
+        sentences = replace(premises, allocated=allocated, chaser=radius).told()
+        return {sentence.split(":")[0]: sentence for sentence in sentences}
 
     @cached_property
     def flown(self) -> dict[str, object]:
@@ -247,9 +247,9 @@ class Declared:
         return "booked"
 
 
-def differing(found: Mapping[Any, Any], base: Mapping[Any, Any]) -> str:
+def differing(given: Mapping[Any, Any], base: Mapping[Any, Any]) -> str:
     """Names of what is not empty and differs from the same in another dictionary."""
-    names = [name for name, value in found.items() if value and base.get(name) != value]
+    names = [name for name, value in given.items() if value and base.get(name) != value]
     return ", ".join(names) or "-"
 
 
@@ -258,10 +258,10 @@ def table() -> str:
     head = (f"{name}: `{place}`" if place else name for name, place in HEAD.items())
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(HEAD)]
     for row in ROWS:
-        found, base = Declared((*row.beside, *row.example)), Declared(row.beside)
-        added = "; ".join(text for key, text in found.loop.items() if key not in base.loop) or "-"
-        pairs = ((getattr(found, part), getattr(base, part)) for part in PARTS)
-        cells = row.name, f"`{row.table}`", added, *(differing(*pair) for pair in pairs), found.online
+        declared, base = Declared((*row.beside, *row.example)), Declared(row.beside)
+        added = "; ".join(text for key, text in declared.loop.items() if key not in base.loop) or "-"
+        pairs = ((getattr(declared, part), getattr(base, part)) for part in PARTS)
+        cells = row.name, f"`{row.table}`", added, *(differing(*pair) for pair in pairs), declared.online
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
