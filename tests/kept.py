@@ -42,31 +42,31 @@ def quick(name):
 @cache
 def digest():
     """Of every source and scenario, of what makes scenes for tests, and of what runs them."""
-    found = hashlib.sha256(f"{sys.version} {platform.platform()} {platform.machine()}".encode())
+    sums = hashlib.sha256(f"{sys.version} {platform.platform()} {platform.machine()}".encode())
     for name in LIBRARIES:
         try:
-            found.update(f"{name} {version(name)}".encode())
+            sums.update(f"{name} {version(name)}".encode())
         except PackageNotFoundError:
-            found.update(f"no {name}".encode())
+            sums.update(f"no {name}".encode())
     packages = [Path(package.__file__).parent for package in (polaris, reach)]
     files = [file for package in packages for file in package.rglob("*.py")]
     files += [file for file in ROOT.glob("tests/**/*.py") if not file.name.startswith("test_")]
     files += [*ROOT.glob("scenarios/*.toml"), *ROOT.glob("tests/**/*.toml")]
     for file in sorted(files):
         content = file.read_bytes()
-        found.update(f"{file} {len(content)}".encode() + content)
-    return found.hexdigest()[:20]
+        sums.update(f"{file} {len(content)}".encode() + content)
+    return sums.hexdigest()[:20]
 
 
 @cache
 def folder():
-    """Where this generation lies; of older ones, the latest few stay."""
-    found = PLACE / digest()
-    found.mkdir(parents=True, exist_ok=True)
-    os.utime(found)
+    """Return the folder of this generation; of older ones, the latest few stay."""
+    place = PLACE / digest()
+    place.mkdir(parents=True, exist_ok=True)
+    os.utime(place)
     for old in sorted(PLACE.iterdir(), key=os.path.getmtime)[:-GENERATIONS]:
         shutil.rmtree(old, ignore_errors=True)  # another worker may do the same
-    return found
+    return place
 
 
 @contextmanager
@@ -79,7 +79,7 @@ def alone(path):
 
 
 def kept(name, make):
-    """What `make` returns, or what it returned under this name to whoever called it first.
+    """Return the result of `make`, or what it returned under this name to the first caller.
 
     A safety that the wall clock had a part in is not kept: a slow moment must not leave it to quick ones.
     """
@@ -88,13 +88,13 @@ def kept(name, make):
     with alone(file.with_suffix(".lock")):
         if file.exists():
             return pickle.loads(file.read_bytes())
-        found = make()
-        made = found[1] if isinstance(found, tuple) else found
+        result = make()
+        made = result[1] if isinstance(result, tuple) else result
         if not getattr(made, "safety", made).cut_by_clock:
             beside = file.with_suffix(f".{os.getpid()}")
-            beside.write_bytes(pickle.dumps(found))
+            beside.write_bytes(pickle.dumps(result))
             beside.replace(file)
-    return found
+    return result
 
 
 @cache
@@ -110,7 +110,7 @@ def scheduled(name, *more):
 
 @cache
 def printed(name, *more):
-    """The same by the printed algorithms alone: U along one reference that was planned without it."""
+    """Return `scheduled` by the printed algorithms alone: U along one reference planned without it."""
 
     def make():
         scenario = load_scenario(name, ["recoverable.recourse=none", *more])

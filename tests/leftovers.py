@@ -1,4 +1,4 @@
-"""What a process leaves that is killed while it writes."""
+"""Leftovers of a process that is killed while it writes."""
 
 import subprocess
 import sys

@@ -22,16 +22,16 @@ def saved(path, gain, offset=0.0):
 
 
 def test_halving_ends_with_parts_that_cover_the_box():
-    found = []
+    proved = []
 
     def proves(z: Zonotope) -> bool:
         small = bool(np.all(z.half_widths <= [0.26, 1.1]))
-        found.extend([z] if small else [])
+        proved.extend([z] if small else [])
         return small
 
     done, parts, tried = networks.halved(proves, np.zeros(2), np.array([2.0, 2.0]), np.ones(2))
-    assert done and parts == len(found) and tried == 2 * parts - 1
-    assert sum(4 * np.prod(z.half_widths) for z in found) == pytest.approx(4.0)
+    assert done and parts == len(proved) and tried == 2 * parts - 1
+    assert sum(4 * np.prod(z.half_widths) for z in proved) == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize(("push", "verdict"), [(-1.0, "proven"), (15.0, "violated")])

@@ -189,19 +189,19 @@ def test_a_stuck_valve_is_open_or_shut_until_it_is_isolated():
     ):
         stuck = Stuck(kind, 0, 3.5, 3)
         for tick, own in ((0, whole[:1]), (1, first), (2, second), (3, whole[:1])):
-            found = sorted(stuck.windows(tick, 2.0, on))
-            assert [j for j, *_ in found] == [j for j, *_ in sorted([*own, whole[1]])]
-            assert np.allclose(found, sorted([*own, whole[1]]))
-    found = Stuck("stuck_off", 0, 1.0, 1).windows(0, 2.0, on)  # in the middle of a pulse
-    assert np.allclose(sorted(found), [(0, 0.7, 1.0), (1, 0.5, 1.5)])
-    found = sorted(Stuck("stuck_on", 0, 1.0, 1).windows(0, 2.0, on))
-    assert np.allclose(found, [(0, 0.7, 1.0), (0, 1.0, 2.0), (1, 0.5, 1.5)])
+            spans = sorted(stuck.windows(tick, 2.0, on))
+            assert [j for j, *_ in spans] == [j for j, *_ in sorted([*own, whole[1]])]
+            assert np.allclose(spans, sorted([*own, whole[1]]))
+    spans = Stuck("stuck_off", 0, 1.0, 1).windows(0, 2.0, on)  # in the middle of a pulse
+    assert np.allclose(sorted(spans), [(0, 0.7, 1.0), (1, 0.5, 1.5)])
+    spans = sorted(Stuck("stuck_on", 0, 1.0, 1).windows(0, 2.0, on))
+    assert np.allclose(spans, [(0, 0.7, 1.0), (0, 1.0, 2.0), (1, 0.5, 1.5)])
 
 
 def test_the_page_has_200_flights_of_cubesat_within_what_is_proven():
     page = (Path(__file__).parents[1] / "docs" / "model-error.md").read_text(encoding="utf-8")
-    told = page.split("<!-- table cubesat -->")[1].split("<!-- end -->")[0]
-    rows = [[x.strip(" %") for x in row.split("|")[1:-1]] for row in told.splitlines() if row[:2] == "| "]
+    text = page.split("<!-- table cubesat -->")[1].split("<!-- end -->")[0]
+    rows = [[x.strip(" %") for x in row.split("|")[1:-1]] for row in text.splitlines() if row[:2] == "| "]
     _, *flown, proven = rows
     assert [int(row[1]) for row in flown] == [100, 50, 50]
     for row in flown:
@@ -235,9 +235,9 @@ def test_a_flight_in_basilisk_keeps_within_what_was_proven(tmp_path):
     from benchmarks.basilisk.__main__ import REAL, Found, scene
 
     scene("static", 1, tmp_path / "static", [*REAL])
-    found = scene("static", 2, tmp_path / "static", [*REAL])
-    assert len(found) == len((tmp_path / "static.jsonl").read_text().splitlines()) == 2
-    worst = Found.worst(found)
+    flights = scene("static", 2, tmp_path / "static", [*REAL])
+    assert len(flights) == len((tmp_path / "static.jsonl").read_text().splitlines()) == 2
+    worst = Found.worst(flights)
     assert worst.distance > 0
     assert worst.tube <= 1 + 1e-6
     assert worst.thrust <= 1

@@ -41,14 +41,14 @@ def lines(folder):
 
 def public_names(source):
     """Return the names of the public functions and classes that a module defines at its level."""
-    found, left = set(), list[ast.AST](ast.parse(source).body)
+    names, left = set(), list[ast.AST](ast.parse(source).body)
     while left:
         node = left.pop()
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            found.add(node.name)
+            names.add(node.name)
         elif isinstance(node, ast.If | ast.Try | ast.ExceptHandler):  # in any of its branches
             left += list(ast.iter_child_nodes(node))
-    return {name for name in found if not name.startswith("_")}
+    return {name for name in names if not name.startswith("_")}
 
 
 def repeated(root, packages):
@@ -61,13 +61,13 @@ def repeated(root, packages):
 @pytest.mark.parametrize("rooms", LINES, ids=" + ".join)
 def test_a_room_has_no_more_lines_than_its_limit(rooms):
     limit, aim = LINES[rooms]
-    found = sum(lines(ROOT / room) for room in rooms)
-    assert found <= limit, f"{found} lines in {' + '.join(rooms)}, at most {limit} (aim {aim}): cut something"
+    count = sum(lines(ROOT / room) for room in rooms)
+    assert count <= limit, f"{count} lines in {' + '.join(rooms)}, at most {limit} (aim {aim}): cut something"
 
 
 def test_a_public_name_is_defined_in_few_modules():
-    found = repeated(ROOT, PACKAGES)
-    assert not found, f"defined in too many modules, at most {MODULES}: {found}; rename some"
+    counts = repeated(ROOT, PACKAGES)
+    assert not counts, f"defined in too many modules, at most {MODULES}: {counts}; rename some"
 
 
 def test_a_line_and_a_name_too_many_are_found(tmp_path):

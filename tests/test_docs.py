@@ -1,4 +1,4 @@
-"""What the pages say is run: code blocks, commands and the output they show, links, tables.
+"""Pages are checked by running them: code blocks, commands and the output they show, links, tables.
 
 Blocks of ``python`` are executed in one namespace per page, blocks of ``console`` by a shell, in the
 order of the page and in one folder. Lines of a console block that begin with ``$ `` are commands, the
@@ -66,9 +66,9 @@ class Block:
 
 def blocks(path):
     text = path.read_text(encoding="utf-8")
-    for found in BLOCK.finditer(text):
-        line = text.count("\n", 0, found.start("body")) + 1
-        yield Block(path.name, line, found["kind"], found["check"] or "", found["body"])
+    for match in BLOCK.finditer(text):
+        line = text.count("\n", 0, match.start("body")) + 1
+        yield Block(path.name, line, match["kind"], match["check"] or "", match["body"])
 
 
 # -- comparing shown with real output ---------------------------------------------------------------
@@ -81,10 +81,10 @@ def assert_shown(shown, real, where, numbers):
     for piece in filter(None, (" ".join(part.split()) for part in shown.split("..."))):
         parts = re.split(f"({NUMBER})", piece)
         pattern = "".join(f"({NUMBER})" if i % 2 else re.escape(part) for i, part in enumerate(parts))
-        found = re.compile(pattern).search(real, at)
-        assert found, f"{where}: no such output\n  {piece}\nin\n  {real[at:]}"
-        at = found.end()
-        for wanted, got in zip(map(float, parts[1::2]), map(float, found.groups()), strict=True):
+        match = re.compile(pattern).search(real, at)
+        assert match, f"{where}: no such output\n  {piece}\nin\n  {real[at:]}"
+        at = match.end()
+        for wanted, got in zip(map(float, parts[1::2]), map(float, match.groups()), strict=True):
             same = math.isclose(wanted, got, rel_tol=CLOSE, abs_tol=1e-9)
             assert same or not numbers, f"{where}: shows {wanted:g}, is {got:g}\n  {piece}"
 
@@ -140,7 +140,7 @@ class Shell:
         return self.known[command]
 
     def here(self, arguments):
-        """The same of the package's own command, run in this process."""
+        """Run the package's own command in this process: output and exit code."""
         with contextlib.chdir(self.folder):
             done = CliRunner().invoke(app, arguments, env={"COLUMNS": "100", "MPLBACKEND": "agg"})
         if done.exception is not None and not isinstance(done.exception, SystemExit):
@@ -279,18 +279,18 @@ def test_table_of_scenarios_is_what_a_run_gives(name, shell, kept_schedules):
     share, switches, spent, proven, goal, alone, under = scenario_rows()[name]
     _, code = shell.run(f"polaris run {name}")
     assert code == 0
-    found = json.loads((shell.folder / "runs" / name / "summary.json").read_text(encoding="utf-8"))
-    end = found["guarantee"]
+    summary = json.loads((shell.folder / "runs" / name / "summary.json").read_text(encoding="utf-8"))
+    end = summary["guarantee"]
     until = "" if end["until_s"] is None else f"{end['until_s']:g}"
     expected = {"infinite": "for all time", "one_period": f"until {until} s", "none": "up to T"}
     assert (end["kind"], expected[end["horizon"]]) == ("proved", proven)
-    assert float(share.split()[0]) == pytest.approx(100 * found["polaris"]["experimental_share"], abs=3.0)
-    assert int(switches) == pytest.approx(found["polaris"]["switches"], abs=1)
-    assert float(spent.split()[0]) == pytest.approx(found["polaris"]["delta_v_m_s"], rel=0.05)
+    assert float(share.split()[0]) == pytest.approx(100 * summary["polaris"]["experimental_share"], abs=3.0)
+    assert int(switches) == pytest.approx(summary["polaris"]["switches"], abs=1)
+    assert float(spent.split()[0]) == pytest.approx(summary["polaris"]["delta_v_m_s"], rel=0.05)
     assert end["goal"]["reached"] is True
     assert float(goal.split()[0]) == pytest.approx(end["goal"]["by_s"], rel=0.02)
     for shown, who in ((alone, "experimental"), (under, "polaris")):
-        metres = found[who]["min_distance_m"]
+        metres = summary[who]["min_distance_m"]
         assert float(shown.split()[0]) == pytest.approx(metres, rel=CLOSE, abs=0.06)
 
 
@@ -307,7 +307,7 @@ def documented(page):
 
 @pytest.mark.parametrize("package", INTERFACES)
 def test_interface_page_has_every_public_name_once(package):
-    """What a package takes over from `reach` is a link to the page of `reach`: two places are ambiguous."""
+    """A name taken over from `reach` is a link to the page of `reach`: two places are ambiguous."""
     door = importlib.import_module(package)
     public = set(door.__all__) - {"__version__"}
     taken = {
@@ -350,9 +350,9 @@ def test_citations_and_references_fit():
     """A page cites by key, each key is explained in one place, and nothing is listed that nobody cites."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in PAGES}
     keys = re.findall(r"^### (\w+)$", texts.pop("references.md"), re.M)
-    found = re.findall(r"\[\[(\w+)\]\((?:docs/)?references\.md#(\w+)\)\]", "".join(texts.values()))
-    assert {key for key, _ in found} == set(keys)
-    assert all(anchor == key.lower() for key, anchor in found)
+    cited = re.findall(r"\[\[(\w+)\]\((?:docs/)?references\.md#(\w+)\)\]", "".join(texts.values()))
+    assert {key for key, _ in cited} == set(keys)
+    assert all(anchor == key.lower() for key, anchor in cited)
 
 
 def test_recipes_name_files_that_exist():
@@ -405,7 +405,7 @@ UNREAD = re.compile(r"<(pre|code|script|title|head)\b.*?</\1>", re.S)
 
 def formulas(text, kind):
     """Formulas of a built page: ``div`` on display, ``span`` within a line."""
-    return [found[2] for found in FORMULA.finditer(UNREAD.sub("", text)) if found[1] == kind]
+    return [match[2] for match in FORMULA.finditer(UNREAD.sub("", text)) if match[1] == kind]
 
 
 @on_built_pages

@@ -107,8 +107,8 @@ def test_an_installed_copy_reads_its_metadata(monkeypatch):
 
     monkeypatch.setattr(metadata, "metadata", lambda name: About(Version=checkout["version"]))
     monkeypatch.setattr(packages, "DISTRIBUTION", "another project than that of the file")
-    told = packages.project.__wrapped__()
-    assert told == {key: checkout[key] for key in told} and len(told) == 3
+    project = packages.project.__wrapped__()
+    assert project == {key: checkout[key] for key in project} and len(project) == 3
 
 
 SOLVES = """

@@ -20,8 +20,8 @@ CITED = re.compile(rf"(Lemma|Proposition|Theorem)s?\s+(\d+a?{PART}(?:(?:, |,? an
 def cited(text):
     """Return the statements that a text cites by number, lists of them included."""
     text = re.sub(r"\s*\n[ \t]*(?:# ?)?", " ", text)
-    found = ((kind, re.sub(PART[3:-2], "", numbers)) for kind, numbers in CITED.findall(text))
-    return {f"{kind} {number}" for kind, numbers in found for number in re.findall(r"\d+a?", numbers)}
+    matches = ((kind, re.sub(PART[3:-2], "", numbers)) for kind, numbers in CITED.findall(text))
+    return {f"{kind} {number}" for kind, numbers in matches for number in re.findall(r"\d+a?", numbers)}
 
 
 def docstrings(source):
@@ -35,8 +35,8 @@ def docstrings(source):
 
 def files(*folders):
     """Return the Python files in some folders, this one excepted."""
-    found = (path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")))
-    return [path for path in found if path != Path(__file__)]
+    paths = (path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")))
+    return [path for path in paths if path != Path(__file__)]
 
 
 def cited_in(*folders):

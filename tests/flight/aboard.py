@@ -34,8 +34,8 @@ def aboard(library):
             called = step // self.substeps, state, 0 if by_s[run] else number, given
             answer = library.step(*called, memory=memories[run])
             assert answer.mode == (0 if by_s[run] else number)
-            told = answer.mode, answer.fault
-            faults[told] = faults.get(told, 0) + 1
+            key = answer.mode, answer.fault
+            faults[key] = faults.get(key, 0) + 1
             answers.append(answer.command)
         return np.array(answers)
 

@@ -310,9 +310,9 @@ def forgeries(folder):
     for name in ("waypoints", "feed", "moved", "pushed", "gain", "limit", "range"):
         begin = text.index(f" {name}[")
         end = text.index("};", begin)
-        found = [one for one in re.finditer(r"-?0x1\.[0-9a-f]+p[+-]\d+", text) if begin < one.start() < end]
+        numbers = [one for one in re.finditer(r"-?0x1\.[0-9a-f]+p[+-]\d+", text) if begin < one.start() < end]
         by = 1 + (1e-4 if "f," in text[begin:end] else 1e-9)
-        for one in (found[0], found[len(found) // 2], found[-1]):
+        for one in (numbers[0], numbers[len(numbers) // 2], numbers[-1]):
             for factor in (by, -1.0):
                 forged = rounded(float.fromhex(one[0]) * factor, folder.name).hex()
                 label = f"{name} at {one.start()} times {factor}"
@@ -437,8 +437,8 @@ def test_the_verbs_export_and_verify(flown, tmp_path):
     done = CliRunner().invoke(app, ["verify", run, "--code", str(out)])
     assert done.exit_code == 0 and "demo: text, tables and self-test in double" in done.stdout
     plain, coded = verify(run), verify(run, out)
-    told = [dict(verdict.checked)["recoverable"].split()[0] for verdict in (plain, coded)]
-    assert int(told[1]) > int(told[0])  # S may take over at every node
+    counts = [dict(verdict.checked)["recoverable"].split()[0] for verdict in (plain, coded)]
+    assert int(counts[1]) > int(counts[0])  # S may take over at every node
     (out / "demo.c").write_text((out / "demo.c").read_text().replace("latched = 1", "latched = 0"))
     done = CliRunner().invoke(app, ["verify", run, "--code", str(out)])
     assert done.exit_code == 5 and "code: " in done.stdout

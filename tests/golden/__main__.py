@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         seconds = time.process_time() - begun
         said = ", ".join(filter(None, [f"exit code {row['exit_code']}", row.get("verdict"), message]))
         print(f"{name}: {said} ({seconds:.1f} CPU-s)")
-        found = compare(table[name], row) if name in table else []
-        for difference in found:
+        differences = compare(table[name], row) if name in table else []
+        for difference in differences:
             counts[difference.kind] = counts.get(difference.kind, 0) + 1
             print(f"  {difference}")
         if asked.write:

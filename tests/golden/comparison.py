@@ -51,25 +51,25 @@ def compare(stored: Row, today: Row) -> list[Difference]:
     are then no fault, as long as everything proven stays proven. A scene that is another one is no fault by
     itself, but may be the reason for others.
     """
-    found = [("scene", OTHER)] if stored["scene"] != today.get("scene") else []
-    found += _ranked("exit_code", EXITS, stored, today)
+    kinds = [("scene", OTHER)] if stored["scene"] != today.get("scene") else []
+    kinds += _ranked("exit_code", EXITS, stored, today)
     if stored["exit_code"] or today["exit_code"]:
-        return _made(found, stored, today)
+        return _made(kinds, stored, today)
     for quantity, order in RANKS.items():
-        found += _ranked(quantity, {answer: i for i, answer in enumerate(order)}, stored, today)
+        kinds += _ranked(quantity, {answer: i for i, answer in enumerate(order)}, stored, today)
     gain = today["share"] - stored["share"]
     if today["modes"] != stored["modes"]:
-        found.append(("modes", OTHER))
+        kinds.append(("modes", OTHER))
     if abs(gain) > ROUNDING:
-        found.append(("share", BETTER if gain > 0 else WORSE if gain < -POINT - ROUNDING else OTHER))
+        kinds.append(("share", BETTER if gain > 0 else WORSE if gain < -POINT - ROUNDING else OTHER))
     numbers = [*_margins(stored, today), *_goal(stored, today), *_tube(stored, today)]
     if gain > ROUNDING:
         numbers = [(quantity, OTHER if kind == WORSE else kind) for quantity, kind in numbers]
-    return _made(found + numbers, stored, today)
+    return _made(kinds + numbers, stored, today)
 
 
-def _made(found: list[tuple[str, str]], stored: Row, today: Row) -> list[Difference]:
-    return [Difference(stored["name"], each, stored.get(each), today.get(each), kind) for each, kind in found]
+def _made(kinds: list[tuple[str, str]], stored: Row, today: Row) -> list[Difference]:
+    return [Difference(stored["name"], each, stored.get(each), today.get(each), kind) for each, kind in kinds]
 
 
 def _ranked(quantity: str, rank: dict[Any, int], stored: Row, today: Row) -> Iterator[tuple[str, str]]:
@@ -90,8 +90,8 @@ def _goal(stored: Row, today: Row) -> Iterator[tuple[str, str]]:
         return
     for quantity in GOAL:
         old, new = (np.inf if row[quantity] is None else row[quantity] for row in (stored, today))
-        if found := [*_smaller(quantity, old, new, ROUNDING * min(abs(old), abs(new)))]:
-            yield from found
+        if worse := [*_smaller(quantity, old, new, ROUNDING * min(abs(old), abs(new)))]:
+            yield from worse
             return
 
 

@@ -89,14 +89,14 @@ def errors(scenario: ScheduleScenario) -> dict[str, Any]:
     if round(problem.delta / period) > PARTS:
         period = problem.delta / FEWER
     known = (0.03 * scenario.initial_set().half_widths).tolist()
-    found: dict[str, Any] = {"recoverable.kind": "polytope", "feedback.period_s": period}
-    found |= {"timing.delay_s": period, "thrusters.magnitude_error": 0.01, "thrusters.mass_error": 0.005}
-    found |= {"thrusters.impulse_bit_N_s": 0.01 * period * float(np.min(system.u_max))}
+    overrides: dict[str, Any] = {"recoverable.kind": "polytope", "feedback.period_s": period}
+    overrides |= {"timing.delay_s": period, "thrusters.magnitude_error": 0.01, "thrusters.mass_error": 0.005}
+    overrides |= {"thrusters.impulse_bit_N_s": 0.01 * period * float(np.min(system.u_max))}
     if system.mean_motion is None:
-        return found | {"navigation.state_error": known}
+        return overrides | {"navigation.state_error": known}
     parts = {"position_error_m": known[: system.d], "velocity_error_m_s": known[system.d :]}
-    found |= {f"navigation.{name}": part for name, part in parts.items()}
-    return found | {"thrusters.misalignment_deg": 0.5}
+    overrides |= {f"navigation.{name}": part for name, part in parts.items()}
+    return overrides | {"thrusters.misalignment_deg": 0.5}
 
 
 def _rounded(value: Any) -> Any:
@@ -111,16 +111,16 @@ def _rounded(value: Any) -> Any:
 @cache
 def scenes() -> dict[str, Scene]:
     """Return the scenes of all rows by name: bundled, then random."""
-    found: dict[str, Scene] = {}
+    table: dict[str, Scene] = {}
     for name, path in bundled_files().items():
         if isinstance(scenario := load_scenario(path), ScheduleScenario):
-            _add(found, name, lambda path=path: path.read_text(encoding="utf-8"), name in CARRIED)
+            _add(table, name, lambda path=path: path.read_text(encoding="utf-8"), name in CARRIED)
             if scenario.model.navigation or scenario.model.thrusters:
-                del found[name + ERRORS]  # it declares errors itself
+                del table[name + ERRORS]  # it declares errors itself
     for seed in SEEDS:
-        _add(found, f"random-{seed}", lambda seed=seed: random_scenario(seed), seed % 2 == 1)
-    return found
+        _add(table, f"random-{seed}", lambda seed=seed: random_scenario(seed), seed % 2 == 1)
+    return table
 
 
-def _add(found: dict[str, Scene], name: str, text: Callable[[], str], carried: bool) -> None:
-    found |= {each: Scene(each, text, carried) for each in (name, name + ERRORS)}
+def _add(table: dict[str, Scene], name: str, text: Callable[[], str], carried: bool) -> None:
+    table |= {each: Scene(each, text, carried) for each in (name, name + ERRORS)}

@@ -85,8 +85,8 @@ def test_a_worse_row_is_a_fault(stored, change):
 
 @pytest.mark.parametrize(("stored", "change"), IMPROVED)
 def test_a_better_row_passes(stored, change):
-    found = kinds(stored, change)
-    assert BETTER in found and WORSE not in found
+    seen = kinds(stored, change)
+    assert BETTER in seen and WORSE not in seen
 
 
 def test_what_rounding_does_and_a_point_of_the_share_pass():

@@ -33,7 +33,7 @@ def tracking():
 
 
 def moved(track, t):
-    """What S makes of an error within t, its input held from node to node."""
+    """Return the map of an error over t [s] under S, its input held from node to node."""
     lag, rest = divmod(t, track.flow.h)
     Ad, Bd = discretize(track.system.A, track.system.B, rest)
     return (Ad - Bd @ track.gain) @ np.linalg.matrix_power(track.flow.phi, int(lag))

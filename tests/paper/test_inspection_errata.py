@@ -85,9 +85,9 @@ def test_note_16_the_printed_cone_turns_the_wrong_way():
     cone = SunCone(half, n, Braking(Q.a_max, Q.smoothing, Q.return_speed))
     np.testing.assert_allclose(cone._geometry(p, sun)[1], gap, atol=1e-12)
     # Being one with the cone, the barrier's explicit change with time cancels the motion's part.
-    found = cone(np.r_[p, v], sun)
+    evaluation = cone(np.r_[p, v], sun)
     moving = np.r_[v, np.cross(spin, v)]
-    assert found.gradient @ moving + found.change == pytest.approx(0.0, abs=1e-12)
+    assert evaluation.gradient @ moving + evaluation.change == pytest.approx(0.0, abs=1e-12)
 
 
 def controllable_at_zero(A, B):
