@@ -24,17 +24,7 @@ LEFT = {
     "polaris/simulation": 79,
     "polaris/synthesis": 220,
     "benchmarks": 5,
-    "docs": 12,
-    "tests": 27,
-    "tests/asif": 62,
-    "tests/campaign": 21,
-    "tests/flight": 3,
-    "tests/golden": 14,
-    "tests/paper": 2,
     "tests/polaris": 454,
-    "tests/report": 37,
-    "tests/rta": 31,
-    "tests/traces": 58,
 }
 """Rooms that are not clean yet, and how many riddles each may have at most."""
 

@@ -171,8 +171,8 @@ def test_what_cannot_be_told_is_a_failure(drawn):
 
 def test_a_primary_controller_that_attacks_is_filtered(drawn):
     x, sun, _ = drawn
-    found = fly_block(Flights(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
-    assert (found.columns["interventions_share"] == 1).all() and found.success.all()
+    block = fly_block(Flights(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
+    assert (block.columns["interventions_share"] == 1).all() and block.success.all()
 
 
 @pytest.mark.slow
