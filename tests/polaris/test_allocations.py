@@ -99,10 +99,10 @@ def test_no_thrusts_of_the_size_of_the_mixes_go_beyond_the_bounds(kind):
         f = np.maximum(u, 0) @ made.mixes[0, 0] + np.maximum(-u, 0) @ made.mixes[0, 1]
         size = f @ made.lengths if kind == PROGRAM else np.linalg.norm(f)
         for column, bound in zip(layout.error.T, np.abs(u) @ layout.bounds[:-1].T, strict=True):
-            most = {"A_ub": made.lengths[None], "b_ub": [size]} if kind == PROGRAM else {}
+            budget = {"A_ub": made.lengths[None], "b_ub": [size]} if kind == PROGRAM else {}
             capacity = np.minimum(made.limits, np.inf if kind == PROGRAM else size)
             limits = np.column_stack([0 * made.limits, capacity])
-            worst = linprog(-column, A_eq=made.directions.T, b_eq=u, bounds=limits, **most)
+            worst = linprog(-column, A_eq=made.directions.T, b_eq=u, bounds=limits, **budget)
             if kind == PROGRAM:
                 assert -worst.fun <= bound * (1 + 1e-7) + 1e-12
                 reached = max(reached, -worst.fun / max(bound, 1e-12))
@@ -120,8 +120,8 @@ def test_the_checker_derives_the_bounds_of_the_synthesis(kind):
         }
         table |= {"multipliers": layout.multipliers.tolist()} if made.solves else {}
         stated = Stated(table, layout.along, layout.across, layout.mass)
-        found = np.array([[float(x) for x in row] for row in stated.bounds])
-        np.testing.assert_allclose(found, layout.bounds, rtol=1e-9, atol=1e-12)
+        bounds = np.array([[float(x) for x in row] for row in stated.bounds])
+        np.testing.assert_allclose(bounds, layout.bounds, rtol=1e-9, atol=1e-12)
         derived = [float(x) for x in stated.at_once(stated.largest)]
         np.testing.assert_allclose(derived, made.at_once(layout.largest), rtol=1e-9)
 

@@ -179,9 +179,9 @@ def test_a_bias_of_zero_changes_nothing():
 @pytest.mark.parametrize("seed", [FEW[0], *(pytest.param(seed, marks=pytest.mark.slow) for seed in FEW[1:])])
 def test_proofs_under_constants_hold_at_their_worst(seed, tmp_path):
     scenario, schedule = proved(seed)
-    found = attack(schedule, 40, seed)
-    judge(seed, found)
-    assert found.tight > 0.6
+    worst = attack(schedule, 40, seed)
+    judge(seed, worst)
+    assert worst.tight > 0.6
     assert falsify(schedule, 200, seed).failure is None
     assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"
 
@@ -243,8 +243,8 @@ def test_forged_constants_are_refused(forger):
         system |= {"bias_max": [x.hex() for x in constant]} if any(constant) else {}
         lie.scenario["system"] |= {"disturbance_max": varying, "bias_max": constant} if scenario else {}
         claimed = lie.schedule["guarantee"]
-        for told in (lie.certificate["assumptions"], claimed["assumptions"]):
-            told[0] = Premises(varying, 0.5, constant).told()[0]
+        for sentences in (lie.certificate["assumptions"], claimed["assumptions"]):
+            sentences[0] = Premises(varying, 0.5, constant).told()[0]
         lie.summary["guarantee"] = claimed
         return lie
 
@@ -266,22 +266,22 @@ def test_proofs_with_a_camera_with_a_constant_error_hold_at_their_worst(delay, t
     scenario = load_scenario(TINY, [*CAMERA, f"timing.delay_s={delay}", "simulation.runs=2"])
     schedule = synthesize(scenario)
     assert schedule.guarantee == "proved" and schedule.share() > 0
-    found = attack(schedule, 24, 0)
-    judge(0, found)
-    assert found.tight > 0.5
+    worst = attack(schedule, 24, 0)
+    judge(0, worst)
+    assert worst.tight > 0.5
     assert falsify(schedule, 150, 0).failure is None
     folder = write_run(tmp_path / "run", scenario, schedule).path
     assert verify(folder).outcome == "VERIFIED"
     lie = Lie(Forger(folder, tmp_path))
     lie.certificate["system"]["observer"]["constant"] = [(0.01).hex()] * 2
     lie.judge({"assumptions"})
-    for told in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
-        told[:] = [line.replace("[0.008, 0.008] is", "[0.01, 0.01] is") for line in told]
+    for lines in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
+        lines[:] = [line.replace("[0.008, 0.008] is", "[0.01, 0.01] is") for line in lines]
     lie.summary["guarantee"] = lie.schedule["guarantee"]
     lie.judge({"system"})
     del lie.scenario["navigation"]["measurement"]["constant_share"]
     lie.judge({"system"})
     del lie.certificate["system"]["observer"]["constant"]
-    for told in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
-        told[:] = [line.replace(", of which [0.01, 0.01] is a constant of the flight", "") for line in told]
+    for lines in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
+        lines[:] = [line.replace(", of which [0.01, 0.01] is a constant of the flight", "") for line in lines]
     lie.judge({"margins", "recoverable", "separation", "goal", "upkeep"})

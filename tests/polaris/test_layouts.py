@@ -76,7 +76,7 @@ def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_
 def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
     rng, layout, errors = drawn(seed, carried=True)
     made, bounds, left, before = layout.allocation, layout.errors(PERIOD), 0.0, 0.0
-    most, asked, spent = 0.0, 0.0, 0.0
+    largest, asked, spent = 0.0, 0.0, 0.0
     held = rng.uniform(-1, 1, (60, 3)) * made.u_max
     for k in range(400):
         u = held[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
@@ -85,13 +85,13 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
         whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, made.limits)
         left = due - whole * PERIOD
         now = left @ made.directions
-        most = max(most, float(np.abs(now).max()))
+        largest = max(largest, float(np.abs(now).max()))
         applied = flown(rng, layout, errors, whole[None])[0]
         off = np.abs(applied - (u + (before - now) / PERIOD))
         assert np.all(off <= bounds.error(u) + 1e-12)
         before, asked, spent = now, asked + np.abs(u), spent + whole @ made.lengths
         assert spent <= asked @ layout.weights + 1e-9
-    assert most <= layout.left * (1 + 1e-9) and most > 0.2 * layout.left
+    assert largest <= layout.left * (1 + 1e-9) and largest > 0.2 * layout.left
 
 
 @pytest.mark.parametrize("seed", range(3))

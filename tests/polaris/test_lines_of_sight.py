@@ -153,11 +153,11 @@ def test_forged_lines_of_sight_are_refused(tmp_path):
     data, scenario = forger.tree(CERTIFICATE)["system"], forger.tree("scenario.toml")
 
     def judged(change):
-        told = data | {key: change(rows) for key, rows in data.items() if key in ("error_by_step",)}
-        told["estimate_error"] = change([data["estimate_error"]])[0]
-        told["timing"] = data["timing"] | {"measured": told["estimate_error"]} if "timing" in data else {}
-        told = {key: value for key, value in told.items() if value != {}}
-        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})})
+        lies = data | {key: change(rows) for key, rows in data.items() if key in ("error_by_step",)}
+        lies["estimate_error"] = change([data["estimate_error"]])[0]
+        lies["timing"] = data["timing"] | {"measured": lies["estimate_error"]} if "timing" in data else {}
+        lies = {key: value for key, value in lies.items() if value != {}}
+        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": lies})})
 
     smaller = judged(lambda rows: [[(float.fromhex(x) * 0.99).hex() for x in row] for row in rows])
     turned = judged(lambda rows: [[row[1], row[0], *row[2:]] for row in rows])
@@ -238,9 +238,9 @@ def test_upkeep_counts_what_is_commanded_where_periods_may_be_missed(monkeypatch
     """Errors of thrusters that no measurement shows: of the periods before, S having settled long ago."""
     schedule = sighted("missed", *MISSED, OPTIONS["thrusters"], "timing.delay_s=2.0")
     assert verify_document(certificate(schedule, "approach")).outcome == "VERIFIED"
-    told, u_max = schedule.upkeep, schedule.safety.problem.system.u_max
+    upkeep, u_max = schedule.upkeep, schedule.safety.problem.system.u_max
     monkeypatch.setattr(Tail, "commanded_before", lambda self, nodes: u_max)
-    assert replace(schedule).upkeep.per_orbit > 5 * told.per_orbit
+    assert replace(schedule).upkeep.per_orbit > 5 * upkeep.per_orbit
 
 
 @pytest.mark.slow

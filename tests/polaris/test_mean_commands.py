@@ -114,15 +114,15 @@ def bounds(s, only=None):
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
     lasting = commands.lasting()
     once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2
-    weights, most = (np.array([float(x) for x in each]) for each in (commands.spends, tops))
-    return float(lasting.cost), float(once), weights, most
+    weights, limits = (np.array([float(x) for x in each]) for each in (commands.spends, tops))
+    return float(lasting.cost), float(once), weights, limits
 
 
 def shares(s, only=None):
     """Fly as far as errors can, check the bounds in any periods, and return the largest share of the mean."""
     flown, (cost, once, weights, tops), rng = Flown(s, only), bounds(s, only), np.random.default_rng(0)
     assert once > 0
-    count, found = flown.answers.shape[1], []
+    count, ratios = flown.answers.shape[1], []
     for axis in (*range(s.system.m), None):
         wave = np.sign(np.cos(rng.uniform(0.02, 1) * np.arange(PERIODS)))[:, None] * rng.normal(size=count)
         for ways in (rng.normal(size=(PERIODS, count)), wave):
@@ -132,9 +132,9 @@ def shares(s, only=None):
                 beyond = np.cumsum(np.append(0.0, spent - cost))
                 assert np.all(beyond - np.minimum.accumulate(beyond) <= once), "some periods"
                 assert np.all(np.abs(u) <= tops)
-                found.append(spent.mean() / cost)
+                ratios.append(spent.mean() / cost)
                 ways = flown.towards(np.sign(u) * (1 if axis is None else np.arange(s.system.m) == axis))
-    return max(found)
+    return max(ratios)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
@@ -153,8 +153,8 @@ def test_each_error_alone_comes_close_to_its_share(only):
 def test_synthesis_and_checker_find_a_storage_that_costs_as_much(case):
     s = tracking(**case)
     commands, _, tops = loop(s)
-    most = np.array([float(x) for x in tops])
-    within, rounding = (most, s.system.u_max), np.zeros(s.system.n)
+    limits = np.array([float(x) for x in tops])
+    within, rounding = (limits, s.system.u_max), np.zeros(s.system.n)
     inputs = Inputs.of(s.tightening.closed, s.system, within, s.step_errors[-1], rounding)
     _, cost = inputs.lasting()
     assert 0.97 * cost < float(commands.lasting().cost) <= cost
@@ -191,9 +191,9 @@ def test_squares_of_errors_and_what_is_spent_hold_for_layouts_and_without(seed):
     zero = np.zeros(4)
     inputs = Inputs.of(s.tightening.closed, system, (system.u_max, system.u_max), zero, zero)
     craft = checker_needs(s, None).craft
-    told = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
-    told |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}
-    craft = replace(craft, plant=replace(craft.plant, on_time=None, **told))
+    errors = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
+    errors |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}
+    craft = replace(craft, plant=replace(craft.plant, on_time=None, **errors))
     commands = MeanCommands(craft, [arb(0)] * 2, arb_mat(2, 0))
     u = rng.normal(size=(100, 2))
     error, counted = own.part(np.abs(u)), (np.abs(u) + own.part(np.abs(u))) @ system.weights

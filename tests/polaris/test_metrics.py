@@ -67,9 +67,9 @@ def test_ray_ttc_is_vectorised_over_runs_and_times():
     t = np.linspace(0, 1, 3)
     p = np.array([[[-5.0, 0]] * 3, [[5.0, 0]] * 3])
     v = np.array([[[1.0, 0], [2, 0], [0, 0]], [[1.0, 0], [-1, 0], [0, 1]]])
-    found = ray_ttc([BALL, BOX], t, p, v)
-    np.testing.assert_allclose(found[0], [[4, 2, np.inf], [np.inf, 4, np.inf]])
-    np.testing.assert_allclose(found[1], [[14, 7, np.inf], [4, np.inf, np.inf]])
+    times = ray_ttc([BALL, BOX], t, p, v)
+    np.testing.assert_allclose(times[0], [[4, 2, np.inf], [np.inf, 4, np.inf]])
+    np.testing.assert_allclose(times[1], [[14, 7, np.inf], [4, np.inf, np.inf]])
 
 
 def test_drift_in_straight_lines_equals_the_ray():
@@ -100,7 +100,7 @@ def test_drift_ttc_against_dense_propagation(seed):
     ]
     horizon, t0 = 5000.0, 100.0
     x = np.r_[rng.normal(size=3) * 100, rng.normal(size=3) * 0.15]
-    found = drift_ttc(obstacles, CW, t0, x, horizon)
+    times = drift_ttc(obstacles, CW, t0, x, horizon)
     s = np.linspace(0, horizon, 10001)
     p = (free_flight(ETA, s) @ x)[:, :3]
     distances = signed_distances(obstacles, t0 + s, p, CW)
@@ -108,12 +108,12 @@ def test_drift_ttc_against_dense_propagation(seed):
         hits = np.flatnonzero(distances[o] <= 0)
         if len(hits) and distances[o].min() < -2e-3:
             depth = np.flatnonzero(distances[o] <= -2e-3)[0]
-            assert s[max(hits[0] - 1, 0)] - 1 <= found[o] <= s[depth] + 1e-6
-            if found[o] > 0:  # on the surface when it says so
-                at = (free_flight(ETA, found[o]) @ x)[:3]
-                assert abs(obstacles[o].signed_distance(t0 + found[o], at, CW)) < 2e-3
+            assert s[max(hits[0] - 1, 0)] - 1 <= times[o] <= s[depth] + 1e-6
+            if times[o] > 0:  # on the surface when it says so
+                at = (free_flight(ETA, times[o]) @ x)[:3]
+                assert abs(obstacles[o].signed_distance(t0 + times[o], at, CW)) < 2e-3
         elif distances[o].min() > 2e-3:
-            assert found[o] == np.inf
+            assert times[o] == np.inf
 
 
 def test_drift_ttc_sees_a_pass_far_shorter_than_its_grid():
@@ -121,17 +121,17 @@ def test_drift_ttc_sees_a_pass_far_shorter_than_its_grid():
     ball = BallObstacle("b", [0, 0, 0], 0.5)
     x = np.array([[100_000.0, 0.45, 0, -50, 0, 0], [100_000.0, 0.55, 0, -50, 0, 0]])
     flat = LinearSystem(np.kron([[0, 1], [0, 0]], np.eye(3)), CW.B, CW.D, CW.u_max)
-    found = drift_ttc([ball], flat, 0.0, x, 3600.0)[0]
-    assert found[0] == pytest.approx((100_000 - np.sqrt(0.25 - 0.45**2)) / 50, abs=1e-6)
-    assert found[1] == np.inf
+    times = drift_ttc([ball], flat, 0.0, x, 3600.0)[0]
+    assert times[0] == pytest.approx((100_000 - np.sqrt(0.25 - 0.45**2)) / 50, abs=1e-6)
+    assert times[1] == np.inf
 
 
 def test_drift_ttc_uses_true_states_of_other_satellites():
     sat = SatelliteObstacle("sat", [1000, 0, 0, 0], np.zeros(4), 1.0)
     x = np.zeros((3, 4))
     true = np.array([[11.0, 0, -1, 0], [11, 0, 1, 0], [0.5, 0, 0, 0]])
-    found = drift_ttc([sat], PLANE, 0.0, x, 50.0, states={"sat": true})[0]
-    np.testing.assert_allclose(found, [10, np.inf, 0])
+    times = drift_ttc([sat], PLANE, 0.0, x, 50.0, states={"sat": true})[0]
+    np.testing.assert_allclose(times, [10, np.inf, 0])
     np.testing.assert_allclose(
         signed_distances([sat], 0.0, x[:, :2], PLANE, {"sat": true})[0], [10, 10, -0.5]
     )
@@ -176,8 +176,8 @@ def test_rtaeval_1_no_coordinate_is_dropped():
 
 def test_rtaeval_2_ttc_has_a_sign():
     v = [[1.0, 0], [0, 5], [0, 0]]
-    found = ray_ttc([BallObstacle("b", [-10, 0], 1.0)], 0.0, np.zeros((3, 2)), v)
-    assert np.all(found == np.inf)
+    times = ray_ttc([BallObstacle("b", [-10, 0], 1.0)], 0.0, np.zeros((3, 2)), v)
+    assert np.all(times == np.inf)
 
 
 def test_rtaeval_3_polytopes_have_a_ttc_of_their_own():

@@ -96,9 +96,9 @@ def test_errors_grow_with_commands_of_every_age_no_more_than_is_stated(seed):
             fall @ (full - each) for fall, each in zip(observer.fallen, recent, strict=True)
         )
         for gaps in patterns(rng, missed, count, 12):
-            found = reached(craft, h, gaps, np.vstack([errors, full]))
-            assert np.all(found <= bound)
-            worst = max(worst, float(np.max(found / bound)))
+            sizes = reached(craft, h, gaps, np.vstack([errors, full]))
+            assert np.all(sizes <= bound)
+            worst = max(worst, float(np.max(sizes / bound)))
     assert worst > 0.5
 
 
@@ -111,10 +111,10 @@ def test_first_errors_are_forgotten_as_is_stated_in_every_step(seed):
         for gaps in patterns(rng, missed, node + missed, 8):
             gaps = gaps[np.cumsum(gaps) <= node]
             at = int(gaps.sum())
-            found = reached(craft, h, gaps, full, craft.observer.initial)
+            errors = reached(craft, h, gaps, full, craft.observer.initial)
             bounds = craft.error_by_step[at // periods : min(at + missed, steps * periods - 1) // periods + 1]
-            assert np.all(found <= bounds)
-            worst = max(worst, float(np.max(found / bounds)))
+            assert np.all(errors <= bounds)
+            worst = max(worst, float(np.max(errors / bounds)))
     assert worst > 0.5
 
 
@@ -148,10 +148,10 @@ def test_flights_with_an_outage_keep_to_what_limits_are_tightened_by(seed, late)
             if i >= past:
                 known = x + _carried(step, estimates[i - late], pushes[i - late : i])
                 x = np.tensordot(step, x, 1) - np.tensordot(held @ gain, known, 1) + pushes[-1]
-                found = np.abs(x[..., :r]).sum(axis=(1, 2)) + np.linalg.norm(x[..., r:], axis=2).sum(axis=1)
+                errors = np.abs(x[..., :r]).sum(axis=(1, 2)) + np.linalg.norm(x[..., r:], axis=2).sum(axis=1)
                 at = bound[min(i + 1 - past, len(bound) - 1)]
-                assert np.all(found <= at)
-                worst = max(worst, float(np.max(found / at)))
+                assert np.all(errors <= at)
+                worst = max(worst, float(np.max(errors / at)))
             off = np.tensordot(step, off, 1) - pushes[-1]
             if i + 1 in gone or (since < missed and rng.random() < share):
                 since += 1

@@ -1,4 +1,4 @@
-"""What the linear model leaves out: the bound against samples, the nonlinear motion against another one."""
+"""Errors of the linear model: the bound against samples, the nonlinear motion against another one."""
 
 import json
 from dataclasses import replace
@@ -106,11 +106,11 @@ def test_without_j2_drag_and_distance_the_linear_model_is_left():
     linear = simulate(schedule, 2, initial="center", disturbance="none", substeps=1)
     assert np.abs(far.runs.states - linear.states)[..., :3].max() < 0.5
     target = near_circular(BARE, np.zeros(5), 0.0)
-    for size, most in ((1.0, 1.2e-12), (10.0, 1.2e-10), (100.0, 1.2e-8)):
+    for size, limit in ((1.0, 1.2e-12), (10.0, 1.2e-10), (100.0, 1.2e-8)):
         x = np.concatenate([np.random.default_rng(1).normal(size=(5, 3)), np.zeros((5, 3))], axis=1)
         x[:, :3] *= size / np.linalg.norm(x[:, :3], axis=1, keepdims=True)
         left_out = np.linalg.norm(relative_rate(BARE, target, x, 0.0)[2], axis=1)
-        assert left_out.max() <= 3 * MU * size**2 / (BARE.radius - size) ** 4 + 5e-15 < most
+        assert left_out.max() <= 3 * MU * size**2 / (BARE.radius - size) ** 4 + 5e-15 < limit
 
 
 # -- the bound ----------------------------------------------------------------------------------------
@@ -133,8 +133,8 @@ def test_no_sample_exceeds_the_bound_and_the_bound_is_not_idle(part):
     env, least = ALONE[part]
     region = box(*((2000.0, 1.0, 1.0, 1e-6) if part == "curvature" else (200.0, 400.0, 50.0, 0.5)))
     bound = residual_bound(env, *region.extent)
-    found = sample_residual(env, region, 40_000, np.random.default_rng(0))
-    assert least * bound.total.max() < found <= bound.total.max()
+    sampled = sample_residual(env, region, 40_000, np.random.default_rng(0))
+    assert least * bound.total.max() < sampled <= bound.total.max()
 
 
 def test_bound_holds_whatever_the_region():
@@ -155,12 +155,12 @@ def test_bound_of_j2_covers_its_gradient_at_every_latitude():
     for limit in np.radians([0.0, 20.0, 51.7, 90.0]):
         env = replace(FULL, inclination_max=limit, radius_deviation=FULL.radius - 6.5e6)
         bound = float(residual_bound(env, 0.0, 50.0, 0.0).oblateness) / 50
-        found = 0.0
+        largest = 0.0
         for latitude in np.linspace(0, limit, 20):
             pole = np.array([np.sin(latitude), np.cos(latitude), 0])
             change = (env.oblate(at + step, pole) - env.oblate(at - step, pole)) / 100
-            found = max(found, float(np.linalg.norm(change, axis=1).max()))
-        assert 0.95 * bound < found <= bound
+            largest = max(largest, float(np.linalg.norm(change, axis=1).max()))
+        assert 0.95 * bound < largest <= bound
 
 
 def test_a_region_that_reaches_into_the_earth_is_refused():
@@ -179,12 +179,12 @@ def test_two_digits_round_up():
     "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in (*SPACECRAFT[1:], "cubesat"))]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
-    found = model_error(*printed(name), samples=40_000)
-    assert found.covered, found.summary()
-    assert 0.4 * found.bound < found.sampled <= found.bound
-    assert found.bound > 0.7 * found.declared, "the declared bound is not idle either"
-    horizon = found.schedule.times[-1]
-    assert all(until >= horizon for until in found.satellites.values())
+    error = model_error(*printed(name), samples=40_000)
+    assert error.covered, error.summary()
+    assert 0.4 * error.bound < error.sampled <= error.bound
+    assert error.bound > 0.7 * error.declared, "the declared bound is not idle either"
+    horizon = error.schedule.times[-1]
+    assert all(until >= horizon for until in error.satellites.values())
 
 
 @pytest.mark.parametrize(
@@ -220,12 +220,12 @@ ERRORS = (
 
 def farthest(schedule, flown):
     """Largest error of any run at a node, as a share of what the tube of that step allows."""
-    q, found = schedule.safety.clearance.q, []
+    q, shares = schedule.safety.clearance.q, []
     for k, step in enumerate(schedule.steps):
         nodes, e = step.tube.nodes, flown.runs.states[:, k * q : (k + 1) * q + 1]
         e = e - schedule.safety.clearance.nodes[k]
-        found.append(np.max(np.abs(e - nodes.c) / nodes.half_widths))
-    return max(found)
+        shares.append(np.max(np.abs(e - nodes.c) / nodes.half_widths))
+    return max(shares)
 
 
 @pytest.mark.slow
@@ -293,9 +293,9 @@ def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
     file.write_text(scenario.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file), "--json"])
     assert done.exit_code == 0
-    told = json.loads(done.stdout)
-    assert told["covered"] and told["bound_m_s2"] <= told["declared_m_s2"] == 3e-5
-    assert sum(told["parts_m_s2"].values()) == pytest.approx(told["bound_m_s2"])
+    report = json.loads(done.stdout)
+    assert report["covered"] and report["bound_m_s2"] <= report["declared_m_s2"] == 3e-5
+    assert sum(report["parts_m_s2"].values()) == pytest.approx(report["bound_m_s2"])
     thin = scenario.set("system.disturbance_max_m_s2", 1e-5)
     file.write_text(thin.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file)])
@@ -312,5 +312,5 @@ def test_command_needs_to_know_the_orbit():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SPACECRAFT)
 def test_a_bound_that_covers_its_own_model_error_is_found(name):
-    found = justify(load_scenario(name))
-    assert found.covered and found.declared <= 3e-5
+    error = justify(load_scenario(name))
+    assert error.covered and error.declared <= 3e-5

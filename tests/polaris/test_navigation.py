@@ -160,9 +160,9 @@ def test_a_camera_knows_the_velocity_once_s_has_settled():
 
 def test_estimates_of_an_observer_are_within_what_is_told():
     schedule = observed("told", "timing.delay_s=0.3", "thrusters.magnitude_error=0.05")
-    told, full = schedule.estimate, schedule.safety.problem.system.navigation
-    assert np.all(np.array(told["settled"]) < 0.6 * full)
-    assert np.allclose(told["experimental"], 1.02 * full)  # the whole of the thrust may be in use
+    estimate, full = schedule.estimate, schedule.safety.problem.system.navigation
+    assert np.all(np.array(estimate["settled"]) < 0.6 * full)
+    assert np.allclose(estimate["experimental"], 1.02 * full)  # the whole of the thrust may be in use
     assert observed("").estimate["settled"] is not None and synthesised()[1].estimate is None
 
 
@@ -273,7 +273,7 @@ NEAR = "navigation.measurement.initial={state_error=[0.006, 0.006, 0.003, 0.003]
 @pytest.mark.parametrize("first", [pytest.param(None, marks=pytest.mark.slow), FIRST])
 def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(first):
     """The worst that any pattern of measurements can reach, worked out for many of them."""
-    scenario, rng, most = scene(*MEASURED, MISSED, *filter(None, [first])), np.random.default_rng(1), 0.0
+    scenario, rng, share = scene(*MEASURED, MISSED, *filter(None, [first])), np.random.default_rng(1), 0.0
     system, h, parts = scenario.system(), 0.25, 40
     observer, bound = system.observer, np.array(system.timing.measured)
     small, moved = expm(system.A * h / parts), expm(system.A * h / parts / 2) @ system.D
@@ -287,18 +287,18 @@ def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(fir
                 reached += np.linalg.norm(left @ moved, axis=1) * system.w_max * h / parts
                 left = left @ small
         reached += np.abs(left) @ observer.initial if first else 0.0
-        most = np.maximum(most, reached / bound)
-    assert np.all(most <= 1 + 1e-6) and most.max() > 0.9
+        share = np.maximum(share, reached / bound)
+    assert np.all(share <= 1 + 1e-6) and share.max() > 0.9
 
 
 def test_missed_periods_cost_what_the_theory_says():
     measured = "navigation.measurement.position_error_m=0.1"
     given = ["feedback.period_s=2.0", measured]
-    static, found = load_scenario("static").with_assignments(given), []
+    static, ratios = load_scenario("static").with_assignments(given), []
     for missed in (1, 3):
         system = static.with_assignments([f"timing.missed_periods={missed}"]).system()
-        found.append(np.max(np.array(system.timing.measured) / static.system().navigation))
-    assert np.round(found, 2).tolist() == [1.04, 1.11]
+        ratios.append(np.max(np.array(system.timing.measured) / static.system().navigation))
+    assert np.round(ratios, 2).tolist() == [1.04, 1.11]
 
 
 LED = SMALL, "thrusters.pulse='start'", "thrusters.magnitude_error=0.01", "feedback.period_s=0.1"
@@ -329,8 +329,8 @@ def test_forged_observers_are_refused(more, tmp_path):
     data = forger.tree(CERTIFICATE)["system"]
 
     def judged(observer=(), **system):
-        told = data | system | {"observer": data["observer"] | dict(observer)}
-        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})})
+        changed = data | system | {"observer": data["observer"] | dict(observer)}
+        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": changed})})
 
     half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
     less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
@@ -368,9 +368,9 @@ def test_forged_observers_are_refused(more, tmp_path):
         lie.certificate["system"]["observer"]["settled"] = [(0.0).hex()] * 4
         lie.judge({"system"})
     for when in ("settled", "experimental"):  # what the run says that they may be off by
-        lie, told = Lie(forger), forger.tree("schedule.json")["guarantee"]["estimate"]
-        told |= {when: [0.9 * x for x in told[when]]}
-        lie.schedule["guarantee"]["estimate"] = lie.summary["guarantee"]["estimate"] = told
+        lie, changed = Lie(forger), forger.tree("schedule.json")["guarantee"]["estimate"]
+        changed |= {when: [0.9 * x for x in changed[when]]}
+        lie.schedule["guarantee"]["estimate"] = lie.summary["guarantee"]["estimate"] = changed
         lie.judge({"goal"})
     document, honest = Document(forger.honest), forger.tree("scenario.toml")
     assert len(measured_errors(document, honest)) == (13 if more == FORGED else 1)
@@ -410,8 +410,8 @@ def test_forged_phases_are_refused(tmp_path):
     for step in (3, 12):
         less = [list(row) for row in data["error_by_step"]]
         less[step] = [(float.fromhex(x) * 0.999).hex() for x in less[step]]
-        told = data | {"error_by_step": less}
-        assert forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})}).outcome == "REJECTED"
+        lie = data | {"error_by_step": less}
+        assert forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": lie})}).outcome == "REJECTED"
     for phase, key, value in ((0, "from_s", 4.5), (1, "state_error", [0.007, 0.0, 0.003, 0.003])):
         scenario = forger.tree("scenario.toml")
         scenario["navigation"]["phases"][phase][key] = value
@@ -442,11 +442,11 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
         else:
             keys = ("position_error_m", "velocity_error_m_s") if hill else ("state_error",)
             parts = [np.split(widths * size, len(keys)) for size in rng.uniform(0, 1.5, 3)]
-            told = [",".join(f"{k}={v.tolist()}" for k, v in zip(keys, part, strict=True)) for part in parts]
+            texts = [",".join(f"{k}={v.tolist()}" for k, v in zip(keys, part, strict=True)) for part in parts]
             more = [f"navigation.{k}={v.tolist()}" for k, v in zip(keys, parts[0], strict=True)]
             far = 2 * np.abs(problem.system.position @ problem.initial_set.c).max()
             ranged = [f"within_m={far}," if seed % 3 and far else "", ""]
-            later = zip((0.37, 0.8), ranged, told[1:], strict=True)
+            later = zip((0.37, 0.8), ranged, texts[1:], strict=True)
             later = [f"{{from_s={at * T},{within}{each}}}" for at, within, each in later]
             more.append(f"navigation.phases=[{','.join(later)}]")
         try:

@@ -49,7 +49,7 @@ def random_system(rng: np.random.Generator) -> LinearSystem:
 
 
 def worst_motion(system, rows, start, push, bound, total, steps, rng, kind):
-    """What an input ``x' = A x + push w`` within its bound does, held between `steps` instants."""
+    """Return states under an input ``x' = A x + push w`` within its bound, held between `steps` instants."""
     h = total / steps
     phi, held = discretize(system.A, push, h)
     end = rng.integers(1, steps + 1)
@@ -234,8 +234,8 @@ def test_polytope_distance_is_the_euclidean_projection(seed, d, rows, bounded, f
     b = rng.uniform(0.1, 3, size=len(H))
     obstacle = PolytopeObstacle("o", H, b, unbounded=True)
     p = rng.normal(size=(20, d)) * far
-    found = obstacle.signed_distance(0.0, p)
-    for point, value in zip(p, found, strict=True):
+    distances = obstacle.signed_distance(0.0, p)
+    for point, value in zip(p, distances, strict=True):
         gap = H @ point - b
         if np.all(gap <= 0):
             expected = np.max(gap / np.linalg.norm(H, axis=1))
@@ -255,8 +255,8 @@ def test_polytope_distance_agrees_with_box_and_cover(d):
     cover = BallObstacle("s", np.zeros(d), 1.0).cover
     some = p[0]
     expected = [projected_distance(cover.H, cover.b, q) for q in some]
-    found = cover.signed_distance(some)
-    np.testing.assert_allclose(found[found > 0], np.array(expected)[found > 0], rtol=1e-8)
+    distances = cover.signed_distance(some)
+    np.testing.assert_allclose(distances[distances > 0], np.array(expected)[distances > 0], rtol=1e-8)
 
 
 def test_cone_distance_against_a_solver():
@@ -275,13 +275,13 @@ def test_cone_distance_against_a_solver():
         q = rng.normal(size=3) * 8
         value = cone.signed_distance(0.0, q + 1)
         if value < 0:  # the solver stalls near the tip from some starts: the best of several counts
-            found = [
+            answers = [
                 minimize(
                     lambda x, q=q: np.sum((x - q) ** 2), start, constraints=rules, options={"ftol": 1e-14}
                 )
                 for start in (5 * axis, 9 * axis + 0.1, axis, 0.1 * axis + 0.01 * q)
             ]
-            best = min(one.fun for one in found if min(rule["fun"](one.x) for rule in rules) > -1e-6)
+            best = min(one.fun for one in answers if min(rule["fun"](one.x) for rule in rules) > -1e-6)
             assert -value == pytest.approx(np.sqrt(best), rel=1e-4, abs=1e-4)
     on_axis = np.array([1.0, 1, 1]) + np.outer([-2.0, 0, 5, 9.9, 12], axis)
     expected = [-2, 0, 5 * np.sin(0.4), 0.1, -2]
@@ -368,7 +368,7 @@ def test_entry_time_agrees_with_dense_sampling(seed, kind):
     }[kind]()
     p = rng.normal(size=(12, 3)) * 3
     v = rng.normal(size=(12, 3)) - 0.4 * p
-    found = obstacle.entry_time(0.0, p, v, CW)
+    times = obstacle.entry_time(0.0, p, v, CW)
     s = np.linspace(0, 12, 1201)
     centre, velocity = obstacle.motion(0.0, CW)
     relative = p[:, None] - centre + s[:, None] * (v[:, None] - velocity)
@@ -376,9 +376,9 @@ def test_entry_time_agrees_with_dense_sampling(seed, kind):
     for i in range(len(p)):
         hits = np.flatnonzero(distance[i] <= 0)
         if len(hits):
-            assert s[max(hits[0] - 1, 0)] - 1e-9 <= found[i] <= s[hits[0]] + 1e-9
-        elif found[i] < 12:  # a hit between two samples: the point claimed must be on the boundary
-            touch = relative[i, 0] + found[i] * (relative[i, 1] - relative[i, 0]) / s[1]
+            assert s[max(hits[0] - 1, 0)] - 1e-9 <= times[i] <= s[hits[0]] + 1e-9
+        elif times[i] < 12:  # a hit between two samples: the point claimed must be on the boundary
+            touch = relative[i, 0] + times[i] * (relative[i, 1] - relative[i, 0]) / s[1]
             assert abs(obstacle.shape.signed_distance(touch)) < 1e-6
 
 

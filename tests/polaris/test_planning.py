@@ -306,9 +306,9 @@ def test_static_has_one_optimum(solver):
 
 @pytest.mark.parametrize("solver", ["highs", "gurobi"])
 def test_a_back_end_asked_for_does_the_work_and_prints_nothing(solver, capfd):
-    found = by_back_end(small_robot(), solver)
-    assert found.solver == solver and found.stats["rounds"] > 0
-    search = [stage for stage in found.stages if stage.name != "path search"]
+    answer = by_back_end(small_robot(), solver)
+    assert answer.solver == solver and answer.stats["rounds"] > 0
+    search = [stage for stage in answer.stages if stage.name != "path search"]
     assert [stage.status for stage in search] == ["optimal"]
     assert all({"highs": "HiGHS", "gurobi": "Gurobi"}[solver] in stage.by for stage in search)
     assert capfd.readouterr() == ("", "")
@@ -329,10 +329,10 @@ def test_a_back_end_has_the_whole_time_and_effort(monkeypatch):
     assert nodes == 500 and 30.0 < seconds <= 40.0
     assert hear(np.inf, -np.inf, 499) == ""
     given.clear()
-    found = plan(small_robot(), options)
+    answer = plan(small_robot(), options)
     nodes, seconds, hear = given[0]  # none is: a quarter to find one, and if one is found, all of it
     assert nodes == 500 and 30.0 < seconds <= 40.0
-    assert found.status == "optimal"
+    assert answer.status == "optimal"
     assert hear(np.inf, -np.inf, 124) == hear(1.0, 0.0, 400) == ""
     assert hear(np.inf, -np.inf, 125) == "effort_limit"
     now = perf_counter()
@@ -404,13 +404,13 @@ def clock(monkeypatch, tell):
 )
 def test_a_slower_machine_finds_the_same_plan(monkeypatch, recwarn, task, options):
     """A hundred thousand times slower, and one that stands still."""
-    found = []
+    plans = []
     for speed in (1.0, 1e5, 0.0):
         clock(monkeypatch, lambda speed=speed: speed * perf_counter())
-        found.append(plan(task, PlannerOptions(**options)))
-    assert len({answer.nu.tobytes() for answer in found}) == 1
-    assert len({(answer.stages, answer.status, answer.bound) for answer in found}) == 1
-    assert all(answer.cut_by_clock == () for answer in found)
+        plans.append(plan(task, PlannerOptions(**options)))
+    assert len({answer.nu.tobytes() for answer in plans}) == 1
+    assert len({(answer.stages, answer.status, answer.bound) for answer in plans}) == 1
+    assert all(answer.cut_by_clock == () for answer in plans)
     assert not [w for w in recwarn if issubclass(w.category, ClockWarning)]
 
 
@@ -418,9 +418,9 @@ def test_infeasible_is_told_in_the_same_words_on_a_slower_machine(monkeypatch):
     said = []
     for speed in (1.0, 1e5):
         clock(monkeypatch, lambda speed=speed: speed * perf_counter())
-        with pytest.raises(SynthesisInfeasible) as told:
+        with pytest.raises(SynthesisInfeasible) as raised:
             plan(problem([box("huge", (0, 0, 0), 495)]))
-        said.append(str(told.value))
+        said.append(str(raised.value))
     assert said[0] == said[1]
 
 
@@ -490,9 +490,9 @@ def test_start_inside_names_the_set_and_the_shortfall():
 
 def test_a_start_outside_a_box_to_stay_inside_names_its_side():
     """The start is 1000 m behind; bounds of navigation hold within 990 m, or from a phase on."""
-    for name, told in (("within[4]", "within_m of navigation;"), ("within-2[4]", r"navigation.phases\[2\];")):
+    for name, end in (("within[4]", "within_m of navigation;"), ("within-2[4]", r"navigation.phases\[2\];")):
         side = TimedPolytope(name, np.array([[0.0, 1.0, 0.0]]), np.full((60, 2, 1), -990.0), keep_in=True)
-        with pytest.raises(SynthesisInfeasible, match=rf"10 m outside the - side, along axis 1, .*{told}"):
+        with pytest.raises(SynthesisInfeasible, match=rf"10 m outside the - side, along axis 1, .*{end}"):
             plan(problem([side]))
     side = replace(side, name="corridor[0]")
     with pytest.raises(SynthesisInfeasible, match=r"10 m outside corridor\[0\]") as caught:
@@ -541,8 +541,8 @@ def test_recheck_finds_a_collision_between_waypoints():
     task = problem([body], margin=0.0)
     nu = np.zeros((60, 3))
     nu[0, 1], nu[1, 1] = 1.0, 1.0  # both waypoints about the body are clear of it
-    found = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
-    assert found.surplus[0].max(axis=1).min() < 0
+    check = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
+    assert check.surplus[0].max(axis=1).min() < 0
 
 
 def test_progress_and_bound_are_reported():

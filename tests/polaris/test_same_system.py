@@ -1,4 +1,4 @@
-"""What a proof is put together from is about one system, one time grid and one reference, or is refused."""
+"""Parts of a proof are about one system, one time grid and one reference, or are refused."""
 
 from dataclasses import dataclass, fields, replace
 

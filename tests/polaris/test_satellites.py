@@ -94,7 +94,7 @@ def second_order(rng):
 
 
 def worst_support(system, E, sat, row, h, steps):
-    """What the body can attain along a row at the multiples of h: bang-bang along the adjoint, held over h.
+    """Return the support that the body attains along a row at multiples of h: bang-bang thrust, held over h.
 
     Its motions are real ones, so it is never more than the exact support.
     """
@@ -153,17 +153,17 @@ def test_a_scene_in_which_the_other_body_can_bar_the_way_is_refused():
 def test_simulated_bodies_use_what_is_declared_and_no_more():
     scenario = Scenario.from_dict(scene())
     times = np.arange(151) * 0.1
-    found = true_states(scenario.obstacles(), scenario.system(), times, 40, np.random.default_rng(0))
-    moved = np.linalg.norm(found["trolley"][:, -1, :2] - [5.6, 2.2], axis=1)
-    most = 0.014 * 15.0**2 / 2
-    assert moved.max() == pytest.approx(most) and np.median(moved) > most / 2
+    states = true_states(scenario.obstacles(), scenario.system(), times, 40, np.random.default_rng(0))
+    moved = np.linalg.norm(states["trolley"][:, -1, :2] - [5.6, 2.2], axis=1)
+    reach = 0.014 * 15.0**2 / 2
+    assert moved.max() == pytest.approx(reach) and np.median(moved) > reach / 2
 
 
 def test_free_bodies_need_no_acceleration_and_a_still_disturbance_moves_none():
     system = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), [1.0], w_max=0.5)
     sat = SatelliteObstacle("s", [1.0], [0.0], 1.0)
-    found = true_states([sat], system, np.arange(11.0), 20, np.random.default_rng(0))["s"]
-    assert np.abs(found[:, -1, 0] - 1.0).max() == pytest.approx(5.0)
+    states = true_states([sat], system, np.arange(11.0), 20, np.random.default_rng(0))["s"]
+    assert np.abs(states[:, -1, 0] - 1.0).max() == pytest.approx(5.0)
     still = scene(D=[[0.0]] * 4)
     (sat,), system = Scenario.from_dict(still).obstacles(), Scenario.from_dict(still).system()
     moved = true_states([sat], system, np.arange(16.0), 20, np.random.default_rng(0))["trolley"]
@@ -219,7 +219,7 @@ def test_thrust_of_others_is_refused_where_the_position_has_no_acceleration(name
 
 
 def checked(system, sat, delta, cells, thrust):
-    """What the checker says of a satellite's polytope if its scenario declares this thrust."""
+    """Return the checker's words on a satellite's polytope if its scenario declares this thrust."""
     pytest.importorskip("flint")
     import flint
 
@@ -228,8 +228,8 @@ def checked(system, sat, delta, cells, thrust):
     from polaris.certificate.kernel.verdict import Rejected
     from polaris.certificate.model.satellites import Satellite
 
-    (found,) = sat.timed_polytopes(system, delta, cells)
-    told = SimpleNamespace(  # what it reads of a certificate here
+    (timed,) = sat.timed_polytopes(system, delta, cells)
+    document = SimpleNamespace(  # what it reads of a certificate here
         **{name: getattr(system, name).tolist() for name in "ABCD"},
         **{"u_max": system.u_max.tolist(), "w_max": system.w_max, "delta": delta, "q": 1, "cells": cells},
         **{"estimate": [], "shares": [0.0] * 3, "bits": [], "prompt_bits": [], "timing": {}, "carried": 0.0},
@@ -245,13 +245,13 @@ def checked(system, sat, delta, cells, thrust):
         observer=None,
         allocation=None,
     )
-    offsets = found.offsets.swapaxes(0, 1).tolist()
-    item = UnsafeSet("s", False, found.normals.tolist(), *offsets)
+    offsets = timed.offsets.swapaxes(0, 1).tolist()
+    item = UnsafeSet("s", False, timed.normals.tolist(), *offsets)
     spec = {"state": list(sat.state), "state_half_widths": list(sat.state_half_widths)}
     spec |= {"radius_m": sat.radius, "thrust_accel_max_m_s2": thrust}
     before, flint.ctx.prec = flint.ctx.prec, PRECISION
     try:
-        Satellite(told, item, spec).check()
+        Satellite(document, item, spec).check()
     except Rejected as error:
         return str(error)
     finally:
@@ -277,17 +277,17 @@ def test_a_proved_run_is_verified_and_none_made_with_d_is(monkeypatch, tmp_path)
     from polaris.certificate.checker import verify
 
     scenario = Scenario.from_dict(scene()).set("recoverable.recourse", "none")
-    most = scenario.obstacles()[0].thrust_accel_max + scenario.system().w_max
-    told = []
+    bound = scenario.obstacles()[0].thrust_accel_max + scenario.system().w_max
+    verdicts = []
     for made_with_d in (False, True):
         if made_with_d:
-            monkeypatch.setattr(SatelliteObstacle, "pushes", lambda self, system: ((system.D, most),))
+            monkeypatch.setattr(SatelliteObstacle, "pushes", lambda self, system: ((system.D, bound),))
         schedule = synthesize(scenario)
         assert schedule.guarantee == "proved"
         few = compare(schedule, 2, 0)
-        told.append(verify(write_run(tmp_path / "run", scenario, schedule, few).path))
-    assert told[0].outcome == "VERIFIED", told[0].text()
-    assert (told[1].outcome, told[1].claim) == ("REJECTED", "unsafe_sets")
+        verdicts.append(verify(write_run(tmp_path / "run", scenario, schedule, few).path))
+    assert verdicts[0].outcome == "VERIFIED", verdicts[0].text()
+    assert (verdicts[1].outcome, verdicts[1].claim) == ("REJECTED", "unsafe_sets")
 
 
 @pytest.mark.parametrize("name", NO_MEANING)
@@ -302,7 +302,7 @@ def test_the_checker_refuses_thrust_of_others_where_it_has_no_meaning(name):
 
 
 def in_other_units(data, state, inputs, disturbance):
-    """The same scene with states, inputs and disturbances counted in other units (numbers times these)."""
+    """Return a scene with states, inputs and disturbances in other units (numbers times these)."""
     S, system = np.array(state), data["system"]
     A, B, D = (np.array(system[key], dtype=float) for key in "ABD")
     system["A"] = (S[:, None] * A / S).tolist()

@@ -94,14 +94,14 @@ def test_boxes_hold_where_a_satellite_may_be_and_no_more():
     system, h, count = tiny_safety().problem.system, 0.25, 41
     visitor = bodies()[1]
     middle, half = visitor.whereabouts(system, h, count)
-    times, most = np.arange(count) * h, np.zeros((count, 4))
+    times, reach = np.arange(count) * h, np.zeros((count, 4))
     drawn = true_states([visitor], system, times, 400, np.random.default_rng(0))["visitor"]
     assert np.all(np.abs(drawn - middle) <= half)
     # Both inputs act on the acceleration: at worst both along an axis, from a corner.
     push, off = system.w_max + 0.004, np.asarray(VISITOR["state_half_widths"])
-    most[:, :2] = off[:2] + times[:, None] * off[2:] + push * times[:, None] ** 2 / 2
-    most[:, 2:] = off[2:] + push * times[:, None]
-    assert half == pytest.approx(most, rel=1e-6)
+    reach[:, :2] = off[:2] + times[:, None] * off[2:] + push * times[:, None] ** 2 / 2
+    reach[:, 2:] = off[2:] + push * times[:, None]
+    assert half == pytest.approx(reach, rel=1e-6)
 
 
 def test_a_rigid_body_is_where_it_is_but_for_the_clock():
@@ -148,10 +148,10 @@ def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
     Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h)
     middle, spread = law.commanded(tube.nodes, tube.bow, k)
     for i in range(q):
-        told = law.told[0][k, i] + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.told[1][k, i]
+        readings = law.told[0][k, i] + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.told[1][k, i]
         x = safe[i] + e
         seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
-        u = np.clip(law.command(k, safe[i], safe[i], seen, i * h, told), -system.u_max, system.u_max)
+        u = np.clip(law.command(k, safe[i], safe[i], seen, i * h, readings), -system.u_max, system.u_max)
         assert np.all(np.abs(u - middle[i]) <= spread[i] + ROUNDING)
         u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
         w = rng.normal(size=u.shape)
@@ -161,7 +161,7 @@ def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
 
 
 def test_a_tube_of_one_affine_layer_is_what_it_is_told():
-    """Where nothing bends or clips, what the uncertain reading adds is known in closed form."""
+    """The effect of an uncertain reading is known in closed form if nothing bends or clips."""
     safety = tiny_safety()
     system, gain = safety.problem.system, 0.01
     policy = Policy(Network((Affine(np.eye(2), np.zeros(2)),)), READS[3][2:], np.full(2, gain), np.ones(2))
@@ -187,8 +187,8 @@ def scene(
     from benchmarks.policies import write_onnx
     from reach.networks.onnx_file import read_onnx
 
-    found, rng = load_scenario(TINY, SAMPLED).to_dict(), np.random.default_rng(seed)
-    found["obstacles"] = [*found["obstacles"], VISITOR]
+    data, rng = load_scenario(TINY, SAMPLED).to_dict(), np.random.default_rng(seed)
+    data["obstacles"] = [*data["obstacles"], VISITOR]
     layers = [layer for layer in read_onnx(HASTY).layers if isinstance(layer, Affine)]
     width = 2 * (len(inputs) - 1)
     layers[0] = Affine(
@@ -202,9 +202,9 @@ def scene(
         "output_scale_N": 1.0,
         "inputs": list(inputs),
     }
-    found["experimental"] = [table | {"reference": {"kind": "unaware"}}]
-    found |= more
-    (folder / "scene.toml").write_text(write_toml(found), encoding="utf-8")
+    data["experimental"] = [table | {"reference": {"kind": "unaware"}}]
+    data |= more
+    (folder / "scene.toml").write_text(write_toml(data), encoding="utf-8")
     return folder / "scene.toml"
 
 
@@ -248,11 +248,11 @@ def test_other_runs_verify(seed, more, tmp_path):
     pytest.importorskip("onnx")
     if "obstacles" in more:
         more = more | {"obstacles": load_scenario(TINY).to_dict()["obstacles"]}
-    found = run(scene(tmp_path, seed, **more), tmp_path / "run")
-    verdict = verify(found.path)
+    folder = run(scene(tmp_path, seed, **more), tmp_path / "run")
+    verdict = verify(folder.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
-    assert 1 in found.json("schedule.json")["modes"]
-    assert falsify(read_schedule(found), 300).failure is None
+    assert 1 in folder.json("schedule.json")["modes"]
+    assert falsify(read_schedule(folder), 300).failure is None
 
 
 def test_flights_read_the_truth_and_are_judged_by_it(schedule):
@@ -261,11 +261,11 @@ def test_flights_read_the_truth_and_are_judged_by_it(schedule):
     k = schedule.modes.tolist().index(1)
     truth, h = runs.bodies["visitor"], law.tracking.flow.h
     for i in range(q):
-        told = law.senses.seen(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
-        assert told[:, :4] == pytest.approx(truth[:, k * q + i])
-        assert np.all(np.abs(told - law.told[0][k, i]) <= law.told[1][k, i])
+        readings = law.senses.seen(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
+        assert readings[:, :4] == pytest.approx(truth[:, k * q + i])
+        assert np.all(np.abs(readings - law.told[0][k, i]) <= law.told[1][k, i])
         own, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]
-        u = np.clip(law.command(k, own, own, x, i * h, told), -law.system.u_max, law.system.u_max)
+        u = np.clip(law.command(k, own, own, x, i * h, readings), -law.system.u_max, law.system.u_max)
         assert runs.inputs[:, k * q + i] == pytest.approx(u, abs=1e-12)
     far = replace(runs, bodies={"visitor": truth + [100.0, 0.0, 0.0, 0.0]})
     assert np.all(evaluate(far).closest_set != 2)
@@ -276,16 +276,16 @@ def test_what_is_told_is_steered_by_the_gradient(schedule):
     """The readings that the adjoint chooses move a state further than any drawn at random."""
     modes = np.ones(schedule.safety.problem.K, dtype=int)
     flight, rows = Integrator(schedule, modes, 1), np.vstack([np.eye(4), -np.eye(4)])
-    told, target = flight.columns[-1], flight.steps // 2
+    readings, target = flight.columns[-1], flight.steps // 2
     w = adjoint_worst_case(flight, rows, np.full(8, target))[0]
-    assert told.stop - told.start == 8 and np.any(w[:target, :, told]) and not np.any(w[target:])
+    assert readings.stop - readings.start == 8 and np.any(w[:target, :, readings]) and not np.any(w[target:])
     only, rng = 0 * w, np.random.default_rng(0)
-    only[..., told] = w[..., told]
+    only[..., readings] = w[..., readings]
     x0 = np.repeat(schedule.safety.problem.initial_set.c[None], 8, axis=0)
     still = flight.run(x0, 0 * w).states[:, target]
     moved = np.sum(rows * (flight.run(x0, only).states[:, target] - still), axis=1)
     for _ in range(20):
-        only[..., told] = rng.choice([-1.0, 1.0], only[..., told].shape)
+        only[..., readings] = rng.choice([-1.0, 1.0], only[..., readings].shape)
         chance = np.sum(rows * (flight.run(x0, only).states[:, target] - still), axis=1)
         assert np.all(moved > chance)
 
@@ -414,12 +414,12 @@ WRONG = {
 def test_what_does_not_fit_is_one_error(name, made, tmp_path):
     inputs, words = WRONG[name]
     path = scene(tmp_path)
-    found = tomllib.loads(path.read_text(encoding="utf-8"))
-    found["experimental"][0]["inputs"] = inputs
-    path.write_text(write_toml(found), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=words) as told:
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    data["experimental"][0]["inputs"] = inputs
+    path.write_text(write_toml(data), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=words) as raised:
         load_scenario(path)
-    assert told.value.field.startswith("experimental[0].inputs") and "\n" not in str(told.value)
+    assert raised.value.field.startswith("experimental[0].inputs") and "\n" not in str(raised.value)
 
 
 def test_a_scene_without_bodies_has_none_to_read(tmp_path):
@@ -439,15 +439,15 @@ def random_scene(seed, folder):
     """A random scene whose network tracks, and gives way to all that moves, at random."""
     from benchmarks.policies import write_onnx
 
-    found, rng = tomllib.loads(random_scenario(seed)), np.random.default_rng(seed)
-    found["feedback"] = {"period_s": found["horizon"]["step_s"] / 3}
-    found["recoverable"] = {"kind": "polytope", "recourse": "none"}
-    found.pop("timing", None)
-    found.get("schedule", {}).pop("delta_v_max_m_s", None)
-    moves = [o["name"] for o in found["obstacles"] if o["kind"] == "satellite" or o.get("velocity_m_s")]
+    data, rng = tomllib.loads(random_scenario(seed)), np.random.default_rng(seed)
+    data["feedback"] = {"period_s": data["horizon"]["step_s"] / 3}
+    data["recoverable"] = {"kind": "polytope", "recourse": "none"}
+    data.pop("timing", None)
+    data.get("schedule", {}).pop("delta_v_max_m_s", None)
+    moves = [o["name"] for o in data["obstacles"] if o["kind"] == "satellite" or o.get("velocity_m_s")]
     inputs = ["error", *(f"{rng.choice(OF_BODY)}:{name}" for name in moves)]
-    found["experimental"] = [{"kind": "any_thrust", "name": "net"}]
-    scenario = ScheduleScenario.from_dict(found)
+    data["experimental"] = [{"kind": "any_thrust", "name": "net"}]
+    scenario = ScheduleScenario.from_dict(data)
     system = scenario.system()
     safety = get_safety(scenario)
     gain, size = safety.tracking.gain / system.u_max[:, None], 1e-9 + np.abs(safety.reference.chi).max(axis=0)
@@ -459,8 +459,8 @@ def random_scene(seed, folder):
     write_onnx(folder / "net.onnx", [*W, *(np.zeros(system.m) for _ in W)])
     table = {"kind": "neural", "name": "net", "path": str(folder / "net.onnx"), "inputs": inputs}
     scale = (1 / np.concatenate([size, *scales])).tolist()
-    found["experimental"] = [table | {"input_scale": scale, "output_scale_N": system.u_max.tolist()}]
-    return ScheduleScenario.from_dict(found), moves
+    data["experimental"] = [table | {"input_scale": scale, "output_scale_N": system.u_max.tolist()}]
+    return ScheduleScenario.from_dict(data), moves
 
 
 @pytest.mark.slow

@@ -125,8 +125,8 @@ def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_
             done = [total, np.array([np.interp(warped, edges, each) for each in total.T]).T]
             asked = np.diff(done[1], axis=0) / step
             held = np.repeat(u, parts, axis=0)
-            off, most = np.abs(asked - held), late.thrusters.error(held)
-            assert np.all(off <= most * (1 + 1e-6) + 1e-9) and np.any(off >= 0.6 * most.max())
+            off, limit = np.abs(asked - held), late.thrusters.error(held)
+            assert np.all(off <= limit * (1 + 1e-6) + 1e-9) and np.any(off >= 0.6 * limit.max())
         delta = done[0] - done[1]
         assert np.all(np.abs(delta) <= late.shifted * (1 + 1e-9))
         assert fired or np.abs(delta).max() >= 0.5 * late.shifted.min()
@@ -170,10 +170,10 @@ def test_a_longer_delay_needs_more_and_what_is_too_long_is_named():
         scenario.with_assignments([f"timing.delay_s={tau}", f"timing.missed_periods={missed}"]).system()
         for tau, missed in ((0.0, 0), (0.25, 0), (0.0, 1), (0.25, 2))
     ]
-    found = [system.navigation for system in bounds]
-    assert np.all(found[0] <= found[1]) and np.all(found[1] <= found[3]) and np.any(found[1] < found[3])
-    assert np.array_equal(found[1], found[2])
-    assert all(np.array_equal(system.prompt.navigation, found[0]) for system in bounds)
+    errors = [system.navigation for system in bounds]
+    assert np.all(errors[0] <= errors[1]) and np.all(errors[1] <= errors[3]) and np.any(errors[1] < errors[3])
+    assert np.array_equal(errors[1], errors[2])
+    assert all(np.array_equal(system.prompt.navigation, errors[0]) for system in bounds)
     with pytest.raises(SynthesisInfeasible, match=r"of that for delay, missed periods and jitter"):
         synthesize(scenario.with_assignments(["timing.delay_s=20.0"]))
 
@@ -242,12 +242,12 @@ def test_forged_timing_is_refused(tmp_path):
         system["timing"] = system["timing"] | dict(timing)
         return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": words})})
 
-    told = [w.replace("effect 0.5 s", "effect 0.25 s") for w in names]
+    sooner = [w.replace("effect 0.5 s", "effect 0.25 s") for w in names]
     fewer = [float.fromhex(x) * 0.999 for x in data["system"]["estimate_error"]]
     less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
     for verdict, claim in (
         (judged(timing={"delay": (0.25).hex()}), "assumptions"),
-        (judged(told, timing={"delay": (0.25).hex()}), "system"),
+        (judged(sooner, timing={"delay": (0.25).hex()}), "system"),
         (judged(estimate_error=[x.hex() for x in fewer]), "system"),
         (judged(thrusters=less), "system"),
         (judged(timing={"displaced": [(0.0).hex()] * 4}), "system"),
@@ -257,15 +257,15 @@ def test_forged_timing_is_refused(tmp_path):
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
     certificate = read(forger.run / CERTIFICATE)
-    told, top = forger.tree("summary.json"), [float.fromhex(x) for x in data["system"]["input_max"]]
+    sooner, top = forger.tree("summary.json"), [float.fromhex(x) for x in data["system"]["input_max"]]
     duration, bit = (
         float.fromhex(data["sampling"]["step"]) * certificate.steps,
         float.fromhex(data["system"]["timing"]["bit"]),
     )
-    for most, outcome in ((sum(top) + bit * len(top), "VERIFIED"), (sum(top) * 1.1, "REJECTED")):
-        spent = {"delta_v_m_s": most * duration, "delta_v_max_m_s": most * duration}
-        told["experimental"].update(spent)  # what is applied, not what is commanded
-        assert forger.judge({"summary.json": json.dumps(told)}).outcome == outcome
+    for thrust, outcome in ((sum(top) + bit * len(top), "VERIFIED"), (sum(top) * 1.1, "REJECTED")):
+        spent = {"delta_v_m_s": thrust * duration, "delta_v_max_m_s": thrust * duration}
+        sooner["experimental"].update(spent)  # what is applied, not what is commanded
+        assert forger.judge({"summary.json": json.dumps(sooner)}).outcome == outcome
     for key, value in (("delay_s", 0.75), ("jitter_s", 0.01), ("missed_periods", 2), ("clock_error_s", 1.0)):
         scenario = forger.tree("scenario.toml")
         scenario["timing"][key] = value
@@ -288,8 +288,8 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     booked += others @ (tracking.remembered - calm.remembered)
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):
-        told = system.u_max if first < 0 else np.minimum(profile[min(first, len(profile) - 1)], system.u_max)
-        size = part(told)
+        sent = system.u_max if first < 0 else np.minimum(profile[min(first, len(profile) - 1)], system.u_max)
+        size = part(sent)
         e, wrong = np.zeros((system.n, system.m)), np.zeros((system.n, system.m))
         for node in range(-hidden, last):
             pushed = Bd * (size if node == first else 0.0)
