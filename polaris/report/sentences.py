@@ -13,8 +13,9 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     seconds, plan = dict(details["seconds"]), details["planner"]
     total, _ = seconds.pop("total"), seconds.pop("plan_parts")
     stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
-    clearance = directed(plan["margin_m"], ".4g")
-    text = f"{_planned(plan)}, {plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
+    text = f"{_planned(plan)}, {plan['delta_v_m_s']:.4g} m/s"
+    if plan["margin_m"] is not None:
+        text += f", clearance {directed(plan['margin_m'], '.4g')} m beyond the tube"
     rows = [("Plan", text)]
     start, limit = details["start_margin"], details["start_limit"]
     if start is not None:

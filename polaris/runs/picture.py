@@ -57,7 +57,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class TubePicture:
-    """Reachable set of the position [m], absolute: positions of a `TubeSegment`."""
+    """Reachable set of the position, d = 2 or 3, or of the state, d = n, absolute, of all `TubeSegment`s."""
 
     centre: Array  # (K, q+1, d)
     generators: Array  # (K, q+1, d, g)
@@ -109,14 +109,18 @@ class Picture:
     limits: tuple[str, ...] = ()  # what limits each step
     flights: Mapping[str, Flights] = field(default_factory=dict)  # of safety, experimental, polaris, as flown
     tube: TubePicture | None = None
+    state_tube: TubePicture | None = None
+    state_limits: tuple[StateLimit, ...] = ()  # taken out of the obstacles
     slices: SlicePicture | None = None
     reached: float | None = None  # by when the goal is proven to be reached [s]
     delta_v_max: float | None = None  # bound on the velocity change until then [m/s]
 
     def __post_init__(self) -> None:
-        """Leave limits on the whole state out: they have no place in a picture of positions."""
+        """Part limits on the whole state from sets that have a place."""
+        limits = tuple(item for item in self.obstacles if isinstance(item, StateLimit))
         placed = tuple(item for item in self.obstacles if not isinstance(item, StateLimit))
         object.__setattr__(self, "obstacles", placed)
+        object.__setattr__(self, "state_limits", (*self.state_limits, *limits))
 
     @property
     def frame(self) -> Frame:

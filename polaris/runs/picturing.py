@@ -11,7 +11,7 @@ from ..model.system import Array
 from ..simulation.baselines import Flights, fly_nominal
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.schedule.schedule import Schedule
-from .files.arrays import position_tube, tube_arrays
+from .files.arrays import tube_arrays, tube_pictures
 from .picture import Picture, SlicePicture, directions
 
 SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
@@ -40,9 +40,9 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         margins=schedule.margins,
         limits=tuple(step.margin.limit for step in schedule.steps),
         flights=flights,
-        tube=position_tube(tube_arrays(schedule), schedule.safety.problem.system.position),
         reached=arrival.by if arrival else None,
         delta_v_max=arrival.delta_v if arrival else None,
+        **tube_pictures(tube_arrays(schedule), schedule.safety.problem.system.position),
     )
 
 

@@ -286,10 +286,10 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
-        arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
-        SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
-        goal.get("by_s"),
-        goal.get("delta_v_max_m_s"),
+        slices=SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
+        reached=goal.get("by_s"),
+        delta_v_max=goal.get("delta_v_max_m_s"),
+        **arrays.tube_pictures(arrays.read_arrays(folder / "tubes.npz"), system.position),
     )
 
 

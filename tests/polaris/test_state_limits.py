@@ -26,10 +26,13 @@ from polaris.planning.problem import PlanProblem
 from polaris.planning.recheck import path_bounds
 from polaris.planning.reference import Reference
 from polaris.planning.rows import Rows
+from polaris.report.scene.items import drawn_pilots
+from polaris.report.scene.timelines import proven_distance, schedule_timeline
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.asif_explicit import ExplicitASIF
 from polaris.rta.recovery import Recovery
+from polaris.runs.picturing import picture_of
 from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -156,6 +159,31 @@ def test_limits_bind_and_are_kept(limited):
     for item in limits:
         assert item.signed_distance(runs.times, runs.states, system).min() > 0
     assert falsify(schedule, 1500, 0).failure is None
+
+
+def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
+    """Speeds are those of the states, and no flight of 200 passes the line of what is proven."""
+    scenario, schedule = limited
+    system, picture = scenario.system(), picture_of(schedule)
+    runs = simulate(schedule, 200, 2)
+    assert {one.name for one in picture.state_limits} == {"speed", "octagon", "mixed", "dash"}
+    panels = {
+        panel.title.partition("limit ")[2].partition(",")[0]: panel
+        for panel in schedule_timeline(picture, drawn_pilots(picture), True).panels
+    }
+    flown = picture.flights["polaris"]
+    speed = next(one for one in panels["speed"].series if one.pilot == "polaris")
+    assert np.allclose(speed.values, np.linalg.norm(flown.states @ system.velocity.T, axis=-1))
+    for limit in picture.state_limits:
+        proven = proven_distance(picture, limit)
+        assert proven.shape == picture.tube.bow.shape[:2] and (proven > 0).any()
+        slack = limit.signed_distance(runs.times, runs.states, system)
+        cells = np.minimum(np.arange(len(runs.times)) * proven.size // (len(runs.times) - 1), proven.size - 1)
+        bound = proven.ravel()[cells]
+        holds = np.isfinite(slack).all(axis=0) & (bound < 1e6)
+        assert holds.any() and (slack[:, holds] >= bound[holds] - 1e-9).all()
+        line = next(one for one in panels[limit.name].series if "proven" in one.name)
+        assert np.isfinite(line.values).any() and np.isnan(line.values).any() == (limit.name != "speed")
 
 
 def test_runs_that_leave_a_limit_are_judged_so(limited):

@@ -10,14 +10,16 @@ from numpy.typing import ArrayLike
 from reach.numerics.linear import growth
 
 from ...model.scene.distances import UNKNOWN, signed_distances
+from ...model.scene.keep_in import FAR
 from ...model.scene.obstacles import perceive
+from ...model.scene.state_limits import RATE, SpeedLimit, SpeedPolygon, StateLimit
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
-from ...runs.picture import Picture
+from ...runs.picture import Picture, TubePicture
 from ...simulation.baselines import Flights
 from ...synthesis.safety.recoverable import directed
 from .items import Pilot
-from .palette import GREEN, input_labels, mode_colour
+from .palette import GREEN, RED, input_labels, mode_colour
 
 WHO = "Who flies"
 ROUND_OFF = 1e-9  # inputs below this share of the limit are 0 but for rounding
@@ -113,6 +115,7 @@ def schedule_timeline(
         inputs.append(Series(each.times, step_edges(each.inputs, 1), key, step=True, band=band))
     panels = [
         *([_distances(picture, runs, proved)] if picture.obstacles else []),
+        *(_limit_panel(i, one, picture, runs, proved) for i, one in enumerate(picture.state_limits)),
         Panel("spent", "Velocity change so far", "Velocity\nchange", "m/s", limits, spent),
         *input_panels(titles, unit, picture.system.u_max, inputs),
     ]
@@ -157,38 +160,89 @@ def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Pane
         positions = each.states @ picture.system.position.T
         distances = signed_distances(picture.obstacles, each.times, positions, picture.system).min(axis=0)
         series.append(Series(each.times, distances, key, band=each.nearest[[0, 2]]))
-    bound = proven_distance(picture) if proved else None
-    if bound is not None:
-        (K, q), delta = bound.shape, picture.reference.delta
-        times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
-        values, name = np.append(bound.ravel(), bound[-1, -1]), "least that is proven"
-        series.append(Series(times, values, name=name, colour=GREEN, step=True, fill=True))
+    if proved and (bound := proven_distance(picture)) is not None:
+        series.append(_proven(picture, bound, "least that is proven"))
     title = "Distance to the nearest unsafe set"
     return Panel("distance", title, "Distance", "m", [Limit(0.0, "unsafe", "below")], series)
 
 
-def proven_distance(picture: Picture) -> Array | None:
-    """Least distance (K, q) [m] from all unsafe sets that a proved schedule promises over every period.
+def _limit_panel(
+    index: int, limit: StateLimit, picture: Picture, runs: dict[str, Flights], proved: bool
+) -> Panel:
+    """Describe a limit on the whole state: speeds and their limit, or how far states are from the limit.
+
+    What is proven may be far from what was flown: rows of states stand for the limit, and the reachable set
+    for the flight.
+    """
+    system, of_speed = picture.system, isinstance(limit, SpeedLimit | SpeedPolygon)
+    top, more = (np.min(limit.top), getattr(limit, "per_distance", 0.0)) if of_speed else (0.0, 0.0)
+
+    def shown(slack: Array, distance: Array) -> Array:
+        return np.where(slack < FAR**2, top + more * distance - slack * RATE if of_speed else slack, np.nan)
+
+    series = []
+    for key, each in runs.items():
+        distance = np.linalg.norm(each.states @ system.position.T, axis=-1)
+        slack = limit.signed_distance(each.times, each.states, system)
+        series.append(Series(each.times, shown(slack, distance), key))
+    if more:
+        key, each = next(iter(runs.items()))
+        far = np.linalg.norm(each.states[0] @ system.position.T, axis=-1)
+        name = f"limit at the distance of {key}, run {each.labels[0]}"
+        series.append(Series(each.times, top + more * far, name=name, colour=RED, dash="dash"))
+    if proved and (known := proven_distance(picture, limit)) is not None and picture.tube is not None:
+        reach = np.abs(picture.tube.centre) + np.abs(picture.tube.generators).sum(axis=-1)
+        distance = np.linalg.norm(
+            np.maximum(reach[:, :-1], reach[:, 1:]) + _bow(picture, picture.tube, system.position), axis=-1
+        )
+        series.append(
+            _proven(picture, shown(known, distance), f"{'most' if of_speed else 'least'} that is proven")
+        )
+    word, unit, side = ("Speed", "m/s", "above") if of_speed else ("Room", "m", "below")
+    title = f"{word}, limit {limit.name}" + (f", 1 m/s as {1 / RATE:g} m" if not of_speed else "")
+    limits = [] if more else [Limit(float(top), "limit" if of_speed else "unsafe", side)]
+    return Panel(f"limit{index}", title, f"{word}\n{limit.name}", unit, limits, series)
+
+
+def _proven(picture: Picture, bound: Array, name: str) -> Series:
+    """Return the line of what is proven in every control period, (K, q)."""
+    (K, q), delta = bound.shape, picture.reference.delta
+    times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
+    values = np.append(bound.ravel(), bound[-1, -1])
+    return Series(times, values, name=name, colour=GREEN, step=True, fill=True)
+
+
+def proven_distance(picture: Picture, limit: StateLimit | None = None) -> Array | None:
+    """Least distance (K, q) [m] from all unsafe sets, or to a limit, that a proved schedule promises.
 
     The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
     the gap to a facet is least at an end. Negative gaps rest on S taking over: no more than 0 is promised.
-    What the true state is displaced by is in the tube, and in the sets that are perceived: it counts once.
+    What the true position is displaced by is in the tube, and in the sets that are perceived: it counts once.
     """
-    tube, system = picture.tube, picture.system
-    unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)
+    system, M = picture.system, picture.system.position
+    tube, obstacles = picture.tube, picture.obstacles
+    if limit is not None:
+        tube, obstacles, M = picture.state_tube, (limit,), np.eye(system.n)
+    unsafe = perceive(obstacles, system, picture.reference.delta, picture.planned)
     if tube is None or not unsafe:
         return None
-    q, K, reference = tube.bow.shape[1], picture.planned, picture.reference
-    rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
-    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
-    bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
+    q, bow = tube.bow.shape[1], _bow(picture, tube, M)
     gaps, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
         size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
         gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
-        apart = np.abs(rows @ system.position) @ twice[0] + np.abs(rows) @ np.abs(system.position) @ twice[1]
-        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T + apart
-        gaps.append(between.max(axis=-1))
+        apart = np.abs(rows @ M) @ twice[0] + np.abs(rows) @ np.abs(M) @ twice[1]
+        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T
+        gaps.append((between if timed.of_state else between + apart).max(axis=-1))
     return np.asarray(np.maximum(np.min(gaps, axis=0), 0.0))
+
+
+def _bow(picture: Picture, tube: TubePicture, M: Array) -> Array:
+    """Bound the distance of M x from the hull of the ends of every period, in the tube and about the reference."""
+    q, system, reference = tube.bow.shape[1], picture.system, picture.reference
+    inputs = (reference.nu[: picture.planned] @ system.B.T)[:, None, :]
+    rate = reference.fine(q)[: picture.planned, :-1] @ system.A.T + inputs
+    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
+    return np.asarray(tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(M @ system.A).T)

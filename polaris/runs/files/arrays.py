@@ -82,10 +82,17 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     }
 
 
-def position_tube(arrays: Mapping[str, Any], C: Array) -> TubePicture:
-    """Positions out of `tube_arrays`."""
-    generators = (arrays["generators"] @ C.T).transpose(2, 0, 3, 1)
-    return TubePicture(arrays["center"] @ C.T, generators, arrays["bow"] @ np.abs(C).T)
+def tube_pictures(arrays: Mapping[str, Any], C: Array) -> dict[str, TubePicture]:
+    """Return the reachable positions and states out of `tube_arrays`, by attribute of `Picture`."""
+    matrices = {"tube": C, "state_tube": np.eye(C.shape[1])}
+    return {
+        name: TubePicture(
+            arrays["center"] @ M.T,
+            (arrays["generators"] @ M.T).transpose(2, 0, 3, 1),
+            arrays["bow"] @ np.abs(M).T,
+        )
+        for name, M in matrices.items()
+    }
 
 
 FLIGHTS = {  # attribute of the flights of a controller or method by the name of its array
