@@ -21,6 +21,8 @@ from .placing import Part, Placed, place
 from .settings import Velocity, between, doubtful, find_dims, find_velocity, interpolate, stamped_by_simulator
 from .settings import restamp as restamped
 
+LIMIT = "limit on states"  # kind of a limit on the whole state, to which a trace has the room
+
 
 def weights(t: Array) -> Array:
     """Weight of every sample in a mean over time (trapezoidal), shape (N,); they add up to 1."""
@@ -52,7 +54,7 @@ class Spread:
 @brief
 @dataclass(frozen=True)
 class Separation:
-    """One agent against one unsafe set, or another agent, whose kind is ``agent``."""
+    """One agent against an unsafe set, another agent (of kind ``agent``) or a limit on the whole state."""
 
     name: str
     kind: str
@@ -192,6 +194,8 @@ class _Measurement:
             unsafe = tuple(self.against_set(agent, self.d, v, other) for other in self.trace.unsafe)
             rest = [other for other in self.trace.agents if other != name]
             others = tuple(self.against_agent(agent, self.d, v, other) for other in rest)
+        kept = zip(agent.limits, agent.margins, strict=True)
+        unsafe += tuple(Separation(each, LIMIT, Spread.of(row, agent.times), None) for each, row in kept)
         shares = mode_shares(agent.times, agent.known_modes)
         modes = {number: word.lower() for number, word in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
         spent = agent.running_times

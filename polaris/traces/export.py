@@ -1,7 +1,7 @@
 """Runs as traces: from bare arrays, run folders and comparison folders."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,8 @@ def to_trace(
         Given N, the last is repeated for the last state.
     obstacles : sequence of Obstacle
         Boxes, balls and polytopes become what they are; another satellite its timed polytope; a keep-in
-        set one unbounded polytope per facet, called ``name[f]``.
+        set one unbounded polytope per facet, called ``name[f]``; limits on the whole state are margins of
+        the agent.
     system : LinearSystem
     name : str
         Of the agent.
@@ -69,7 +70,11 @@ def to_trace(
     ScenarioError
         On shapes that do not fit, or states that do not begin with the position.
     """
+    limits = [one for one in obstacles if isinstance(one, StateLimit)]
     agent = _agent(name, system, np.asarray(times, dtype=float), states, modes, running_times)
+    if limits:
+        rooms = np.array([one.signed_distance(agent.times, agent.states, system) for one in limits])
+        agent = replace(agent, limits=tuple(one.name for one in limits), margins=rooms)
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
@@ -109,7 +114,7 @@ def _sets(
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
     if isinstance(obstacle, StateLimit):
-        return {}, f"{name}: a limit on the whole state, left out of traces of positions"
+        return {}, f"{name}: a limit on the whole state, as the chaser's room to it (1 m/s counts as 100 m)"
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
         true, radii = satellites[name], np.full(len(t), obstacle.radius)
         centre, velocity = obstacle.motion(t, system, true)

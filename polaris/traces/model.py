@@ -56,6 +56,8 @@ class AgentTrace:
     states: Array  # SI units, shape (N, n); the first entries are the position [m]
     modes: Modes = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     running_times: Array = field(default_factory=lambda: np.empty(0))  # of each decision [s], shape (R,)
+    limits: tuple[str, ...] = ()  # names of limits on the whole state
+    margins: Array = field(default_factory=lambda: np.empty(0))  # room to each [m], (limits, N); inf without
     where: str = field(default="agent", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
@@ -77,6 +79,11 @@ class AgentTrace:
             row = int(np.argmax(running < 0))
             raise ScenarioError(f"{self.where}.running_times[{row}]", float(running[row]), "must be >= 0 [s]")
         put(self, "running_times", running)
+        margins = np.asarray(self.margins, dtype=float) if self.limits else np.empty((0, N))
+        if margins.shape != (len(self.limits), N) or np.any(np.isnan(margins) | (margins == -np.inf)):
+            rule = f"must hold {N} numbers [m], or null, for each limit"
+            raise ScenarioError(f"{self.where}.margin_trace", margins.shape, rule)
+        put(self, "margins", margins)
 
     @property
     def n(self) -> int:

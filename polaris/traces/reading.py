@@ -16,6 +16,7 @@ from ..model.checks import of_kind
 from ..model.errors import ScenarioError, quoted
 from ..model.files import parse_json
 from ..model.scene.distances import UNKNOWN
+from ..model.system import Array
 from ..runs.files.atomic import check_file, replacing_file
 from ..runs.files.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
@@ -115,7 +116,7 @@ def _trace(data: Any) -> Trace:
 
 
 KEYS = {
-    "agents": ("state_trace", "mode_trace", "running_times"),
+    "agents": ("state_trace", "mode_trace", "running_times", "margin_trace"),
     "unsafe": ("set_type", "state_trace"),
     "ball": ("set_type", "state_trace", "velocity_trace"),
 }
@@ -130,7 +131,25 @@ def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
         raise ScenarioError(f"{where}.running_times", running, "must be a list of numbers [s]")
     if running:
         spent = numbers(f"{where}.running_times", [[value] for value in running], running)[:, 0]
-    return AgentTrace(values[:, 0], values[:, 1:], _modes(where, item, len(rows)), spent, where=where)
+    limits = _object(f"{where}.margin_trace", item.get("margin_trace", {}))
+    margins = [_margins(f"{where}.margin_trace.{name}", given) for name, given in limits.items()]
+    if any(len(each) != len(rows) for each in margins):
+        raise ScenarioError(
+            f"{where}.margin_trace", list(limits), f"must hold {len(rows)} numbers for each limit"
+        )
+    known = spent, tuple(limits), np.array(margins)
+    return AgentTrace(values[:, 0], values[:, 1:], _modes(where, item, len(rows)), *known, where=where)
+
+
+def _margins(where: str, given: Any) -> Array:
+    """Return room to a limit [m] row by row: null, while it does not hold, is inf."""
+    if not isinstance(given, list):
+        raise ScenarioError(where, given, "must be a list of numbers [m], null while the limit does not hold")
+    held = [i for i, value in enumerate(given) if value is not None]
+    margins = np.full(len(given), np.inf)
+    if held:
+        margins[held] = numbers(where, [[given[i]] for i in held], [given[i] for i in held])[:, 0]
+    return margins
 
 
 def _agent_row(row: Any) -> list[Any]:
@@ -177,8 +196,8 @@ def trace_data(trace: Trace) -> dict[str, Any]:
     """The trace as plain lists and numbers, as RTAEval lays it out.
 
     Agents' rows are flat, ``[t, s0, s1, ...]``; those of sets nested, ``[t, def]``; modes are whole
-    numbers, null where unknown. ``running_times`` is there only if the agent has any, ``velocity_trace``
-    only if a ball's velocities are known.
+    numbers, null where unknown. ``running_times`` and ``margin_trace`` are there only if the agent has any,
+    ``velocity_trace`` only if a ball's velocities are known.
     """
     return {
         "agents": {name: _agent_data(agent) for name, agent in trace.agents.items()},
@@ -227,6 +246,9 @@ def _agent_data(agent: AgentTrace) -> dict[str, Any]:
     }
     if len(agent.running_times):
         out["running_times"] = agent.running_times.tolist()
+    if agent.limits:
+        shown = ([x if np.isfinite(x) else None for x in row] for row in agent.margins.tolist())
+        out["margin_trace"] = dict(zip(agent.limits, shown, strict=True))
     return out
 
 

@@ -14,9 +14,20 @@ from polaris.model.scene.obstacle import RigidObstacle
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle, true_states
 from polaris.model.scene.shapes import Polytope
+from polaris.model.scene.state_limits import KeepInStates, SpeedLimit
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
-from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace
+from polaris.traces import (
+    AgentTrace,
+    Trace,
+    evaluate_trace,
+    export_run,
+    parse_trace,
+    read_trace,
+    to_trace,
+    write_trace,
+)
+from polaris.traces.reading import trace_data
 
 from ..polaris.tiny import synthesised
 
@@ -215,3 +226,30 @@ def test_what_a_trace_cannot_hold_is_told():
     made = to_trace(T, STATES, MODES, [Rod()], SYSTEM)
     assert made.trace.unsafe["rod"].set_type == "polytope"
     assert made.notes == ("rod: as the polytope around it (over-approximated)",)
+
+
+def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
+    """The true limit counts, null stands for times at which it does not hold; what is no list is refused."""
+    late = KeepInStates("late", [[0, 0, 0, 1, 0, 0]], [1.0], begins=100.0)
+    limits = [SpeedLimit("fast", 0.5, 1e-3), late, BallObstacle("ball", [0.0, 0.0, 0.0], 2.0)]
+    made = to_trace(T, STATES, MODES, limits, SYSTEM)
+    assert list(made.trace.unsafe) == ["ball"] and "room to it" in made.notes[0]
+    path = write_trace(tmp_path / "a.json", made.trace)
+    read = read_trace(path)
+    assert read.same_as(made.trace) and not read.ignored
+    told = {one.name: one for one in evaluate_trace(read).agents["chaser"].unsafe}
+    speed, far = np.linalg.norm(STATES[:, 3:], axis=1), np.linalg.norm(STATES[:, :3], axis=1)
+    assert told["fast"].distance.min == pytest.approx(float(np.min(0.5 + 1e-3 * far - speed)) * 100)
+    assert told["late"].kind == "limit on states" and told["late"].distance.at >= 100
+    assert told["late"].distance.share == pytest.approx(2 / 3, abs=0.05) and told["late"].ttc is None
+    for wrong in (
+        1.0,
+        {"fast": 2.0},
+        {"fast": [1.0]},
+        {"fast": ["x"] * len(T)},
+        {"fast": [float("nan")] * len(T)},
+    ):
+        data = trace_data(made.trace)
+        data["agents"]["chaser"]["margin_trace"] = wrong
+        with pytest.raises(ScenarioError, match=r"agents\.chaser\.margin_trace"):
+            parse_trace(data)
