@@ -4,6 +4,7 @@
     python -m benchmarks.basilisk                          static, dynamic, hold_point, 200 flights each
     python -m benchmarks.basilisk static --flights 20 --set thrusters.magnitude_error=0.1
     python -m benchmarks.basilisk cubesat                  200 flights, a valve stuck in every second one
+    python -m benchmarks.basilisk cubesat --code float     the same, flown by the C code
 
 Each scene is synthesised with feedback every two seconds and the errors below, written as a run folder, and
 flown by flight software that reads the folder (`onboard.py`) in a world of two craft (`world.py`): J2, drag,
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,12 +24,15 @@ from typing import Any
 
 import numpy as np
 
+from polaris.certificate.code.text import PRECISIONS
+from polaris.flight.export import export_c
 from polaris.model.scene.distances import signed_distances
 from polaris.model.scene.satellite import true_states
 from polaris.runs.files.arrays import read_arrays
 from polaris.runs.schedule import fly_schedule, write_run
 from polaris.runs.stages import Stages
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.on_board import FlightCode
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular
 from polaris.simulation.run_metrics import cubic
@@ -103,7 +108,7 @@ def residuals(system: Any, flight: Flight, mass: float) -> np.ndarray:
 class Scene:
     """A run folder, and what its flights are judged by; it is written if it is not there."""
 
-    def __init__(self, name: str, folder: Path, settings: list[str]) -> None:
+    def __init__(self, name: str, folder: Path, settings: list[str], precision: str | None = None) -> None:
         self.scenario, self.folder = load_scenario(name, settings), folder
         if not folder.is_dir():
             write_run(folder, self.scenario, fly_schedule(self.scenario, Stages()).schedule)
@@ -115,11 +120,16 @@ class Scene:
         self.lower = (tubes["center"] - half).min(axis=1) - bow
         self.upper = (tubes["center"] + half).max(axis=1) + bow
         self.modes = np.array(FlightSoftware.of(folder).modes)
+        self.code = None
+        if precision is not None:
+            code = folder.with_name(f"{folder.name}-{precision}")
+            export_c(folder, code, precision)
+            self.code = FlightCode(code)
 
     def fly(self, seed: int) -> Found:
         """One flight with all that is drawn from a seed: half of them start in corners of the initial set."""
         rng, env, theta = np.random.default_rng(seed), self.env, self.scenario.initial_set()
-        software, errors = FlightSoftware(self.folder), draw(self.scenario, rng)
+        software, errors = FlightSoftware(self.folder, self.code), draw(self.scenario, rng)
         share = rng.uniform(-1, 1, theta.order_count)
         start = theta.c + theta.G @ (np.sign(share) if rng.random() < 0.5 else share)
         latitude = rng.uniform(0, 2 * np.pi)
@@ -161,23 +171,33 @@ class Scene:
         return float(signed_distances(sets, when, path, self.system, truth).min())
 
 
-def scene(name: str, flights: int, folder: Path, settings: list[str]) -> list[Found]:
+def kept_beside(folder: Path, precision: str | None) -> Path:
+    """File of flights beside a run folder, of flight code or of its model in Python."""
+    return folder.with_name(folder.name + (f"-{precision}" if precision else "") + ".jsonl")
+
+
+def scene(
+    name: str, flights: int, folder: Path, settings: list[str], precision: str | None = None
+) -> list[Found]:
     """Flights of one scene, a line each in a file beside its run folder; what is there is not flown again."""
-    one, kept = Scene(name, folder, settings), folder.with_suffix(".jsonl")
+    one, kept = Scene(name, folder, settings, precision), kept_beside(folder, precision)
     lines = kept.read_text().splitlines() if kept.is_file() else []
     with kept.open("a") as file:
         for seed in range(len(lines), flights):
             lines.append(json.dumps(asdict(one.fly(seed))))
             print(lines[-1], file=file, flush=True)
+    if one.code is not None:
+        print(f"answers of the code by mode and fault: {dict(one.code.answers)}", file=sys.stderr)
     return [Found(**json.loads(line)) for line in lines[:flights]]
 
 
-def fly_cubesat(flights: int, out: Path | None, settings: list[str]) -> None:
+def fly_cubesat(flights: int, out: Path | None, settings: list[str], precision: str | None) -> None:
     """Fly the craft as it is built, and print a table of its flights."""
     from .craft import COLUMNS, fly_scene, table
 
     with tempfile.TemporaryDirectory() as scratch:
-        scene, flown = fly_scene("cubesat", flights, (out or Path(scratch)) / "cubesat", settings)
+        folder = (out or Path(scratch)) / "cubesat"
+        scene, flown = fly_scene("cubesat", flights, folder, settings, precision)
         print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|")
         print("\n".join(table(scene, flown)))
 
@@ -192,11 +212,14 @@ def main() -> None:
     parser.add_argument(
         "--set", action="append", default=[], help="a scenario field, as `polaris run` takes it"
     )
+    parser.add_argument(
+        "--code", choices=PRECISIONS, help="fly the exported C code, with numbers of this type"
+    )
     parser.add_argument("--out", type=Path, help="where to keep run folders and flights")
     given = parser.parse_args()
     if "cubesat" in given.scenes:  # it declares errors itself, and has a table of its own
         given.scenes = [name for name in given.scenes if name != "cubesat"]
-        fly_cubesat(given.flights, given.out, given.set)
+        fly_cubesat(given.flights, given.out, given.set, given.code)
         if not given.scenes:
             return
     columns = "scene", "flights", "U", "entered", "least distance [m]", "tube", "thrust of S", "residual"
@@ -204,7 +227,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for name in given.scenes:
             folder = (given.out or Path(scratch)) / name
-            flights = scene(name, given.flights, folder, [*REAL, *given.set])
+            flights = scene(name, given.flights, folder, [*REAL, *given.set], given.code)
             share = np.mean(np.array(FlightSoftware(folder).modes) > 0)
             worst, entered = Found.worst(flights), sum(one.distance <= 0 for one in flights)
             cells = [f"`{name}`", str(len(flights)), f"{share:.0%}", str(entered), f"{worst.distance:.2f}"]

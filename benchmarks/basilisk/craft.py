@@ -10,6 +10,7 @@ than that nothing is entered.
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +24,7 @@ from polaris.runs.run import read_run
 from polaris.simulation.orbit.frame import near_circular
 from polaris.synthesis.safety.goal_rows import distance, goal_rows
 
-from .__main__ import Scene
+from .__main__ import Scene, kept_beside
 from .onboard import CraftSoftware
 from .valves import Stuck
 from .world import Errors, Flight, absolute, fly, inertial
@@ -108,7 +109,7 @@ class CraftScene(Scene):
         for aiming in (True, False):  # a coasting flight tells where to begin
             bodies = target, absolute(target, first)
             late = expm(-self.system.A * (software.period + software.delay))
-            software = CraftSoftware(self.folder)
+            software = CraftSoftware(self.folder, self.code)
             software.estimate = late @ (first + wrong)
             duration = 0.0 if aiming else self.proven["by"]
             given = None if aiming else stuck
@@ -182,12 +183,16 @@ COLUMNS = (
 )
 
 
-def fly_scene(name: str, flights: int, folder: Path, settings: list[str]) -> tuple[CraftScene, list[Flown]]:
+def fly_scene(
+    name: str, flights: int, folder: Path, settings: list[str], precision: str | None = None
+) -> tuple[CraftScene, list[Flown]]:
     """Flights of a craft, a line each in a file beside its run folder; what is there is not flown again."""
-    scene, kept = CraftScene(name, folder, settings), folder.with_suffix(".jsonl")
+    scene, kept = CraftScene(name, folder, settings, precision), kept_beside(folder, precision)
     lines = kept.read_text().splitlines() if kept.is_file() else []
     with kept.open("a") as file:
         for seed in range(len(lines), flights):
             lines.append(json.dumps(vars(scene.fly_craft(seed))))
             print(lines[-1], file=file, flush=True)
+    if scene.code is not None:
+        print(f"answers of the code by mode and fault: {dict(scene.code.answers)}", file=sys.stderr)
     return scene, [Flown(**json.loads(line)) for line in lines[:flights]]

@@ -7,6 +7,9 @@ What thrusters are to make of a command is an impulse, a multiple of the declare
 
 `CraftSoftware` flies a craft with a camera and a layout of nozzles: an observer estimates the state from
 positions, and the allocation that the run declares shares commands out among the nozzles that work.
+
+Given compiled flight code, its answers are what is commanded: it is called once a control period with the
+estimate for that instant, and with the command of U where U is due.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import json
 import tomllib
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -39,9 +43,14 @@ class FlightSoftware:
     folder : Path
         A run folder of a switching schedule. After its end the safety controller goes
         on along the reference's coasting tail.
+    code : polaris.simulation.on_board.FlightCode, optional
+        Compiled flight code of that run.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, code: Any = None) -> None:
+        self.code = code
+        if code is not None:
+            code.start(1)
         gains = json.loads((folder / "gains.json").read_text())
         scenario = tomllib.loads((folder / "scenario.toml").read_text())
         self.A, self.B = (np.array(gains["system"][name]) for name in "AB")
@@ -80,10 +89,10 @@ class FlightSoftware:
             raise ValueError(f"{folder}: this software knows delays of whole periods, not {self.delay:g} s")
 
     @classmethod
-    def of(cls, folder: Path) -> FlightSoftware:
+    def of(cls, folder: Path, code: Any = None) -> FlightSoftware:
         """Return the software for a run folder: with an observer where one is on board."""
         system = json.loads((folder / "gains.json").read_text())["system"]
-        return CraftSoftware(folder) if "observer" in system else cls(folder)
+        return CraftSoftware(folder, code) if "observer" in system else cls(folder, code)
 
     def command(self, tick: int, seen: np.ndarray) -> np.ndarray:
         """Thrust [N] in Hill's frame, shape (3,), that takes effect at tick `tick`, the first being 0.
@@ -126,11 +135,13 @@ class FlightSoftware:
         """Return the scheduled controller's command [N] at the instant of a tick, shape (3,)."""
         t = tick * self.period
         k = int((t + 1e-6 * self.period) // self.step)
-        gain, states, inputs = self.laws[self.modes[k] if k < len(self.modes) else 0]
+        mode = self.modes[k] if k < len(self.modes) else 0
+        gain, states, inputs = self.laws[mode]
         last = len(states) - 2
         k, since = min(k, last), t - min(k, last) * self.step
         phi, gamma = self.held(round(since, 9))
-        return np.asarray(inputs[k] + gain @ (phi @ states[k] + gamma @ inputs[k] - x))
+        u = np.asarray(inputs[k] + gain @ (phi @ states[k] + gamma @ inputs[k] - x))
+        return u if self.code is None else np.asarray(self.code.step(tick, x[None], mode, u[None])[0])
 
 
 class CraftSoftware(FlightSoftware):
@@ -146,8 +157,8 @@ class CraftSoftware(FlightSoftware):
         command.
     """
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
+    def __init__(self, folder: Path, code: Any = None) -> None:
+        super().__init__(folder, code)
         layout, observer = self.system["allocation"], self.system["observer"]
         self.mixes, self.tops = np.array(layout["mixes"]), np.array(layout["limits"])
         self.directions, self.kind = np.array(layout["directions"]), layout.get("kind", MIXES)

@@ -61,6 +61,7 @@ def falsify_command(
     seed: int = Option(0, min=0, help="Same seed, same search."),
     out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
     assignments: Assignments = None,
+    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c."),
     force: Force = False,
     as_json: Json = False,
 ) -> int | None:
@@ -68,6 +69,7 @@ def falsify_command(
     from ..runs.case import load_target, write_case
     from ..runs.files.atomic import check_file
     from ..simulation.falsification.search import falsify
+    from ..simulation.on_board import FlightCode
 
     if out is not None:
         check_file(out, endings=(".json",), force=force)
@@ -76,7 +78,8 @@ def falsify_command(
     loaded = load_target(target, assignments or ())
     scenario = loaded.scenario
     check_file(out or f"{scenario.name}.case.json", force=force)
-    found = falsify(loaded.schedule(), runs, seed)
+    compiled = None if code is None else FlightCode(code)
+    found = falsify(loaded.schedule(), runs, seed, code=compiled)
     print_result(found.summary(), as_json, partial(_show_falsification, scenario.name, found))
     if found.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)

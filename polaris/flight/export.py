@@ -3,18 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from reach.numerics.linear import discretize
-
 from ..certificate.code.answers import selftest
 from ..certificate.code.text import PRECISIONS, PREFIX, Tables, files
 from ..certificate.files.document import Document
 from ..model.errors import ScenarioError
-from ..model.system import Array
 from ..runs.files.atomic import check_target, replacing
 from ..runs.files.tables import write_text
 from ..runs.read_schedule import certificate_of, schedule_folder
+from ..simulation.on_board import check_flyable, tables_of
 from .rounding import disturbance_taken, stated_rounding
 from .vectors import FLIGHTS, calls
 
@@ -81,34 +77,8 @@ def flight_tables(document: Document) -> Tables:
     ScenarioError
         If it is not proved, or a thrust limit is 0.
     """
-    if document.guarantee != "proved":
-        rule = "must be 'proved' to fly: steps of black boxes rest on samples"
-        raise ScenarioError("guarantee", document.guarantee, rule)
-    if not min(document.u_max) > 0:
-        raise ScenarioError("input_max", document.u_max, "must be above 0 in every input to fly")
-    A, B, h = np.array(document.A), np.array(document.B), document.delta / document.q
-    parts = [discretize(A, B, h * i) for i in range(document.q)]
-    gain = document.laws[0].gain
+    check_flyable(document.guarantee, document.u_max)
+    plan = document.modes, document.states, document.inputs
+    gain, h, forever = document.laws[0].gain, document.delta / document.q, document.horizon != "none"
     assert gain is not None
-    nodes = document.steps if document.horizon == "none" else document.cells
-    return Tables(
-        covered=nodes * document.q,
-        modes=document.modes,
-        waypoints=document.states[: document.cells],
-        feed=document.inputs[: document.steps],
-        moved=[moved.tolist() for moved, _ in parts],
-        pushed=[pushed.tolist() for _, pushed in parts],
-        gain=gain,
-        limit=document.u_max,
-        range=booked_range(np.array(document.states), np.array(gain), np.array(document.u_max)).tolist(),
-    )
-
-
-def booked_range(states: Array, gain: Array, limit: Array) -> Array:
-    """Return the range of states for which rounding is bounded: the reference's, and errors about it.
-
-    Errors (n,) are twice those of each state that alone would ask for a thrust limit.
-    """
-    with np.errstate(divide="ignore"):
-        errors = (2 * limit[:, None] / np.abs(gain)).min(axis=0)
-    return np.asarray(np.minimum(np.abs(states).max(axis=0) + errors, 1e6))
+    return tables_of(document.A, document.B, h, document.q, *plan, gain, document.u_max, forever)

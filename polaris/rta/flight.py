@@ -118,6 +118,7 @@ def fly(
     failing = conditions.failing
     engine.failing = failing and replace(failing.pick(np.arange(R)), latched=False)
     method.start(R)
+    engine.code = method.code
     engine.begin(R)
     states[0] = x = conditions.x0
     for k in range(D):
@@ -141,7 +142,7 @@ def fly(
                 flying = np.where(failing.by_s(node), 0, flying)
             desired = engine.desired(preferred, node, x, conditions.w[node]) if i else wanted
             x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
-            states[node + 1], modes[node] = x, flying
+            states[node + 1], modes[node] = x, flying if engine.code is None else engine.code.modes
             delta_v += spent * engine.dt / system.mass
             deviation += np.linalg.norm(inputs[node] - desired, axis=1)
     return Flight(
@@ -168,7 +169,6 @@ class Engine(Integrator):
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), 1)
         self.thrusters = self.system.on_time if len(self.fired) else self.system.thrusters
         self._asked: dict[int, Array] = {}
-        self._rows: slice | NDArray[np.bool_] = slice(None)
 
     def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
         """Clipped command of a law that sees states with the errors that are among what disturbs.
@@ -186,7 +186,7 @@ class Engine(Integrator):
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """As `Integrator.command`; black boxes have answered in `desired`."""
         if number in self._asked:
-            return self._asked[number][self._rows]
+            return self._asked[number][self.rows]
         return super().command(number, k, at, x)
 
     def step(
@@ -198,7 +198,7 @@ class Engine(Integrator):
             return self._under(int(present[0]), node, u, x, w)
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
-            self._rows = chosen = flying == mode
+            self.rows = chosen = flying == mode
             left, self.left = self.left, None if self.left is None else self.left[chosen]
             if (failing := self.failing) is not None:
                 self.failing = replace(failing.pick(chosen), gap=failing.gap[chosen])
@@ -209,7 +209,7 @@ class Engine(Integrator):
                 left[chosen], self.left = self.left, left
             if failing is not None and self.failing is not None:
                 failing.gap[chosen], self.failing = self.failing.gap, failing
-        self._rows = slice(None)
+        self.rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:

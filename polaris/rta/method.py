@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..model.checks import non_negative, number
 from ..model.errors import NotCertified
 from ..model.system import Array
+from ..simulation.on_board import FlightCode
 from ..synthesis.controllers.black_box import BlackBox
 from .decision_grid import DecisionGrid
 
@@ -144,6 +145,8 @@ class Method(ABC):
         Where it stands in tables.
     settings : dict of str to float
         What it was tuned with.
+    code : FlightCode or None
+        Compiled flight code that decides and commands at every node.
     """
 
     key: str
@@ -157,6 +160,7 @@ class Method(ABC):
     delayed: ClassVar[bool] = True
     predicts: ClassVar[bool] = False
     place: ClassVar[int] = 100
+    code: FlightCode | None = None
 
     def __init_subclass__(cls) -> None:
         if "key" in vars(cls):

@@ -14,6 +14,7 @@ from ..synthesis.controllers.controllers import AffineController, AnyThrust
 from ..synthesis.controllers.neural import NeuralController
 from ..synthesis.schedule.schedule import Schedule
 from .firing import Firing
+from .on_board import FlightCode
 from .run_metrics import Runs
 
 
@@ -34,8 +35,12 @@ class Integrator(Firing):
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
     is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of satellites at
-    the nodes, by name (R, N+1, n), it is the truth. Pulses and jitter are flown exactly.
+    the nodes, by name (R, N+1, n), it is the truth. Pulses and jitter are flown exactly. Flight
+    `code`, if any, decides and commands; `rows` are the flights of it that a call is about.
     """
+
+    code: FlightCode | None = None
+    rows: slice | NDArray[np.bool_] = slice(None)
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
@@ -94,6 +99,22 @@ class Integrator(Firing):
     def steps(self) -> int:
         """Number of integration steps."""
         return len(self.modes) * self.steps_per_cell
+
+    def begin(self, runs: int) -> None:
+        """Flight code knows of no flight before."""
+        super().begin(runs)
+        if self.code is not None:
+            self.code.start(runs)
+
+    def commanded(self, number: int, k: int, at: int, x: Array) -> Array:
+        """As `command`; flight code is handed that command if it is U's, and answers with its own."""
+        u, step = self.command(number, k, at, x), k * self.steps_per_cell + at
+        if self.code is None:
+            return u
+        seen = self.estimate(step, x[:, : self.system.n])
+        relieved = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.by_s(step)
+        whose = np.where(relieved, 0, number)
+        return self.code.step(step // self.substeps, seen, whose, u, self.rows)
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """Command before clipping, shape (R, m), at the start of step `at` of cell k."""
@@ -170,7 +191,7 @@ class Integrator(Firing):
         """
         limit = self.system.u_max
         begin, spent = place * self.substeps, np.zeros(len(x))
-        raw = self.command(number, k, begin, x)
+        raw = self.commanded(number, k, begin, x)
         demanded = np.max(np.abs(raw) / limit, axis=1)
         u, held = self.applied(raw, k * self.steps_per_cell + begin), np.clip(raw, -limit, limit)
         self.start(k * self.steps_per_cell + begin)
@@ -234,7 +255,7 @@ class Integrator(Firing):
         is what `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        parts = self.thrust, self.left, self.failing, self.system.nozzles, self.system.sights
+        parts = self.code, self.thrust, self.left, self.failing, self.system.nozzles, self.system.sights
         inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None

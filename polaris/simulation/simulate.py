@@ -14,6 +14,7 @@ from .delayed import Predicting, flies
 from .disturbances import Disturbance, disturbances, limit_rows
 from .failing import in_every_second
 from .integration import Integrator
+from .on_board import FlightCode
 from .run_metrics import Runs
 
 Initial = Literal["center", "random", "corners", "mixed"]
@@ -30,6 +31,7 @@ def simulate(
     disturbance: Disturbance = "failing",
     tail: bool = False,
     substeps: int = 1,
+    code: FlightCode | None = None,
 ) -> Runs:
     """Fly the schedule, or one controller alone, many times at once.
 
@@ -50,6 +52,8 @@ def simulate(
         Fly S on along the coasting tail after T.
     substeps : int, optional
         Steps per control period, over each of which a disturbance is constant. All are exact, pulses too.
+    code : FlightCode, optional
+        Compiled flight code that decides and commands in place of the schedule.
 
     Returns
     -------
@@ -63,8 +67,11 @@ def simulate(
     one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
+    if mode is not None and code is not None:
+        raise ScenarioError("simulation.mode", mode, "must be left out where flight code decides")
     rng = np.random.default_rng(seed)
     flight = flies(schedule.safety.problem.system)(schedule, flown_modes(schedule, tail, mode), substeps)
+    flight.code = code and code.of(schedule)
     if isinstance(flight, Predicting):
         flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)

@@ -1,5 +1,6 @@
 """Scenes for the tests of run-time methods, each made once."""
 
+import shutil
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,8 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods import METHODS
+from polaris.simulation.on_board import COMPILERS
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.problem import Problem
@@ -17,6 +20,12 @@ from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.sets.zonotope import Zonotope
 
 from ..kept import printed
+
+COMPILED = ("code",) if any(map(shutil.which, COMPILERS)) else ()
+"""Methods that need a C compiler, where there is one."""
+
+MADE = {key: one for key, one in METHODS.items() if key in COMPILED or key != "code"}
+"""Methods that can be made here."""
 
 
 def robot():

@@ -12,10 +12,10 @@ from polaris.rta.methods.asif_explicit import ExplicitASIF
 from polaris.rta.methods.asif_implicit import ImplicitASIF
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.methods.simulation import Simulation
-from tests.rta.scenes import scene
+from tests.rta.scenes import COMPILED, MADE, scene
 
 BUFFERED = [key for key, one in METHODS.items() if any(option.name == "buffer" for option in one.options)]
-PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
+PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit", *COMPILED)
 SETTINGS = {
     "chosen": {},
     "given": {"feedback": 0.1, "period": 0.5},
@@ -207,7 +207,7 @@ def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier(slope):
 def test_same_conditions_give_the_same_flights():
     made = scene("robot", period=0.25)
     conditions = Conditions.draw(made, 2, 5)
-    for key, make in METHODS.items():
+    for key, make in MADE.items():
         first, again = (fly(made, make(made), conditions) for _ in range(2))
         assert np.array_equal(first.states, again.states), key
     other = Conditions.draw(made, 2, 6)
@@ -218,7 +218,7 @@ def test_same_conditions_give_the_same_flights():
 def test_a_run_does_not_depend_on_its_neighbours():
     made = scene("robot", period=0.25, half=0.005)
     conditions = Conditions.draw(made, 3, 5)
-    for key, make in METHODS.items():
+    for key, make in MADE.items():
         together = fly(made, make(made), conditions)
         alone = fly(made, make(made), conditions.only(2))
         assert np.allclose(together.states[2], alone.states[0], atol=1e-7), key

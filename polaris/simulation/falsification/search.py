@@ -12,6 +12,7 @@ from reach.brief import brief
 from ...model.checks import of_kind, whole
 from ...model.system import Array
 from ...synthesis.schedule.schedule import Schedule
+from ..on_board import FlightCode
 from ..run_metrics import Runs
 from .aborting import aborted, exceeded
 from .attacks import Attack, Attacker
@@ -95,7 +96,11 @@ class Falsification:
 
 
 def falsify(
-    schedule: Schedule, runs: int = 10_000, seed: int = 0, progress: Callable[[int, int], None] | None = None
+    schedule: Schedule,
+    runs: int = 10_000,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    code: FlightCode | None = None,
 ) -> Falsification:
     """Search for a run that breaks what a schedule claims.
 
@@ -108,6 +113,8 @@ def falsify(
         Same seed, same search.
     progress : callable, optional
         Called with (trajectories flown, trajectories in all).
+    code : FlightCode, optional
+        Compiled flight code that flies in place of the schedule; aborts are not part of it.
 
     Returns
     -------
@@ -117,24 +124,29 @@ def falsify(
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("falsify.runs", runs, 1)
     whole("falsify.seed", seed, 0)
-    return _Search(schedule, runs, np.random.default_rng(seed)).run(progress)
+    return _Search(schedule, runs, np.random.default_rng(seed), code).run(progress)
 
 
 class _Search:
-    def __init__(self, schedule: Schedule, runs: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, schedule: Schedule, runs: int, rng: np.random.Generator, code: FlightCode | None
+    ) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
         self.main = Attacker.of(schedule, False, rng)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.tail = Attacker.of(schedule, True, rng) if proven_after else None
         transients = schedule.safety.problem.system.transients
         self.failing = Attacker.of(schedule, proven_after, rng, True) if transients else None
+        self.code = code and code.of(schedule)
+        for attacker in filter(None, (self.main, self.tail, self.failing)):
+            attacker.flight.code = self.code
         limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
         claimed = (self.tail or self.main).claims.floor
         self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=0)
         self.elites: dict[int, tuple[Attack, Array]] = {}
         self.last: tuple[Runs, Attained] | None = None
-        ways = () if schedule.powered is None else schedule.powered.ways
+        ways = () if schedule.powered is None or code else schedule.powered.ways
         self.aborts = [k for k, way in enumerate(ways) if way.branch is not None]
         self.abort: int | None = None
         self.spent = 0.0
@@ -193,7 +205,7 @@ class _Search:
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
             alone = attack.pick(np.array([run]))
-            if (failure := confirm(claims, alone)) is not None:
+            if (failure := confirm(claims, alone, self.code)) is not None:
                 return failure, (alone, claims.tail)
         return None
 

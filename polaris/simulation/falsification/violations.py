@@ -7,6 +7,7 @@ import numpy as np
 
 from ...synthesis.safety.recoverable import directed
 from ..delayed import flies
+from ..on_board import FlightCode
 from ..run_metrics import Runs
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
@@ -98,7 +99,8 @@ def overspent(runs: Runs) -> tuple[Failure, int]:
     return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, most), run
 
 
-def confirm(claims: Claims, attack: Attack) -> Failure | None:
+def confirm(claims: Claims, attack: Attack, code: FlightCode | None = None) -> Failure | None:
     """Fly one attack again, alone; return its violation, or None if there is none."""
     flight = flies(claims.system)(claims.schedule, claims.modes, 1)
+    flight.code = code
     return violation(claims, attained(claims, attack.fly(flight), attack.failing))

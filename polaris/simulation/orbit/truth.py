@@ -17,6 +17,7 @@ from ..delayed import Predicting
 from ..disturbances import disturbances, limit_rows
 from ..failing import drawn
 from ..integration import Integrator
+from ..on_board import FlightCode
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
 from .environment import MU, Environment
@@ -58,6 +59,7 @@ def fly_true(
     initial: Initial = "mixed",
     tail: bool = False,
     substeps: int = 4,
+    code: FlightCode | None = None,
 ) -> TrueFlights:
     """Fly a schedule in the nonlinear motion, many times at once.
 
@@ -81,6 +83,8 @@ def fly_true(
         Fly S on along the coasting tail after T.
     substeps : int
         Steps of the fourth-order Runge-Kutta scheme per node.
+    code : FlightCode, optional
+        Compiled flight code that decides and commands in place of the schedule.
     """
     rng = np.random.default_rng(seed)
     modes = flown_modes(schedule, tail)
@@ -93,6 +97,7 @@ def fly_true(
     prompt = system.timing.instant and system.observer is None
     lost = any(not len(fault.thrust) for fault in system.transients)
     flight = (_TrueMotion if prompt and not lost else _Predicting)(schedule, modes, substeps)
+    flight.code = code and code.of(schedule)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
     if system.transients:

@@ -1,0 +1,210 @@
+"""Flight code as a shared library: the compiled step function flies many flights at once."""
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.linear import discretize
+
+from ..certificate.code.answers import CLIPPED
+from ..certificate.code.text import PRECISIONS, Tables, files, parsed
+from ..model.errors import PolarisError, ScenarioError
+from ..model.system import Array
+from ..synthesis.schedule.schedule import Schedule
+
+COMPILERS = "cc", "gcc", "clang"
+FLAGS = "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC"
+PAST = 1e-3
+REALS = dict(zip(PRECISIONS, (np.float64, np.float32), strict=True))
+
+LOOP = """#include "{0}.h"
+const int32_t sizes[] = {{sizeof({0}_memory), sizeof({0}_input), sizeof({0}_output)}};
+void start(int32_t runs, {0}_memory *memory)
+{{
+    for (int32_t i = 0; i < runs; i++) {{ {0}_start(&memory[i]); }}
+}}
+void step(int32_t runs, {0}_memory *memory, const {0}_input *input, {0}_output *output)
+{{
+    for (int32_t i = 0; i < runs; i++) {{ {0}_step(&memory[i], &input[i], &output[i]); }}
+}}
+"""
+
+
+class FlightCode:
+    """Compiled flight code, and what it keeps of R flights.
+
+    Parameters
+    ----------
+    folder : path
+        Header and source, as `polaris export c` writes them.
+
+    Attributes
+    ----------
+    tables : Tables
+    precision : str
+    modes : ndarray of int, shape (R,)
+        Newest modes that it answered with.
+    answers : Counter
+        Number of all answers by mode and fault.
+
+    Raises
+    ------
+    ScenarioError
+        If the folder does not hold what `polaris export c` writes.
+    PolarisError
+        If there is no C compiler, or it refuses the code.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        try:
+            (header,) = Path(folder).glob("*.h")
+            prefix, source = header.stem, header.with_suffix(".c")
+            self.tables, self.precision, _ = parsed(header.read_text(), source.read_text(), prefix)
+        except (OSError, ValueError) as error:
+            raise ScenarioError("code", str(folder), f"must be a folder of flight code: {error}") from error
+        n, m, real = len(self.tables.range), len(self.tables.limit), REALS[self.precision]
+        given = [("period", "i4"), ("controller", "i4"), ("state", real, n), ("command", real, m)]
+        answer = [("mode", "i4"), ("fault", "u4"), ("command", real, m), ("margin", real)]
+        self._input, self._output = np.dtype(given, align=True), np.dtype(answer, align=True)
+        with tempfile.TemporaryDirectory() as scratch:
+            self._library = _compiled(prefix, source, Path(scratch))
+        size, *others = (ctypes.c_int32 * 3).in_dll(self._library, "sizes")
+        if others != [self._input.itemsize, self._output.itemsize]:
+            raise PolarisError(f"{source}: its structures are laid out otherwise than here")
+        self._memory = np.zeros((0, size), dtype=np.uint8)
+        self.modes: NDArray[np.int_] = np.zeros(0, dtype=int)
+        self.answers: Counter[tuple[int, int]] = Counter()
+
+    def of(self, schedule: Schedule) -> "FlightCode":
+        """Return the code, unless it is that of another schedule: then raise `ScenarioError`."""
+        states = schedule.safety.problem.system.n
+        if self.tables.modes != schedule.modes.tolist() or len(self.tables.range) != states:
+            raise ScenarioError("code", self.tables.sizes, "is the flight code of another schedule")
+        return self
+
+    def start(self, runs: int) -> None:
+        """Begin so many flights."""
+        self._memory = np.zeros((runs, self._memory.shape[1]), dtype=np.uint8)
+        self.modes = np.zeros(runs, dtype=int)
+        self._library.start(runs, self._memory.ctypes)
+
+    def step(self, period: int, states: Array, controllers: Any, commands: Array, rows: Any = ...) -> Array:
+        """Answer the call of a control period in some of the flights.
+
+        Parameters
+        ----------
+        period : int
+        states : ndarray, shape (r, n)
+            Estimates that the scenario declares.
+        controllers : int or ndarray of int, shape (r,)
+            Experimental controllers whose commands are handed over; 0 if there is none.
+        commands : ndarray, shape (r, m)
+            Their commands [N].
+        rows : index, optional
+            Flights that are called, r of them; default all.
+
+        Returns
+        -------
+        ndarray, shape (r, m)
+            Commands [N]; one of S that was clipped is past its limits by `PAST`, as it must never be.
+        """
+        given, answer = (np.zeros(len(states), dtype=each) for each in (self._input, self._output))
+        given["period"], given["controller"] = period, controllers
+        given["state"], given["command"] = states, commands
+        memory = np.ascontiguousarray(self._memory[rows])
+        self._library.step(len(given), memory.ctypes, given.ctypes, answer.ctypes)
+        self._memory[rows], self.modes[rows] = memory, answer["mode"]
+        self.answers.update(zip(answer["mode"].tolist(), answer["fault"].tolist(), strict=True))
+        clipped = (answer["mode"] == 0) & (answer["fault"] & CLIPPED > 0)
+        return answer["command"].astype(float) * (1 + PAST * clipped[:, None])
+
+
+def _compiled(prefix: str, source: Path, scratch: Path) -> ctypes.CDLL:
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler is None:
+        raise PolarisError(f"flight code needs a C compiler, and none of {', '.join(COMPILERS)} is here")
+    loop, out = scratch / "loop.c", scratch / "flight.so"
+    loop.write_text(LOOP.format(prefix))
+    command = [compiler, *FLAGS, f"-I{source.parent}", str(source), str(loop), "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise PolarisError(f"{source}: the compiler says {done.stderr.strip()[:200]}")
+    return ctypes.CDLL(str(out))
+
+
+def code_of(schedule: Schedule, precision: str = "double") -> FlightCode:
+    """Compile the flight code of a proved schedule, whose certificate is not asked for.
+
+    Raises
+    ------
+    ScenarioError
+        If the schedule is not proved, or a thrust limit is 0.
+    PolarisError
+        As of `FlightCode`.
+    """
+    safety = schedule.safety
+    tracking, reference = safety.tracking, safety.reference
+    system, forever = tracking.system, safety.end.horizon != "none"
+    check_flyable(schedule.guarantee, system.u_max.tolist())
+    plan = schedule.modes.tolist(), reference.chi.tolist(), reference.nu.tolist()
+    sampling = tracking.flow.h, tracking.feedback.nodes_per_cell
+    made = tables_of(system.A, system.B, *sampling, *plan, tracking.gain.tolist(), system.u_max, forever)
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, text in files(made.rounded(precision), "flown", precision, "0" * 64).items():
+            (Path(scratch) / name).write_text(text)
+        return FlightCode(scratch)
+
+
+def check_flyable(guarantee: str, limits: Sequence[float]) -> None:
+    """Raise `ScenarioError` if a guarantee is not "proved", or a thrust limit is 0."""
+    if guarantee != "proved":
+        rule = "must be 'proved' to fly: steps of black boxes rest on samples"
+        raise ScenarioError("guarantee", guarantee, rule)
+    if not min(limits) > 0:
+        raise ScenarioError("input_max", list(limits), "must be above 0 in every input to fly")
+
+
+def tables_of(
+    A: Any,
+    B: Any,
+    h: float,
+    q: int,
+    modes: list[int],
+    states: list[list[float]],
+    inputs: list[list[float]],
+    gain: list[list[float]],
+    limit: Any,
+    forever: bool,
+) -> Tables:
+    """Return the tables of a schedule in double precision, whose steps are q control periods of h [s]."""
+    parts = [discretize(np.array(A), np.array(B), h * i) for i in range(q)]
+    cells, steps = len(inputs), len(modes)
+    return Tables(
+        covered=(cells if forever else steps) * q,
+        modes=modes,
+        waypoints=states[:cells],
+        feed=inputs[:steps],
+        moved=[moved.tolist() for moved, _ in parts],
+        pushed=[pushed.tolist() for _, pushed in parts],
+        gain=gain,
+        limit=list(map(float, limit)),
+        range=booked_range(np.array(states), np.array(gain), np.array(limit)).tolist(),
+    )
+
+
+def booked_range(states: Array, gain: Array, limit: Array) -> Array:
+    """Return the range of states for which rounding is bounded: the reference's, and errors about it.
+
+    Errors (n,) are twice those of each state that alone would ask for a thrust limit.
+    """
+    with np.errstate(divide="ignore"):
+        errors = (2 * limit[:, None] / np.abs(gain)).min(axis=0)
+    return np.asarray(np.minimum(np.abs(states).max(axis=0) + errors, 1e6))
