@@ -1,4 +1,4 @@
-"""What is released: a wheel made of the source archive, installed in environments that have nothing else."""
+"""Releases: a wheel made of the source archive, installed in environments that have nothing else."""
 
 import os
 import shutil

@@ -240,7 +240,7 @@ def proven_distance(picture: Picture, limit: StateLimit | None = None) -> Array 
 
 
 def _bow(picture: Picture, tube: TubePicture, M: Array) -> Array:
-    """Bound the distance of M x from the hull of the ends of a period, in the tube and about the reference."""
+    """Bound how far M x is from the hull of the ends of a period, in the tube and about the reference."""
     q, system, reference = tube.bow.shape[1], picture.system, picture.reference
     inputs = (reference.nu[: picture.planned] @ system.B.T)[:, None, :]
     rate = reference.fine(q)[: picture.planned, :-1] @ system.A.T + inputs
