@@ -131,7 +131,7 @@ def test_random_scenes_spend_no_more_than_is_proven_under_any_constant(tmp_path)
     for seed in range(5000, fewer(5060, 5030)):
         path = tmp_path / f"{seed}.toml"
         path.write_text(random_scenario(seed), encoding="utf-8")
-        given = [WRONG[0], WRONG[1], NEVER, "recoverable.recourse=none", "simulation.runs=1"]
+        given = [WRONG[0], WRONG[1], NEVER, "recoverable.recourse=none", "planner.time_limit_s=1e6"]
         given += CARRIED if seed % 2 else ()
         try:
             scenario = load_scenario(path, given)

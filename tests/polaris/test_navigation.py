@@ -333,7 +333,9 @@ def test_forged_observers_are_refused(more, tmp_path):
         return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": changed})})
 
     half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
-    less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
+    less = {"estimate_error": [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]}
+    if by_step := data.get("error_by_step"):
+        less["error_by_step"] = [[(float.fromhex(x) * 0.999).hex() for x in row] for row in by_step]
     if MISSED in more:
         after = [
             [[(float.fromhex(x) / 2).hex() for x in row] for row in M] for M in data["observer"]["after"]
@@ -355,12 +357,10 @@ def test_forged_observers_are_refused(more, tmp_path):
             for change in ({"by_age": first}, {"by_age": later}, {"ages": sooner}, {"followed": 0}):
                 assert judged(change).outcome == "REJECTED", change
     elif more:
-        rows = [[(float.fromhex(x) * 0.999).hex() for x in row] for row in data["error_by_step"]]
-        less = {"estimate_error": less, "error_by_step": rows}
         for key in ("settled", "initial"):
             smaller = [(float.fromhex(x) * 0.99).hex() for x in data["observer"][key]]
             assert judged({key: smaller}).outcome == "REJECTED"
-    for verdict in (judged({"gain": half}), judged(**(less if more == FORGED else {"estimate_error": less}))):
+    for verdict in (judged({"gain": half}), judged(**less)):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
     if more != FORGED:  # errors that are stated twice: nothing would verify these
