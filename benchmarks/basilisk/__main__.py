@@ -35,7 +35,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.on_board import FlightCode
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular
-from polaris.simulation.run_metrics import cubic
+from polaris.simulation.run_metrics import held_path
 
 from .onboard import FlightSoftware, held
 from .world import Errors, Flight, absolute, fly, inertial
@@ -162,10 +162,10 @@ class Scene:
         )
 
     def distance(self, times: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> float:
-        """Least to any unsafe set [m], along cubics between the control periods."""
-        h, s = times[1], np.linspace(0, 1, 8, endpoint=False)[:, None]
-        ends = x[:-1, None, :3], x[1:, None, :3], h * x[:-1, None, 3:], h * x[1:, None, 3:]
-        path, when = cubic(*ends, s).reshape(1, -1, 3), (times[:-1, None] + h * s[:, 0]).ravel()
+        """Least to any unsafe set [m], along held inputs between the control periods."""
+        h, s = times[1], np.linspace(0, 1, 8, endpoint=False)
+        path = held_path(self.system, h, x[:-1], x[1:], s)[..., :3].reshape(1, -1, 3)
+        when = (times[:-1, None] + h * s).ravel()
         sets = self.scenario.obstacles()
         truth = true_states(sets, self.system, when, 1, rng)
         return float(signed_distances(sets, when, path, self.system, truth).min())

@@ -4,10 +4,11 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from flint import arb
+from flint import arb, fmpq
 
 from .assumptions import hand_over
 from .claims.joint import Joint
@@ -15,17 +16,16 @@ from .files.document import Document, digest, untrusted
 from .files.file_keys import BOUND, NOT_NEGATIVE, TEXT, VECTOR
 from .files.scenario_keys import NAME
 from .files.structure import LARGEST_SCENARIO, Items, Named, Whole, conform, contents, sha256, strict_json
-from .kernel.balls import plain
+from .kernel.balls import dot, plain
 from .kernel.verdict import Failed, Record, Rejected
 from .model.plants import plant_of
+from .model.state_limits import turned
 from .model.timing import owed
 
 FORMAT = "polaris-mission"
 CERTIFICATE, SCENARIO, SUMMARY = "certificate.json", "scenario.toml", "summary.json"
-OWN, OF_MISSION = (
-    ("kind", "legs"),
-    ("stay_s",),
-)  # keys at the top that no leg has, and of a leg that its run has not
+OWN = "kind", "legs"  # keys at the top that no leg has
+SETS = "obstacles", "keep_in"  # tables of sets, some of which may move
 PLACED = 1e-9  # rounding of places of moving sets, and of instants, relative to their size
 
 _NODES = Items(Items(Whole(), 2, 2))
@@ -81,9 +81,8 @@ def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run:
     legs = _legs(mission, stated, folder)
     if len(stated["joints"]) != len(legs) - 1:
         raise Rejected("legs", "there must be a joint between any two legs")
-    if stated["assumptions"] != list(
-        hand_over(any(map(_moves, legs)), any(leg.document.allocation for leg in legs))
-    ):
+    assumed = hand_over(any(map(_moves, legs)), any(leg.document.allocation for leg in legs))
+    if stated["assumptions"] != list(assumed):
         raise Rejected("assumptions", "the mission rests on other assumptions than those of its format")
     trusted = dict.fromkeys(stated["assumptions"])
     record.holds("legs", ", then ".join(leg.name for leg in legs))
@@ -125,9 +124,8 @@ def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -
         data = untrusted(own / CERTIFICATE)
         document = Document(data)
         if data["digest"] != known["digest"]:
-            raise Rejected(
-                "legs", f"the run of leg {known['name']} is not the one that the mission was made of"
-            )
+            told = f"the run of leg {known['name']} is not the one that the mission was made of"
+            raise Rejected("legs", told)
         heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
         scenario = {**shared, **heading, **spec}
         stay = _number(scenario.pop("stay_s", 0.0))
@@ -146,37 +144,48 @@ def _number(x: Any) -> Fraction:
 
 def _same(asked: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
     """Refuse a run of another scenario; sets that move are where they are when the leg starts."""
-    rest = [{key: value for key, value in each.items() if key != "obstacles"} for each in (asked, run)]
-    sets = [each.get("obstacles", []) for each in (asked, run)]
-    if rest[0] != rest[1] or len(sets[0]) != len(sets[1]):
+    rest = [{key: x for key, x in each.items() if key not in SETS} for each in (asked, run)]
+    sets = [[each.get(key, []) for key in SETS] for each in (asked, run)]
+    if rest[0] != rest[1] or [*map(len, sets[0])] != [*map(len, sets[1])]:
         raise Rejected("legs", f"the run of leg {name} is of another scenario than the mission says")
-    for a, b in zip(*sets, strict=True):
-        place = "offsets_m" if a.get("kind") == "polytope" else "center_m"
-        still = [{key: value for key, value in each.items() if key != place} for each in (a, b)]
-        moved = _place(a, place, start)
-        there = b.get(place) if moved is None else [Fraction(x) for x in b.get(place, ())]
-        if still[0] != still[1] or (moved is None and a.get(place) != there):
+    for a, b in zip(*(chain(*each) for each in sets), strict=True):
+        places = _places(a, start)
+        if {**a, **dict.fromkeys(places)} != {**b, **dict.fromkeys(places)}:
             raise Rejected("legs", f"leg {name}: {a.get('name')} is another set than in the mission")
-        for x, y in zip(moved or (), there, strict=True) if moved is not None else ():
-            if abs(x - y) > PLACED * (1 + abs(x)):
-                message = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
-                raise Rejected("legs", message, float(abs(x - y)))
+        for key, place in places.items():
+            for x, y in zip(place, _flat(b.get(key, 0.0)), strict=True):
+                if not abs(x - y) <= PLACED * (1 + abs(x)):
+                    message = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
+                    raise Rejected("legs", message, float(abs(x - y).mid()))
 
 
-def _place(obstacle: Mapping[str, Any], place: str, t: Fraction) -> list[Fraction] | None:
-    """Return where a set at a constant velocity is at a time; None for any other."""
-    v = [Fraction(x) for x in obstacle.get("velocity_m_s") or ()]
-    if obstacle.get("kind") == "satellite" or not any(v):
-        return None
-    rows = obstacle["normals"] if place == "offsets_m" else None
-    along = v if rows is None else [sum(Fraction(a) * x for a, x in zip(row, v, strict=True)) for row in rows]
-    return [Fraction(x) + y * t for x, y in zip(obstacle[place], along, strict=True)]
+def _flat(table: Any) -> list[float]:
+    """Return the numbers of a key of a scenario, row by row."""
+    return [x for each in table for x in _flat(each)] if isinstance(table, list) else [table]
+
+
+def _places(table: Mapping[str, Any], start: Fraction) -> dict[str, list[arb]]:
+    """Return the numbers that say where a set is that moves or turns, at a time [s]; none of any other."""
+    t, v = arb(fmpq(start.numerator, start.denominator)), [arb(x) for x in table.get("velocity_m_s") or ()]
+    if table.get("kind") == "turning":
+        angle, off = table["rate_rad_s"] * t, table.get("rate_error_rad_s", 0.0) * t * 180 / arb.pi()
+        sides = [[arb(x) for x in row] for row in table["normals"]]
+        normals = [x for side in sides for x in turned(side, table.get("axis"), angle)]
+        return {"normals": normals, "angle_error_deg": [table.get("angle_error_deg", 0.0) + off]}
+    if table.get("kind") == "satellite" or not any(table.get("velocity_m_s") or ()):
+        return {}
+    if table.get("kind") == "polytope":
+        moved = [dot([arb(a) for a in row], v) for row in table["normals"]]
+        return {"offsets_m": [b + x * t for b, x in zip(table["offsets_m"], moved, strict=True)]}
+    return {"center_m": [x + y * t for x, y in zip(table["center_m"], v, strict=True)]}
 
 
 def _moves(leg: Leg) -> bool:
-    """Return True if a leg has a set that moves."""
-    sets = leg.scenario.get("obstacles", ())
-    return any(each["kind"] == "satellite" or any(each.get("velocity_m_s") or ()) for each in sets)
+    """Return True if a leg has a set that moves or turns."""
+    sets = (each for key in SETS for each in leg.scenario.get(key, ()))
+    return any(
+        each["kind"] in ("satellite", "turning") or any(each.get("velocity_m_s") or ()) for each in sets
+    )
 
 
 def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
@@ -283,11 +292,8 @@ def _no_less(what: str, claimed: float | None, derived: arb | None) -> None:
 def _check_summary(path: Path, stated: Mapping[str, Any]) -> None:
     """Refuse a summary that claims something else than the certificate."""
     if path.exists():
-        summary = strict_json(contents(path))
+        claims = strict_json(contents(path))["mission"]
         legs = [{key: value for key, value in leg.items() if key != "digest"} for leg in stated["legs"]]
-        for key, said in {**stated, "legs": legs}.items():
-            if (
-                key in ("legs", "joints", "delta_v_max_m_s", "assumptions")
-                and summary["mission"].get(key) != said
-            ):
+        for key in ("legs", "joints", "delta_v_max_m_s", "assumptions"):
+            if claims.get(key) != (legs if key == "legs" else stated[key]):
                 raise Rejected("summary", f"{key} in {path.name} is not what the certificate says")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from ..model import keys as f
 from ..model.errors import ScenarioError
+from ..model.scene.turning import turned
 from .base import SCHEDULE, Scenario, kept
 from .reading import parse_toml, write_toml
 from .schedule import ScheduleScenario
@@ -24,7 +28,7 @@ class Leg(ScenarioModel):
 
     stay_s: f.NonNegative = unit("s", default=0.0)
     """Planned time from the end of the leg's horizon until GO for the next one, a whole number of control
-    periods; S flies. Where a later leg has sets that move, GO is given at this instant or never."""
+    periods; S flies. Where a later leg has sets that move or turn, GO is given at this instant or never."""
 
 
 class MissionModel(Head):
@@ -41,9 +45,12 @@ def leg_document(mission: Mapping[str, Any], leg: Mapping[str, Any]) -> dict[str
     return copy.deepcopy({**shared, **given, **leg})
 
 
-def moves(obstacle: Mapping[str, Any]) -> bool:
-    """Return True if the table of an obstacle describes one that moves."""
-    return obstacle["kind"] == "satellite" or any(obstacle.get("velocity_m_s") or ())
+def moves(leg: Leg) -> bool:
+    """Return True if any set of a leg moves or turns."""
+    sets = (each.model_dump() for each in (*leg.obstacles, *leg.keep_in))
+    return any(
+        each["kind"] in ("satellite", "turning") or any(each.get("velocity_m_s") or ()) for each in sets
+    )
 
 
 class MissionScenario(Scenario):
@@ -106,8 +113,7 @@ class MissionScenario(Scenario):
 
     def fixed(self, i: int) -> bool:
         """Return True if GO after a leg is given at the planned instant or never: later sets move."""
-        later = (each for leg in self.model.legs[i + 1 :] for each in leg.obstacles)
-        return any(moves(each.model_dump(exclude_none=True)) for each in later)
+        return any(map(moves, self.model.legs[i + 1 :]))
 
     @kept
     def legs(self) -> tuple[ScheduleScenario, ...]:
@@ -118,8 +124,8 @@ class MissionScenario(Scenario):
     def _leg(self, document: dict[str, Any], i: int) -> ScheduleScenario:
         for key in OF_MISSION:
             document.pop(key, None)
-        for each in document.get("obstacles", ()):
-            if any(each.get("velocity_m_s") or ()):
+        for each in (*document.get("obstacles", ()), *document.get("keep_in", ())):
+            if i and (each.get("kind") == "turning" or any(each.get("velocity_m_s") or ())):
                 each |= advanced(each, self.starts(i))
         where = f"{self.source or 'mission'}, leg {document.get('name')}"
         text = None if self.text is None else write_toml(document)
@@ -135,7 +141,12 @@ class MissionScenario(Scenario):
 
 
 def advanced(obstacle: Mapping[str, Any], t: float) -> dict[str, Any]:
-    """Return the keys of the table of an obstacle at a constant velocity that say where it is at a time."""
+    """Return the keys of the table of a set that moves or turns that say where it is at a time [s]."""
+    if obstacle["kind"] == "turning":
+        angle, off = obstacle["rate_rad_s"] * t, obstacle.get("rate_error_rad_s", 0.0) * t
+        normals = np.add(*turned(np.array(obstacle["normals"], float), obstacle.get("axis"), np.array(angle)))
+        error = obstacle.get("angle_error_deg", 0.0) + math.degrees(off)
+        return {"normals": normals.tolist(), "angle_error_deg": error}
     v = obstacle["velocity_m_s"]
     if obstacle["kind"] == "polytope":
         along = [sum(a * x for a, x in zip(row, v, strict=True)) for row in obstacle["normals"]]

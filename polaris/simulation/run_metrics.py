@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reach.brief import brief
+from reach.numerics.linear import discretize
 
 from ..model.checks import of_kind
 from ..model.scene.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
@@ -19,6 +20,7 @@ from ..synthesis.schedule.schedule import Schedule
 from .failing import Failing
 from .metrics import Metrics
 
+PARTS = 8  # parts of a period in which limits on the whole state are looked at
 PART = 250  # runs evaluated at a time, to bound the memory used
 
 
@@ -104,8 +106,8 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
 
     Notes
     -----
-    The closest approach is refined between the nodes along cubics through the simulated positions
-    and velocities, and every chord between nodes is checked for having entered a set.
+    The closest approach is refined between the nodes along held inputs, every chord between nodes is checked
+    for having entered a set, and limits on the whole state are looked at within every period, too.
     """
     of_kind("runs", runs, Runs, "polaris.simulate")
     rng, who = np.random.default_rng(seed), _who(runs) if controller is None else controller
@@ -143,7 +145,10 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         starts = {name: states[:, ::q] for name, states in truth.items()}
         drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
         drift = drift.min(axis=(0, 2))
-    collided |= (signed_distances(limits, times, x, system) <= 0).any(axis=(0, 2))
+    for share in np.arange(len(limits) and PARTS) / PARTS:
+        within = held_path(system, h, x[:, :-1], x[:, 1:], np.array([share]))[..., 0, :]
+        collided |= (signed_distances(limits, times[:-1] + share * h, within, system) <= 0).any(axis=(0, 2))
+    collided |= (signed_distances(limits, times[-1:], x[:, -1:], system) <= 0).any(axis=(0, 2))
     who = runs.flown
     modes = who[:, ::q] if runs.failing is None else who
     return Metrics(
@@ -174,22 +179,17 @@ def _placed(unsafe: Iterable[Any]) -> tuple[tuple[Any, ...], tuple[StateLimit, .
     return tuple(item for item in unsafe if not isinstance(item, StateLimit)), limits
 
 
-def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest, parts: int = 8) -> Closest:
+def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest) -> Closest:
     """A closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
-    if np.any(system.position @ system.B) or np.any(system.position @ system.D):
-        return found  # the velocity is no function of the state
     node = np.clip(np.round(found.time / h).astype(int), 0, N)
     left = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
-    s = np.linspace(0.0, 1.0, parts + 1)
+    s = np.linspace(0.0, 1.0, PARTS + 1)
     run = np.arange(len(left))[:, None]
 
     def between(x: Array) -> Array:
-        """States from those at the nodes and their unforced rates: no input enters that of the position."""
-        a, b = x[run, left][..., None, :], x[run, left + 1][..., None, :]
-        path = cubic(a, b, h * a @ system.A.T, h * b @ system.A.T, s[:, None])
-        return path.reshape(len(x), -1, x.shape[-1])
+        return held_path(system, h, x[run, left], x[run, left + 1], s).reshape(len(x), -1, x.shape[-1])
 
     t = (times[left][..., None] + s * h).reshape(len(left), -1)
     states = {name: between(known) for name, known in truth.items()}
@@ -202,10 +202,16 @@ def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest, parts: int 
     return Closest(*(np.where(better, new, old) for new, old in pairs))
 
 
-def cubic(a: Array, b: Array, da: Array, db: Array, s: Array) -> Array:
-    """Hermite's cubic from a to b at the shares s of the way, with the slopes da and db at the ends."""
-    out = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * da
-    return np.asarray(out + s**2 * (3 - 2 * s) * b + s**2 * (s - 1) * db)
+def held_path(system: LinearSystem, h: float, before: Array, after: Array, shares: Array) -> Array:
+    """Return states (..., S, n) at shares (S,) of a period h [s] between the states (..., n) at its ends.
+
+    What is added to the free motion is constant: a held input, a held disturbance.
+    """
+    eye = np.eye(system.n)
+    carried, added = discretize(system.A, eye, h)
+    rate = (after - before @ carried.T) @ np.linalg.inv(added).T
+    parts = [discretize(system.A, eye, share * h) for share in shares]
+    return np.stack([before @ moved.T + rate @ pushed.T for moved, pushed in parts], axis=-2)
 
 
 def experimental_share(t: Array, modes: NDArray[np.int_]) -> Array:

@@ -202,6 +202,41 @@ def test_moving_sets_go_on_by_the_mission_s_clock(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "legs") and "trolley" in verdict.witness
 
 
+def test_sets_that_turn_go_on_by_the_mission_s_clock(tmp_path):
+    document = tour(stay_s=1.0)
+    document["legs"] = document["legs"][:2]
+    turning = {"normals": [[0.0, 1.0], [-3.0, 0.0]], "offsets_m": [9.0, 12.0], "rate_rad_s": 0.01}
+    turning |= {"rate_error_rad_s": 1e-4, "angle_error_deg": 0.5, "until_s": 13.0}
+    document["legs"][1]["keep_in"] = [{"kind": "turning", "name": "beam", **turning}]
+    folder = run(written(document, tmp_path), tmp_path / "run").path
+    assert verify(folder).outcome == "VERIFIED"
+    data, mission = tree(folder)
+    beam = load_scenario(folder / "2-across" / "scenario.toml").model.keep_in[0]
+    c, s = np.cos(0.15), np.sin(0.15)
+    assert np.allclose(beam.normals, [[-s, c], [-3 * c, -3 * s]])
+    assert beam.angle_error_deg == pytest.approx(0.5 + np.degrees(15 * 1e-4))
+    assert data["joints"][0]["first"] == [[2, 2]] and data["joints"][0]["later"] == []
+    assert any(line.startswith("sets that move") for line in data["assumptions"])
+    late = json.loads(json.dumps(data))
+    late["joints"][0]["first"] = [[2, 3]]  # how far it has turned then, nobody has looked
+    summary_agrees(folder, late)
+    assert mended(folder, late).claim == "joint"
+    summary_agrees(folder, data)
+    for key, value in (
+        ("rate_rad_s", 0.0101),
+        ("rate_error_rad_s", 1.01e-4),
+        ("angle_error_deg", 0.51),
+        ("normals", beam.normals),
+        ("offsets_m", [8.9, 12.0]),
+        ("until_s", 14.0),
+    ):
+        other = json.loads(json.dumps(mission))
+        other["legs"][1]["keep_in"][0][key] = value
+        verdict = mended(folder, data, other)
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "legs"), key
+    assert mended(folder, data, mission).outcome == "VERIFIED"
+
+
 # -- attacks ----------------------------------------------------------------------------------------
 
 

@@ -36,6 +36,7 @@ from polaris.runs.picturing import picture_of
 from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.claims import Claims, attained
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -192,6 +193,30 @@ def test_runs_that_leave_a_limit_are_judged_so(limited):
     problem = schedule.safety.problem
     safety = replace(free.safety, problem=replace(free.safety.problem, unsafe=problem.unsafe))
     assert simulate(replace(free, safety=safety), 20, 1).metrics().collided.all()
+
+
+class Thin(Claims):
+    """Claims of a schedule about a set of states that lies between two nodes of a run."""
+
+    unsafe = ()
+
+
+def test_a_limit_that_is_left_between_two_nodes_alone_counts(limited):
+    scenario, schedule = limited
+    system, problem = scenario.system(), schedule.safety.problem
+    runs = simulate(schedule, 5, 1)
+    x = runs.states[0, :, 0]
+    period = np.argmax(np.diff(x))
+    middle, half = x[period : period + 2].mean(), 0.1 * np.diff(x)[period]
+    thin = StateObstacle("thin", [[1, 0, 0, 0], [-1, 0, 0, 0]], [middle + half, half - middle])
+    assert thin.signed_distance(runs.times, runs.states, system)[0].min() > 0
+    safety = replace(schedule.safety, problem=replace(problem, unsafe=(thin,)))
+    assert replace(runs, schedule=replace(schedule, safety=safety)).metrics().collided[0]
+    claims = Thin(schedule, False)
+    Thin.unsafe = thin.timed_polytopes(system, problem.delta, schedule.safety.reference.cells)
+    margins = attained(claims, runs)
+    assert margins.margin[0, 0] < 0
+    assert abs(margins.when[0, 0] - runs.times[period]) < runs.times[1]
 
 
 @pytest.fixture(scope="module")

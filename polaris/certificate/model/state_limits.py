@@ -78,9 +78,7 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
         middle = rate * (k + arb(0.5)) * delta
         for f, side in enumerate(sides):
             along, across, beside = _split(side, axis)
-            ends = [
-                _sum((1, along), (x.cos(), across), (x.sin(), beside)) for x in (middle - wide, middle + wide)
-            ]
+            ends = [turned(side, axis, x) for x in (middle - wide, middle + wide)]
             c, s = middle.cos() / wide.cos(), middle.sin() / wide.cos()
             length = dot(side, side).sqrt()
             for i, normal in enumerate((*ends, _sum((1, along), (c, across), (s, beside)))):
@@ -104,6 +102,12 @@ def _split(side: list[arb], axis: list[float] | None) -> tuple[list[arb], list[a
     about = [x / size for x in about]
     along = [x * dot(side, about) for x in about]
     return along, [x - y for x, y in zip(side, along, strict=True)], cross(about, side)
+
+
+def turned(side: list[arb], axis: list[float] | None, angle: arb) -> list[arb]:
+    """Return a normal turned by an angle [rad] about an axis; in the plane about the origin."""
+    along, across, beside = _split(side, axis)
+    return _sum((1, along), (angle.cos(), across), (angle.sin(), beside))
 
 
 def _sum(*terms: tuple[arb | int, list[arb]]) -> list[arb]:

@@ -46,6 +46,13 @@ class StateLimit(Obstacle):
 
     Distances are lengths [m], in which velocities count by `state_lengths`. The point that is navigated is
     limited, whatever the chaser's size.
+
+    Parameters
+    ----------
+    begins : float [s]
+        Time from which it holds.
+    ends : float [s], optional
+        Time until which it holds, at most the horizon; for ever without it.
     """
 
     begins: float
@@ -145,10 +152,6 @@ class KeepInStates(StateLimit):
         One row of n numbers per limit, for the states in their order (m, m/s).
     bounds : array_like, shape (F,)
         Bounds, F numbers, in the unit of the row times the state.
-    begins : float [s]
-        Time from which it holds.
-    ends : float [s], optional
-        Time until which it holds, at most the horizon; for ever without it.
     """
 
     name: Annotated[str, NAME]
@@ -176,21 +179,7 @@ class KeepInStates(StateLimit):
 
 @dataclass(frozen=True, eq=False)
 class StateObstacle(KeepInStates):
-    """A convex set of positions and velocities to stay out of: ``rows x <= bounds``.
-
-    Parameters
-    ----------
-    name : str
-        Its name in messages and figures.
-    rows : array_like, shape (F, n)
-        One row of n numbers per facet, for the states in their order (m, m/s).
-    bounds : array_like, shape (F,)
-        Bounds, F numbers, in the unit of the row times the state.
-    begins : float [s]
-        Time from which it holds.
-    ends : float [s], optional
-        Time until which it holds, at most the horizon; for ever without it.
-    """
+    """A convex set of positions and velocities to stay out of: ``rows x <= bounds``."""
 
     inside = False
 
@@ -218,10 +207,6 @@ class SpeedLimit(StateLimit):
     towards : array_like, shape (k, d)
         Directions d of which ``d r / |d|`` stands for the distance, k rows; those of velocities without it.
         In each step one of them is chosen.
-    begins : float [s]
-        Time from which it holds.
-    ends : float [s], optional
-        Time until which it holds, at most the horizon; for ever without it.
     """
 
     name: Annotated[str, NAME]
@@ -274,10 +259,6 @@ class SpeedPolygon(StateLimit):
         Number of sides.
     axes : array_like, shape (2,)
         Axes of the velocity that span the plane, counted from 0.
-    begins : float [s]
-        Time from which it holds.
-    ends : float [s], optional
-        Time until which it holds, at most the horizon; for ever without it.
     """
 
     name: Annotated[str, NAME]

@@ -46,8 +46,6 @@ class TurningKeepIn(StateLimit):
         Largest error of the rate, at any time.
     angle_error_rad : float [rad]
         Largest error of the angle at t = 0.
-    begins : float [s]
-        Time from which it holds.
     """
 
     name: Annotated[str, NAME]
@@ -78,13 +76,7 @@ class TurningKeepIn(StateLimit):
         return replace(self, b=np.asarray(self.b) - radius)
 
     def _turned(self, angles: Array) -> tuple[Array, Array]:
-        """Normals by angles (...): their parts along the axis (F, d) and across it, turned, (..., F, d)."""
-        H, s, c = np.asarray(self.H), np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
-        if self.axis is None:
-            return 0 * H, c * H + s * H[:, ::-1] * [-1.0, 1.0]
-        axis = np.asarray(self.axis, dtype=float) / np.linalg.norm(self.axis)
-        along = (H @ axis)[:, None] * axis
-        return along, c * (H - along) + s * np.cross(axis, H)
+        return turned(np.asarray(self.H), self.axis, angles)
 
     def polytopes(self, system: LinearSystem) -> list[tuple[Array, Array]]:
         """Return the outside of every side at t = 0."""
@@ -143,3 +135,13 @@ class TurningKeepIn(StateLimit):
             slack = self.b - np.einsum("...fd,...d->...f", along + turned, place)
             least = np.minimum(least, slack.min(axis=-1))
         return np.asarray(np.where(np.isinf(nominal), np.inf, least))
+
+
+def turned(H: Array, axis: ArrayLike | None, angles: Array) -> tuple[Array, Array]:
+    """Return parts of normals H (F, d) along the axis, and across it turned by angles [rad], (..., F, d)."""
+    s, c = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
+    if axis is None:
+        return 0 * H, c * H + s * H[:, ::-1] * [-1.0, 1.0]
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    along = (H @ unit)[:, None] * unit
+    return along, c * (H - along) + s * np.cross(unit, H)

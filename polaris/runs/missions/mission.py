@@ -122,9 +122,7 @@ def _claims(mission: MissionScenario, found: FlownMission) -> tuple[dict[str, An
         | {"assured": each.assured}
         for each in found.joints
     ]
-    moving = any(
-        moves(each.model_dump(exclude_none=True)) for leg in mission.model.legs for each in leg.obstacles
-    )
+    moving = any(map(moves, mission.model.legs))
     faulty = any(each.schedule.safety.problem.allocation is not None for each in found.legs)
     rest = {"joints": joints, "delta_v_max_m_s": total * (1 + MARGIN)}
     return rest | {"assumptions": list(hand_over(moving, faulty))}, legs

@@ -112,7 +112,7 @@ class Described(ScenarioPart):
 
     ``class Ball(Described, makes=BallObstacle, kind="ball", says="Ball.")`` is the table of `BallObstacle`,
     which `kind` chooses, a word that stands for what it `says`. Its docstring and the meaning of its fields
-    are taken from the docstring of the class.
+    are taken from the docstrings of the class and of its bases.
     """
 
     MAKES: ClassVar[Any]
@@ -121,10 +121,12 @@ class Described(ScenarioPart):
         super().__init_subclass__(**options)
         if makes is None:
             return
-        text = cleandoc(makes.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
-        about, _, rest = text.partition("\n\nParameters\n----------\n")
-        parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
-        means = {field: " ".join(said.split()) for field, said in parts}
+        means = dict[str, str]()
+        for each in makes.__mro__[::-1]:
+            text = cleandoc(each.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
+            about, _, rest = text.partition("\n\nParameters\n----------\n")
+            parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
+            means |= {field: " ".join(said.split()) for field, said in parts}
         defaults = {field.name: field.default for field in fields(makes)}
         model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
         for field, key in f.keys_of(makes).items():

@@ -17,7 +17,7 @@ from ...synthesis.schedule.schedule import Schedule
 from ..allocating import thrusts_of
 from ..failing import Failing
 from ..firing import begins
-from ..run_metrics import Runs, cubic
+from ..run_metrics import Runs, held_path
 from ..simulate import flown_modes
 
 PARTS = 8  # parts of a period in which it is looked at closely
@@ -79,15 +79,18 @@ class Claims:
         """How far what is carried takes flights at nodes from where the proof has them, shape (n,)."""
         return self.system.displaced_at_nodes * bool(self.system.timing.carried)
 
+    def grown(self, u: TimedPolytope, size: Array) -> Array:
+        """Return by how much a polytope grows [m] where states are so far from the proof's, (n,)."""
+        away = np.abs(u.rows(self.system)) @ size
+        return away if u.of_state else np.full_like(away, np.linalg.norm(np.abs(self.system.position) @ size))
+
     @cached_property
     def offsets(self) -> list[tuple[Array, Array]]:
         """Offsets of every polytope at the beginning and the end of every period, (periods, F) each [m].
 
         Without what the polytopes are grown by because of what is carried: that is flown.
         """
-        grown = np.linalg.norm(np.abs(self.system.position) @ self.moved)
-        sizes = (np.abs(u.normals) @ self.moved if u.of_state else grown for u in self.unsafe)
-        fine = [u.fine(self.q)[: self.cells] - size for u, size in zip(self.unsafe, sizes, strict=True)]
+        fine = [u.fine(self.q)[: self.cells] - self.grown(u, self.moved) for u in self.unsafe]
         return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
@@ -164,10 +167,9 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     x = runs.states.reshape(-1, system.n).T
-    smooth = not (np.any(system.position @ system.B) or np.any(system.position @ system.D))
     # How far a path may bow away from its chords, by the accelerations seen.
-    change = np.abs(np.diff(runs.states @ system.velocity.T, axis=1)).max(axis=(1, 2), keepdims=True)[:, 0]
-    bow = 2 * claims.h / 8 * np.sqrt(system.d) * change
+    change = np.abs(np.diff(runs.states, axis=1) @ system.A.T).max(axis=1) * claims.h / 4
+    change = change + (np.array(system.timing.pulsed) if system.timing.fired else 0.0)
     every = np.arange(shape[0])
     for o, u in enumerate(claims.unsafe):
         along = (u.rows(system) @ x).reshape(-1, *runs.states.shape[:2])
@@ -178,11 +180,13 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
         out.margin[:, o] = ends[every, best]
         out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
         out.below[:, o] = np.max(claims.floor[:, o] - ends, axis=1)
-        if smooth and not u.of_state:
-            few = min(LOOKED_AT, ends.shape[1])
-            near = np.argpartition(ends, few - 1, axis=1)[:, :few]
-            run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
-            _look_closer(claims, runs, o, run, near[run, place], out)
+        few, bow = (
+            min(LOOKED_AT, ends.shape[1]),
+            (change @ np.abs(u.rows(system)).T).max(axis=1, keepdims=True),
+        )
+        near = np.argpartition(ends, few - 1, axis=1)[:, :few]
+        run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
+        _look_closer(claims, runs, o, run, near[run, place], out)
     by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
     if failing is not None:
         by_s = by_s | np.array([failing.by_s(period) for period in range(len(by_s))])
@@ -195,19 +199,20 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
 def _look_closer(
     claims: Claims, runs: Runs, o: int, run: NDArray[np.intp], period: NDArray[np.intp], out: Attained
 ) -> None:
-    """Margins within some periods, along cubics through positions and velocities, and pulses about them."""
+    """Note margins within some periods, along held inputs from node to node, and pulses about them."""
     system, h, u = claims.system, claims.h, claims.unsafe[o]
-    s = np.linspace(0, 1, PARTS + 1)[1:-1, None]
-    ends = [runs.states[run, period + side][:, None] for side in (0, 1)]
-    (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
-    late = h * np.abs(system.velocity @ system.B) @ system.shifted  # jitter bends paths by no more
-    p, grown = cubic(a, b, da, db, s), float(np.linalg.norm(late))
+    s, rows = np.linspace(0, 1, PARTS + 1)[1:-1], u.rows(system)
+    ends = [runs.states[run, period + side] for side in (0, 1)]
+    x = held_path(system, h, *ends, s)
+    late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter bends by no more
+    grown = np.abs(rows) @ late
     if system.timing.fired:  # not, then, what the polytopes are grown by because of them
-        p = p + _pulsed(system, ends[0], ends[1], h, s)
+        x = x + _pulsed(system, *(end[:, None] for end in ends), h, s[:, None])
         sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
-        grown += float(np.diff([np.linalg.norm(np.abs(system.position) @ size) for size in sizes])[0])
+        grown += np.diff([claims.grown(u, size) for size in sizes], axis=0)[0]
+    s = s[:, None]
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
-    margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1) + grown
+    margin = np.max(x @ rows.T - ((1 - s) * left + s * right) + grown, axis=-1)
     best = np.argmin(margin, axis=1)
     least = margin[np.arange(len(margin)), best]
     order = np.argsort(-least)  # the least comes last and stays
@@ -218,7 +223,7 @@ def _look_closer(
 
 
 def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> Array:
-    """How far pulses take positions from where held inputs have them, at shares s of a period, (R, S, d).
+    """Return how far pulses take states from where held inputs have them, at shares s of a period, (R, S, n).
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.
     """
@@ -230,11 +235,12 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
     mean = mean if layout is None else thrusts_of(layout.allocation, mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)
     begin = begins(on, placed)
-    moved = np.clip(s - begin, 0.0, on) ** 2 + 2 * on * np.maximum(s - begin - on, 0.0)
-    ends = on * (2 - 2 * begin - on)  # where the cubic ends, as fast as it is there
-    force = np.sign(mean) * fired * (moved - cubic(0 * on, ends, 0 * on, 2 * on, s)) / 2
-    force = force if layout is None else force @ layout.allocation.directions
-    return np.asarray(force @ (system.velocity @ system.B).T * h**2)
+    made = np.clip(s - begin, 0.0, on)
+    moved = made**2 + 2 * on * np.maximum(s - begin - on, 0.0)
+    ends = on * (2 - 2 * begin - on)  # where the held path ends
+    force = np.sign(mean) * fired * np.array([made - on * s, (moved - on * s**2 - (ends - on) * s) / 2])
+    impulse, force = force if layout is None else force @ layout.allocation.directions
+    return np.asarray(impulse @ system.B.T * h + force @ (system.A @ system.B).T * h**2)
 
 
 def _measure_thrust(
