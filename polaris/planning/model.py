@@ -54,7 +54,7 @@ class Model:
         if np.isfinite(budget):
             self._add(inputs, price[None], le, budget)
         self._dynamics()
-        goal, unit = self.rows.problem.goal.conditions, self.rows.length
+        goal, unit = self.rows.problem.goal.conditions, self.rows.goal_length
         self._add(self.x[-1], goal.E @ self.back / unit, eq, goal.e / unit)
         self._add(self.x[-1], goal.G @ self.back / unit, le, goal.g / unit)
         self.z: dict[tuple[Key, int], Any] = {}
@@ -95,7 +95,7 @@ class Model:
         least = -largest
         if key[0] < 0:  # the goal's own inequalities bound its rows too
             goal = rows.problem.goal.conditions
-            floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.length
+            floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.goal_length
             least = np.maximum(least, floor[:, None] - options.free)
         big = options.need + options.slope * search.high - least
         can = np.all(largest >= options.need + options.slope * search.low - 1e-9, axis=1)

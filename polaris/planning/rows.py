@@ -1,7 +1,8 @@
 """Linear rows of the planning model: states, cells and bounds as functions of the inputs.
 
 The states are condensed out: every condition is a row over the inputs alone. The inputs are read as
-shares ``z = nu / u_limit``-free of units (``nu_k,i = u_max_i z_k,i``), positions in units of `length`.
+shares ``z = nu / u_limit``-free of units (``nu_k,i = u_max_i z_k,i``), positions in units of `length`, rows
+of the goal in units of `goal_length`, of which the solver's tolerance is a share.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 from reach.numerics.linear import discretize, growth, powers
 
 from ..model.system import Array
-from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
+from ..model.tolerances import GOAL, SOLVER_BOOK_INPUT, SOLVER_BOOK_M, SOLVER_FEASIBILITY
 from .problem import PlanProblem
 from .reference import Reference
 
@@ -52,6 +53,8 @@ class Rows:
         self.limit = (problem.u_limit / system.u_max).ravel() * (1 - SOLVER_BOOK_INPUT)
         self.price = np.tile(system.u_max * delta / system.mass, problem.K)
         self.length = max(1e-3, float(np.max(np.abs(system.position @ problem.x0), initial=0.0)) / 10)
+        exact = GOAL / (2 * SOLVER_FEASIBILITY) * problem.goal.conditions.scale
+        self.goal_length = min(self.length, exact)
         self.free = np.einsum("kij,j->ki", powers(self.Ad, problem.cells), problem.x0)
         self._impulse = powers(self.Ad, problem.K) @ (self.Bd * system.u_max)
         self._normals = [body.rows(system) for body in problem.unsafe]
@@ -155,7 +158,8 @@ class Rows:
             least = b[0][:, None] * (1 - share) + b[1][:, None] * share + self._required[i][k][:, None]
         if k >= problem.K:  # coasting: a condition on the last state
             g, h = g @ np.linalg.matrix_power(self.Ad, k - problem.K), h * 0.0
-        g, h, least = g / self.length, h * problem.system.u_max / self.length, least / self.length
+        unit = self.goal_length if i < 0 else self.length
+        g, h, least = g / unit, h * problem.system.u_max / unit, least / unit
         a, free = self.state_rows(g, at), g @ self.free[at]
         if at < problem.K:
             m = problem.system.m

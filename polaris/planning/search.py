@@ -58,7 +58,7 @@ class PathSearch:
 
     def __init__(self, rows: Rows, deadline: float, more: int = 0) -> None:
         self.rows, self.deadline, self.more = rows, deadline, more
-        K, unit = rows.problem.K, rows.length
+        K, unit = rows.problem.K, rows.goal_length
         high = np.r_[rows.limit, rows.limit, np.zeros(2 + more)]
         self.lp = GrowingLP(np.zeros(len(high)), np.zeros(len(high)), high)
         goal, last = rows.problem.goal.conditions, rows.free[K]

@@ -202,6 +202,16 @@ def test_moving_sets_go_on_by_the_mission_s_clock(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "legs") and "trolley" in verdict.witness
 
 
+@pytest.mark.parametrize("delay", [0.1, 0.3])
+def test_a_go_box_is_verified_whatever_its_last_digit(delay, tmp_path):
+    document = tour(timing={"delay_s": delay})
+    document["legs"] = document["legs"][:2]
+    document["legs"][1]["initial_set"]["half_widths"] = [0.14, 0.15, 0.04, 0.05]
+    folder = run(written(document, tmp_path), tmp_path / "run").path
+    verdict = verify(folder)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+
+
 def test_sets_that_turn_go_on_by_the_mission_s_clock(tmp_path):
     document = tour(stay_s=1.0)
     document["legs"] = document["legs"][:2]

@@ -24,6 +24,7 @@ from polaris.model.errors import (
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.scene.timed_polytope import TimedPolytope
 from polaris.model.system import LinearSystem
+from polaris.model.tolerances import GOAL, SOLVER_FEASIBILITY
 from polaris.planning import backends, diagnose, effort, model, search, solve, tree
 from polaris.planning import problem as problem_module
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
@@ -461,6 +462,21 @@ def test_a_clock_that_strikes_is_told(monkeypatch, readings):
         return
     assert answer.cut_by_clock
     assert_holds(task, answer, parts=10)
+
+
+@pytest.mark.parametrize("away", [1.0, 30.0, 1e3, 1e5])
+def test_what_the_solver_takes_for_the_goal_counts_as_the_goal(away):
+    """A row that is missed by its tolerance, however far away the flight begins."""
+    system = LinearSystem(np.eye(4, k=2), np.eye(4)[:, 2:], np.eye(4)[:, 2:], [1.0, 1.0])
+    start, goals = np.array([away, -away, 0.0, 0.0]), (np.zeros(4), np.array([0.3, 20.0, 0.0, 0.0]))
+    for goal in (StationaryPoint(goals[0]), StationaryPoint(goals[1]), Box(goals[1], np.full(4, 0.2))):
+        task = PlanProblem(system, start, 20, 1.0, (), (), np.ones((20, 2)), goal.of(system))
+        rows, wanted = Rows(task), task.goal.conditions
+        lp, z = PathSearch(rows, np.inf).lp, np.random.default_rng(0).uniform(-1, 1, rows.N)
+        last = rows.free[20] + rows.state_rows(np.eye(4), 20) @ z
+        over = np.concatenate([wanted.E @ last - wanted.e, wanted.g - wanted.G @ last])
+        missed = np.vstack(lp._a)[:, : rows.N] @ z - np.concatenate(lp._least)
+        assert np.all(np.abs(over) * SOLVER_FEASIBILITY <= GOAL * wanted.scale * np.abs(missed))
 
 
 def test_extra_margin_is_asked_for_only_where_start_leaves_room():

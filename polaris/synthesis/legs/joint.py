@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import growth
 
 from ...model.system import Array
+from ...model.tolerances import ROUNDING
 from ..safety.continuation import PathRows
 from ..safety.end_condition import in_hills_frame
 from ..schedule.arrival import Tail, spare
@@ -74,7 +75,7 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     tail, along = schedule.tail, PathRows(safety.clearance, rows, between=False)
     cells = safety.reference.fine(q)[K:]
     states = np.concatenate([safety.reference.chi[K][None], *(cell[1:] for cell in cells)])
-    room = sides - states @ rows.T - 1e-9 * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
+    room = sides - states @ rows.T - ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     room = room - CHECKED * np.abs(np.concatenate([half_widths, half_widths]))
     need, far = tail.needs(along, len(states)), _settled(tail, along, len(states))
     off = system.navigation + system.displaced_at_nodes
@@ -97,7 +98,7 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
         again = [(a, b) for a, b in again if b > a]  # no node need lie at a single phase
     assured = bool(first or again) and all(map(np.all, shown))
     nearest = float(used[best].max()), int(used[best].argmax()), best
-    return Joint(center, np.asarray(half_widths - off), first, again, assured, nearest)
+    return Joint(center, np.asarray(half_widths * (1 - ROUNDING) - off), first, again, assured, nearest)
 
 
 def turn_of(schedule: Schedule) -> float:
