@@ -133,8 +133,11 @@ def export_c_command(
     out: str = Option(..., metavar="DIR", help="Folder for the code."),
     precision: Literal["double", "float"] = Option("double", help="Type of all numbers on board."),
     prefix: str | None = Option(None, help="Of all names; default polaris_ and the scenario's name."),
+    glue: Literal["fprime", "cfs"] | None = Option(None, help="Write a component or application, too."),
+    name: str | None = Option(None, help="Of that component or application; default from the prefix."),
+    module: str = Option("Components", help="Of that component, for F'."),
 ) -> None:
     """Write the safety controller, the schedule and the reference of a run as C99, with a self-test."""
     from ..flight.export import export_c
 
-    echo("\n".join(map(str, export_c(run, out, precision, prefix))))
+    echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module))))

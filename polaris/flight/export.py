@@ -11,12 +11,19 @@ from ..runs.files.atomic import check_target, replacing
 from ..runs.files.tables import write_text
 from ..runs.read_schedule import certificate_of, schedule_folder
 from ..simulation.on_board import check_flyable, tables_of
+from .glue import MODULE, glue_files
 from .rounding import disturbance_taken, stated_rounding
 from .vectors import FLIGHTS, calls
 
 
 def export_c(
-    folder: str | Path, out: str | Path, precision: str = "double", prefix: str | None = None
+    folder: str | Path,
+    out: str | Path,
+    precision: str = "double",
+    prefix: str | None = None,
+    glue: str | None = None,
+    name: str | None = None,
+    module: str = MODULE,
 ) -> list[Path]:
     """Write the flight code of a run folder: S, the schedule and the reference, and a self-test.
 
@@ -30,6 +37,8 @@ def export_c(
         Type of all numbers on board.
     prefix : str, optional
         Of all external names; default ``polaris_`` and the start of the scenario's name.
+    glue, name, module : str, optional
+        Framework whose component or application is written beside the code, as of `glue_files`.
 
     Returns
     -------
@@ -56,11 +65,13 @@ def export_c(
     tables = replace(tables, rounding=rounding).rounded(precision)
     texts = files(tables, prefix, precision, document.digest)
     texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, calls(tables, FLIGHTS, 0))
+    texts |= {} if glue is None else glue_files(tables, prefix, precision, glue, name, module)
     target = check_target(out, texts)
     with replacing(target) as place:
-        for name, text in texts.items():
-            write_text(place / name, text)
-    return [target / name for name in texts]
+        for path, text in texts.items():
+            (place / path).parent.mkdir(parents=True, exist_ok=True)
+            write_text(place / path, text)
+    return [target / path for path in texts]
 
 
 def default_prefix(scenario: str) -> str:
