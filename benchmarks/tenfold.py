@@ -79,7 +79,7 @@ def judged(scene: str, given: Sequence[str], attacks: int | None, folder: Path) 
 
 
 def said(summary: Mapping[str, Any], delta: float) -> Found:
-    """Of a run's summary what the tables have; steps are of `delta` [s]."""
+    """Return the values of a run's summary that the tables have; steps are of `delta` [s]."""
     claim = summary["guarantee"]
     results: Found = {"share": summary["synthesis"]["experimental_share"]}
     results |= {"delta_v_m_s": summary["polaris"]["delta_v_m_s"], "goal": claim["goal"]["reached"]}

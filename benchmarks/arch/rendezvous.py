@@ -136,7 +136,7 @@ def run(name: str) -> Row:
 
 
 def trials(model: HybridAutomaton) -> list[HybridTrajectory]:
-    """From the corners, with the earliest and the latest abort."""
+    """Simulate from the corners, with the earliest and the latest abort."""
     return [
         simulate_hybrid(model, x, HORIZON, dt=0.5, policy="first" if early else "last")
         for x in INITIAL.corners()

@@ -70,7 +70,7 @@ class Found:
 
     @classmethod
     def worst(cls, flights: list[Found]) -> Found:
-        """Of each the worst, and the mean velocity change."""
+        """Return the worst of each value, and the mean velocity change."""
         columns = {name: [getattr(one, name) for one in flights] for name in cls.__dataclass_fields__}
         worst = {name: max(column) for name, column in columns.items()}
         at = columns["residual"].index(worst["residual"])

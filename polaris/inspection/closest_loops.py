@@ -65,7 +65,7 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
 
 @compiled
 def _parts(z: Array, n: float) -> Array:
-    """Of one flight ``p(0) + b t - c (1 - cos(n t)) + d sin(n t)``: no large differences, shape (4, 3)."""
+    """Return p(0), b, c, d of ``p(0) + b t - c (1 - cos(n t)) + d sin(n t)``, shape (4, 3)."""
     parts = np.zeros((4, 3))
     parts[0] = z[:3]
     parts[1, 1] = -6 * n * z[0] - 3 * z[4]

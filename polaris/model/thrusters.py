@@ -33,7 +33,7 @@ class Thrusters:
 
     @classmethod
     def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> "Thrusters":
-        """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
+        """Return errors of m inputs by magnitude, direction [rad], mass and rounding [N], rounded up."""
         across = float(np.sin(misalignment)) * (1 + magnitude) / (1 - mass)
         least = float(np.cos(misalignment)) * (1 - magnitude) / (1 + mass)
         along = max((magnitude + mass) / (1 - mass), 1 - least)
@@ -138,7 +138,7 @@ class Nozzles:
     def of(
         cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
     ) -> "Nozzles":
-        """From errors of magnitude, of direction [rad] and of the mass, and how impulses are made."""
+        """Return the layout with errors of magnitude, direction [rad] and mass, and how impulses are made."""
         along = magnitude + (1 - magnitude) * 2 * float(np.sin(turned / 2)) ** 2
         return cls(allocation, along, float(np.sin(turned)) * (1 + magnitude), mass, bit, *kinds)
 

@@ -128,7 +128,7 @@ class Measure:
 
     @classmethod
     def of(cls, key: str) -> "Measure":
-        """From its key, whose end names the unit; metrics nobody has heard of are shown too."""
+        """Return the metric of a key, whose end names the unit; unknown metrics are shown too."""
         share = key.endswith("_share") or "_ratio" in key
         suffix = "" if share else next((end for end in SUFFIXES if key.endswith(end)), "")
         title = TITLES.get(key, key.removesuffix(suffix).replace("_", " "))
@@ -136,7 +136,7 @@ class Measure:
 
     @classmethod
     def known(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
-        """All that occur in some tables, in the order of `TITLES`; those nobody has heard of last."""
+        """Return all metrics of some tables, in the order of `TITLES`; unknown ones last."""
         keys = {key for table in tables for key in table}
         return [cls.of(key) for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))]
 

@@ -74,7 +74,7 @@ class Conditions:
         return cls(x0, np.zeros((last, 1, Engine(grid).constant.stop)), none, 0)
 
     def only(self, run: int) -> "Conditions":
-        """Those of one run."""
+        """Return the conditions of one run."""
         one = slice(run, run + 1)
         failing = None if self.failing is None else self.failing.pick(np.array([run]))
         return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed, failing)

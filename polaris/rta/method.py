@@ -220,7 +220,7 @@ class Latched(Method):
         self._latched: NDArray[np.bool_] = np.zeros(0, dtype=bool)
 
     def start(self, runs: int) -> None:
-        """Nobody is latched."""
+        """Begin with no run latched."""
         self._latched = np.zeros(runs, dtype=bool)
 
     @abstractmethod

@@ -128,7 +128,7 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
 
 
 def flown(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
-    """Who flew after every node, shape (R, N): filtered inputs that are the desired ones count as U's."""
+    """Return the modes after every node, shape (R, N): filtered inputs equal to the desired count as U's."""
     why = np.repeat(flight.why, grid.nodes, axis=1)
     if grid.delay:
         why = np.concatenate([why[:, :1].repeat(grid.delay, axis=1), why[:, : -grid.delay]], axis=1)

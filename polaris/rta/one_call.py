@@ -111,7 +111,7 @@ class Answer:
 
     @property
     def status(self) -> str:
-        """One word for all deputies."""
+        """Status of all deputies in one word."""
         if not self.regular and self.coasting.all():
             return "coast"
         if self.short:

@@ -141,7 +141,7 @@ def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _
 
 
 def _proved(G: Array, need: Array, multiplier: Array) -> float:
-    """No input has a smaller largest shortage: by weak duality, whatever the multipliers."""
+    """Return a lower bound on the largest shortage of all inputs: weak duality, whatever the multipliers."""
     return max(float(multiplier @ need - np.abs(multiplier @ G).sum()), 0.0)
 
 

@@ -102,7 +102,7 @@ def project_coupled(
 def _coupled(
     G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, rank: Index | None
 ) -> tuple[Array, int]:
-    """One run, through the solver."""
+    """Project the inputs of one run with the solver; they, shape (N, v), and its status."""
     N, v = desired.shape
     if N == 1:
         solution, status = solve(G, bound, desired[0], limit, rank)

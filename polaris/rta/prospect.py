@@ -75,7 +75,7 @@ class Leg:
         return replace(held, G=np.hstack([push.G, held.G]))
 
     def after(self, stage: Stage, shift: int) -> Stage:
-        """One node further; the stage is `shift` nodes after the measurement."""
+        """Return the stage one node later; the given one is `shift` nodes after the measurement."""
         steps = np.zeros_like(stage.offset)
         available = self.steps[shift:]
         steps[: len(available)] = available[: len(steps)]

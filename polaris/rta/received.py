@@ -160,7 +160,7 @@ class Receiver:
         return Received(t, states, *every, tuple(odd), steady, timed=timed)
 
     def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> Received:
-        """Of a call in which nothing is missing or odd; `within`: the desired thrust is within the limits."""
+        """Return a call with nothing missing or odd; `within`: the desired thrust is within the limits."""
         self._x, self._t, self._seen = x, t, np.full(len(x), t)
         u, clipped = wanted, self._none
         if not within:

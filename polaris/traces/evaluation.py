@@ -43,7 +43,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Array, t: Array) -> "Spread":
-        """Of values (N,) at times t (N,), inf among them."""
+        """Return the spread of values (N,) at times t (N,) [s], inf among them."""
         finite, weight = np.isfinite(values), weights(t)
         mean = float(np.sum(values * weight)) if finite.all() else np.inf
         when = float(t[np.argmin(values)]) if finite.any() else np.nan

@@ -164,7 +164,7 @@ def doubtful(segment: Segment, spec: Always | Never) -> Index:
 
 
 def _implied(invariant: HPolytope | None, rows: Array, limits: Array) -> NDArray[np.bool_]:
-    """Which rows the invariant has itself."""
+    """Return True for each row ``row . x <= limit`` that the invariant states itself, shape (r,)."""
     if invariant is None:
         return np.zeros(len(rows), dtype=bool)
     same = np.all(rows[:, None] == invariant.A[None], axis=-1)

@@ -239,7 +239,7 @@ def _clip(inputs: list[Any], more: dict[str, Any]) -> Activation:
 
 
 def _spread(value: Any, width: int) -> Array:
-    """One constant for all components, kept once, or one each along the last axis."""
+    """Spread constants, one for all components or one each, over `width` components."""
     given = np.asarray(value, dtype=float)
     if given.size not in (1, width):
         raise ReachError(f"constants of shape {given.shape} follow {width} values")

@@ -47,7 +47,7 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=1024)
 def _exponential(entries: bytes, n: int) -> Array:
-    """Of a matrix given by its entries, once: references of one system ask for the same again and again."""
+    """Return the exponential of a matrix given by its entries, cached: references of one system share it."""
     return np.asarray(expm(np.frombuffer(entries).reshape(n, n)))
 
 

@@ -102,7 +102,7 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
 
 
 def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
-    """Of a region that is everything there is nothing to compute."""
+    """Decide a specification whose region is the whole space, without any bounds."""
     none, system = np.zeros(0), motions.system
     if isinstance(spec, Always):
         return Verdict("proven", np.inf, none, none, None, 0, "the region has no limits")

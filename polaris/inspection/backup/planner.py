@@ -117,7 +117,7 @@ class Planner:
         return not (np.array_equal(toward, before[0]) and np.array_equal(shift, before[1]))
 
     def _inwards(self, rest: Array, slip: float) -> Array:
-        """By what (3,) a deputy must be held farther in, so that turning keeps its velocity limits."""
+        """Return the shift (3,) [m] inwards with which a deputy that is held keeps its velocity limits."""
         q = self.check.inspection
         limit = (q.speed_max - slip) / q.mean_motion - ROOM
         p = rest[:3] * (1.0, 1.0, 0.0)

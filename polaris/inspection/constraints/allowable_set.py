@@ -13,7 +13,7 @@ from .table import Index, Table
 
 @lru_cache(maxsize=64)
 def _table(q: Inspection) -> tuple[Table, dict[str, Index]]:
-    """All constraints but those on free flights, and the rows of each, (r, N) or (r, P)."""
+    """Return all constraints but those on free flights, and the rows of each, (r, N) or (r, P)."""
     table = Table(q, PASSIVE.values())
     labels = np.array([one.label for one in table.constraints])
     pair = {name: kind.pair for name, kind in KINDS.items() if name not in PASSIVE}

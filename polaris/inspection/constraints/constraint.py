@@ -138,7 +138,7 @@ class Constraint(ABC):
 
 
 def _evaluated(form: Constraint, z: Array) -> dict[str, Array]:
-    """All that a constraint says of states (R, K, 6); a ValueError where a shape or a type is wrong."""
+    """Evaluate a constraint at states (R, K, 6), and raise ValueError if a shape or a type is wrong."""
     sun, count = np.ones((len(z), 1)), (len(z), z.shape[1] * form.repeat)
     h, gradient, change = form(z, sun)
     out = {"value": form.value(z, sun), "h": h, "gradient": np.broadcast_to(gradient, (*count, 6))}

@@ -99,7 +99,7 @@ class Families(Table):
                 raise ScenarioError("constraints", group.barrier.label, rule)
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
-        """From which value on a passive constraint allows every input: it then need not be exact."""
+        """Return the value above which a passive constraint allows every input, and need not be exact."""
         reach = float(map_norms(approach.place_maps)[1].max())
         thrust = 1.05 * reach * 2 * np.sqrt(3) * q.thrust_max / q.mass
         per_metre, per_speed = approach.speed_gain
@@ -147,7 +147,7 @@ class Families(Table):
         return q.pairs, np.stack([table, self.place[: self.known]], axis=1), values, numbers, maps
 
     def rank(self, h: Array) -> Index:
-        """Which row gives way to which, least last; shape (..., M) as h.
+        """Return ranks of rows, shape (..., M) as h: where not all can be met, higher ranks give way first.
 
         In the order of `Kind.rank`; within each, rows that keep what holds (``h >= 0``) before rows that
         ask for the way back.
@@ -155,7 +155,7 @@ class Families(Table):
         return np.asarray(2 * self._rank + (h < 0))
 
     def missed(self, rows: Rows, u: Array) -> Array:
-        """By how much inputs of shape (..., N, 3) miss each row [N], 0 where they meet it; shape (..., M).
+        """Return how much inputs (..., N, 3) miss each row [N], 0 where they meet it; shape (..., M).
 
         Along the row, per newton of its deputies' thrust; inf where no input changes the row.
         """

@@ -83,7 +83,7 @@ class PassiveSegments(Passive):
 
     @property
     def numbers(self) -> tuple[tuple[float, ...], Array]:
-        """For compiled loops: bow, margin and how thrust turns; maps with their norms, and to the circle."""
+        """Numbers of compiled loops: bow, margin, turn of thrust; maps, their norms, maps to the circle."""
         _, _, bow, margin, to_circle = self._reach
         maps = np.zeros((len(self.approach.times) + 2, 4, 6))
         maps[:-2, :3], maps[-2:, :3] = self.approach.place_maps, to_circle.reshape(2, 3, 6)

@@ -135,7 +135,7 @@ class Table:
         self.groups.append(Group(barrier, at, slice(start, len(self._rows))))
 
     def among(self, *families: str) -> NDArray[np.bool_]:
-        """Which rows are of some families, shape (M,)."""
+        """Return True for each row of some families, shape (M,)."""
         return np.isin(self.family, families)
 
     def stack(self, x: Array) -> Array:
@@ -151,7 +151,7 @@ class Table:
 
 
 def _column(values: list[Any], size: list[int]) -> Any:
-    """One value for each row, of those of members of some sizes."""
+    """Repeat the value of each group for its rows, `size` many."""
     if isinstance(values[0], Braking):
         return replace(values[0], acceleration=_column([one.acceleration for one in values], size))
     return np.repeat(values, size)

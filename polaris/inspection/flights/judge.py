@@ -74,7 +74,7 @@ class Keeper:
 
 
 def keepers(families: Families, runs: int = 1) -> dict[str, Keeper]:
-    """One for each constraint that the families keep."""
+    """Return a keeper for each constraint that the families keep, by name."""
     alone, pairs = np.split(families.everyone, [families.inspection.deputies])
     own = families.inspection.constraints
     every = [(name, kind.family, kind.pair) for name, kind in KINDS.items()]

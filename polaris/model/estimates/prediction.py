@@ -81,7 +81,7 @@ def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
 
 
 def _spreading(system: Craft, h: float) -> Array:
-    """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
+    """Return the map from a change of the state in mid-period to inputs, constant and linear over h [s]."""
     A, B, n = system.A, system.B, system.n
     block = np.zeros((3 * n, 3 * n))
     block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)

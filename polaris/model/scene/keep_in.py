@@ -29,7 +29,7 @@ MOST_CORNERS = 8192  # of a zonotope that is compared with a cone corner by corn
 def during(
     begins: float | Array, ends: float, start: Array, step: float, before: float = 0.0
 ) -> NDArray[np.bool_]:
-    """In which steps from some instants on [s] something holds that begins and ends, or so long before."""
+    """Return True for steps from `start` [s] that the span [begins, ends) meets, or met `before` earlier."""
     slack = INSTANT * step
     return np.asarray((begins < start + step - slack) & ~(ends <= start - before + slack))
 
@@ -192,7 +192,7 @@ class KeepInPolytope(Faceted, KeepIn):
 
     @cached_property
     def shape(self) -> Shape:
-        """Its outside."""
+        """Outside of the set."""
         return Outside(self.inside)
 
 

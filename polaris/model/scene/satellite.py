@@ -178,7 +178,7 @@ class SatelliteObstacle(Obstacle):
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
-        """Both drift under the same dynamics, so their difference does."""
+        """Return the relative state: both drift under the same dynamics, so their difference does."""
         known, _ = self._known(t, system, state)
         still = np.zeros(system.d)
         return x - known, still, still

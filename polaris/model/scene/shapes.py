@@ -275,7 +275,7 @@ class Box(Polytope):
 
     @classmethod
     def of(cls, half_widths: Array) -> "Box":
-        """From half widths [m], shape (d,)."""
+        """Return the box with half widths [m], shape (d,)."""
         eye = np.eye(len(half_widths))
         return cls(np.vstack([eye, -eye]), np.r_[half_widths, half_widths])
 

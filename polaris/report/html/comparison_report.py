@@ -163,7 +163,7 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
 
 
 def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
-    """Why each online method decided as it did."""
+    """Return the decisions of each online method, with their reasons."""
     if not path.is_file():
         return Markup("<p>This folder has no log of decisions.</p>")
     logged = stretches(read_text(path).split("\n"))

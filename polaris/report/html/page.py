@@ -39,7 +39,7 @@ def template(name: str) -> Template:
 
 
 def macros(name: str = "parts.html") -> Any:
-    """Its macros, as functions that give markup."""
+    """Return the macros of a template, as functions that give markup."""
     return template(name).module
 
 

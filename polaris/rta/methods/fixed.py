@@ -21,7 +21,7 @@ class Alone(Method):
         return self.grid.schedule.safety.end.reason
 
     def decide(self, seen: Seen) -> Choice:
-        """Always the same."""
+        """Choose the one controller."""
         R = len(seen.estimate)
         return Choice(np.full(R, self.mode), np.full(R, np.nan), np.zeros(R, dtype=int))
 
@@ -34,7 +34,7 @@ class SafetyAlone(Alone):
 
     @property
     def claim(self) -> Claim:
-        """That of Algorithm 1."""
+        """Claim of Algorithm 1."""
         return Claim("proved", self.reach)
 
 
@@ -52,7 +52,7 @@ class ExperimentalAlone(Alone):
 
 
 class Precomputed(Alone):
-    """Who flies when was decided, and proven, before the flight."""
+    """Method that flies the schedule, decided and proven before the flight."""
 
     key, name, place, proven = "schedule", "Polaris schedule", 2, True
     how = "decided before the flight, looks at nothing"

@@ -122,7 +122,7 @@ class Monitor(Method):
 
     @property
     def reach(self) -> str:
-        """See the module."""
+        """Assumptions of the proof: the estimate error, and U's model."""
         what = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
         return f"state estimate within its error bound, U obeys {what}{self.chosen}"
 
@@ -173,7 +173,7 @@ class Monitor(Method):
         return priced(dict(enumerate(shares.tolist())), float(flight.delta_v[0]), switches)
 
     def start(self, runs: int) -> None:
-        """Nobody dwells."""
+        """Begin with no run that dwells in S."""
         self._since = np.full(runs, self.dwell)
 
     def decide(self, seen: Seen) -> Choice:

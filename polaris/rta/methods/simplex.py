@@ -89,7 +89,7 @@ class ImplicitSimplex(Latched):
 
     @property
     def reach(self) -> str:
-        """One undisturbed flight per decision."""
+        """Basis of a decision: one undisturbed flight of S."""
         return f"one undisturbed flight of S over {self.lags * self.grid.h:g} s; disturbances are ignored"
 
     def margin(self, seen: Seen) -> Array:

@@ -55,7 +55,7 @@ class Simulation(Method):
 
     @property
     def reach(self) -> str:
-        """Nothing beyond the horizon."""
+        """Basis of a decision: one undisturbed flight of U; nothing is said beyond the horizon."""
         return (
             f"one undisturbed flight of U over {self.horizon:g} s; nothing says that S can still take over"
             " at its end, or under disturbances"
@@ -118,7 +118,7 @@ class ForwardReachability(Simulation):
 
     @property
     def reach(self) -> str:
-        """Nothing where the set ends."""
+        """Basis of a decision: U's reachable set; nothing is said where it ends."""
         return (
             f"U's reachable set over {self.horizon:g} s; nothing says that S can still take over"
             " where that set ends, or once it touches an unsafe set"

@@ -1,4 +1,4 @@
-"""At which decision a call is made, by time: recoverable sets are indexed by it."""
+"""Number of the decision at which a call is made, by time: recoverable sets are indexed by it."""
 
 from math import floor, isfinite
 

@@ -48,7 +48,7 @@ class Measurement:
 
     @staticmethod
     def settled(value: object) -> Measurement | Unreadable | None:
-        """Whatever was handed in for a measurement, each of its parts read once and never again."""
+        """Read each part of an untrusted measurement once; `Unreadable` if it is none."""
         if value is None:
             return None
         try:

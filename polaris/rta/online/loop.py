@@ -115,7 +115,7 @@ class FlightLoop:
         return answer
 
     def command(self, now: float, x: ArrayLike) -> Command:
-        """Who flies now, and its input; to be called once per control period.
+        """Return who flies now, and its input; to be called once per control period.
 
         Nothing that U does is raised. A state that is no finite numbers is replaced by the last good one,
         and S flies.

@@ -1,4 +1,4 @@
-"""From measurements as they arrive to a state that may be judged by, or a fault."""
+"""Check of measurements as they arrive: a state that decisions may rest on, or a fault."""
 
 from math import isfinite
 from typing import NamedTuple

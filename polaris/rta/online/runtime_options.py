@@ -90,7 +90,7 @@ class RuntimeOptions:
                 whole(name, getattr(self, name), 1)
 
     def limits(self, grid: DecisionGrid) -> "Limits":
-        """All of them as numbers for one scene.
+        """Return all options as numbers for one scene.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class OnlineDecision:
-    """Who flies from the moment of effect on.
+    """Decision on who flies from the moment of effect on.
 
     Attributes
     ----------

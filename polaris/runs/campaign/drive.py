@@ -75,7 +75,7 @@ class Driver:
         self._tell()
 
     def _same_schedule(self, task: Task, schedule: str) -> None:
-        """All runs of a case are of one schedule, whoever made it."""
+        """Refuse a schedule other than that of the case's earlier runs; `PolarisError`."""
         if self.schedules.setdefault(task.case, schedule) != schedule:
             label = self.folder.plan.cases[task.case].label
             raise PolarisError(

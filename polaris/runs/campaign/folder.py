@@ -93,7 +93,7 @@ class CampaignFolder:
         return joined([FORMATS[self.table].read(self.part(task), names) for task in tasks])
 
     def row(self, task: Task, mode: str, run: int) -> dict[str, Any]:
-        """Everything the table says of one run."""
+        """Return the row of one run in the table, by column."""
         place = self.plan.kind.modes.index(mode) * task.runs + run
         row = {name: values[place] for name, values in FORMATS[self.table].read(self.part(task)).items()}
         return {name: value.item() if isinstance(value, np.generic) else value for name, value in row.items()}

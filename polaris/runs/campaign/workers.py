@@ -224,7 +224,7 @@ class _Crew:
 
 
 def _prepare() -> None:
-    """In a new process: end quietly with ctrl-C, and never outlive the campaign."""
+    """Prepare a new process: it ends quietly with ctrl-C, and never outlives the campaign."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -189,7 +189,7 @@ def in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Ans
 
 
 def in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answer:
-    """All facets, or one linear program, as the method says."""
+    """Decide by all facets, or by one linear program, as the method says."""
     if method == "exact":
         return _in_facets(outer, inner, facet_normals(outer.G, most))
     proved = _by_program(outer, inner)
@@ -199,7 +199,7 @@ def in_zonotope(outer: Zonotope, inner: Any, method: Method, most: int) -> Answe
 
 
 def _by_program(outer: Zonotope, inner: Any) -> Answer:
-    """One linear program that proves it, or some directions that refute it."""
+    """Prove containment by one linear program, or refute it along some directions."""
     image = inner if isinstance(inner, Zonotope) else inner.enclosing_zonotope()
     scale = scale_to_hold(outer, image)
     if scale <= 1:

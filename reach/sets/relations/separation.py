@@ -25,7 +25,7 @@ CLOSER = "the sets are closer than rounding can tell"
 
 
 def separate(X: Any, Y: Any) -> Answer:
-    """One linear program where both sets have flat faces, else nearest points."""
+    """Separate two sets by a linear program if both have flat faces, else by nearest points."""
     middle, size, units = _frame(X, Y)
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
