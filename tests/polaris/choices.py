@@ -74,7 +74,7 @@ def _profile(honest):
     for factor in (0.05, 0.3, 0.6):
         yield (
             f"profile times {factor}",
-            lambda f, by=factor: f.certificate.update(profile=[scaled(most, by) for most in profile]),
+            lambda f, by=factor: f.certificate.update(profile=[scaled(row, by) for row in profile]),
         )
     low = profile[-1]
     yield "profile without its begin", lambda f: f.certificate.update(profile=[low])

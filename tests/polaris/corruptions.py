@@ -253,7 +253,7 @@ def shifted(rows):
 
 
 def later(offsets):
-    """What belongs to the next cell, moved towards the set's inside where nothing else would change."""
+    """Return the offsets of the next cell, moved towards the set's inside where nothing else would change."""
     moved = shifted(offsets)
     return (
         moved

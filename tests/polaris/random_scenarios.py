@@ -25,7 +25,7 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Plant:
-    """What is controlled, in units near 1.
+    """Controlled craft, in units near 1.
 
     Attributes
     ----------
@@ -174,11 +174,11 @@ def _plant(rng: Random) -> Plant:
 def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) -> list[Table]:
     """One or two experimental controllers."""
     n, m = plant.B.shape
-    found = []
+    entries = []
     for i in range(1 + int(rng.random() < 0.35)):
         kind = str(rng.choice(["saturated_affine", "saturated_affine", "affine", "any_thrust"]))
         entry: Table = {"kind": kind, "name": f"u{i}", "weight": float(rng.choice([1.0, 1.0, 2.5]))}
-        found.append(entry)
+        entries.append(entry)
         if kind == "any_thrust":
             continue
         way = rng.choice(["unaware", "unaware", "shared", "setpoint"])
@@ -197,7 +197,7 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
             entry["reference"] = {"kind": str(way)}
         if way == "setpoint":
             entry["reference"]["state"] = plant.at(aim + rng.uniform(-0.5, 0.5, plant.d))
-    return found
+    return entries
 
 
 def _scene(
@@ -391,25 +391,25 @@ def _initial_set(rng: Random, center: np.ndarray, size: np.ndarray, d: int, choi
     """A box, a ball or a zonotope of about the given half-widths; a ball needs C to be a choice of states."""
     kind = str(rng.choice(["box", "ball", "zonotope"] if choice else ["box", "zonotope"]))
     size = size * rng.choice([1.0] * 8 + [0.0, 1e-7])
-    found: Table = {"kind": kind, "center": center}
+    table: Table = {"kind": kind, "center": center}
     if kind == "box":
-        found["half_widths"] = size * (rng.random(len(size)) < 0.9)
+        table["half_widths"] = size * (rng.random(len(size)) < 0.9)
     elif kind == "ball":
         rest = float(size[d]) if len(size) > d else 0.0
-        found |= {"position_radius_m": float(size[0]), "velocity_radius_m_s": rest}
+        table |= {"position_radius_m": float(size[0]), "velocity_radius_m_s": rest}
     else:
         count = int(rng.integers(1, len(size) + 3))
-        found["generators"] = rng.uniform(-1, 1, (count, len(size))) * size / np.sqrt(count)
-    return found
+        table["generators"] = rng.uniform(-1, 1, (count, len(size))) * size / np.sqrt(count)
+    return table
 
 
 def _norm(rng: Random, n: int) -> Table:
-    found: Table = {}
+    table: Table = {}
     if rng.random() < 0.3:
-        found["bound"] = "lyapunov"
+        table["bound"] = "lyapunov"
     if rng.random() < 0.2:
-        found["weight"] = "identity" if rng.random() < 0.5 else rng.uniform(0.5, 2, n)
-    return found
+        table["weight"] = "identity" if rng.random() < 0.5 else rng.uniform(0.5, 2, n)
+    return table
 
 
 def _rules(rng: Random, document: Table, margin: float) -> None:
@@ -432,7 +432,7 @@ def _rules(rng: Random, document: Table, margin: float) -> None:
 
 
 def _restated(rng: Random, document: Table, plant: Plant) -> Table:
-    """The same scene in other units of length, time and input."""
+    """Return the scene in other units of length, time and input."""
     if rng.random() < 0.6:
         return document
     length, time, thrust = (float(rng.choice(x)) for x in ([0.3, 1, 1e3, 1e6], [1, 1, 30.0], [1, 1e-3, 1e4]))
@@ -496,7 +496,7 @@ def _of_length_and_time(document: Table, plant: Plant, length: float, time: floa
 
 
 def _plain(value: Any) -> Any:
-    """The same data without numpy."""
+    """Return data without numpy."""
     if isinstance(value, dict):
         return {
             key: _plain(item) for key, item in value.items() if key == "schema_version" or item is not None

@@ -45,9 +45,9 @@ def derived(forger):
         affords(self, taken, budget, stated)
 
     def off(self, taken, cell):
-        found = distance(self, taken, cell)
-        known["off"].append((taken.way.branch, float(found.upper())))
-        return found
+        away = distance(self, taken, cell)
+        known["off"].append((taken.way.branch, float(away.upper())))
+        return away
 
     with (
         patch.object(Arrival, "no_less", told),
@@ -109,9 +109,9 @@ def _tell_aborts(lie, known):
 
 def _orbit(lie, known, share):
     for place, branch in enumerate(lie.certificate["powered"]["branches"]):
-        found = [off for at, off in known["off"] if at == place]
-        if found:
-            branch["tolerance"] = hexed(share * max(found))
+        offs = [off for at, off in known["off"] if at == place]
+        if offs:
+            branch["tolerance"] = hexed(share * max(offs))
 
 
 FORGED = {

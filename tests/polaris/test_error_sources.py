@@ -84,8 +84,8 @@ def tables(scenario, seed, scale=0.1):
         given = [f"navigation.{name}={part}" for name, part in parts]
     thrusters = [f"thrusters.{key}={rng.uniform(0, 0.06):.3g}" for key in ("magnitude_error", "mass_error")]
     if scenario.problem().period is not None:
-        most = scenario.problem().period * scenario.system().u_max.min()
-        thrusters.append(f"thrusters.impulse_bit_N_s={float(most * rng.uniform(0, 0.03))}")
+        impulse = scenario.problem().period * scenario.system().u_max.min()
+        thrusters.append(f"thrusters.impulse_bit_N_s={float(impulse * rng.uniform(0, 0.03))}")
     if scenario.system().mean_motion is not None:
         thrusters.append(f"thrusters.misalignment_deg={rng.uniform(0, 2):.3g}")
     return [*given, size, *thrusters, f"tracking.thrust_share={rng.uniform(0.5, 1):.3g}"]
@@ -106,15 +106,15 @@ def test_a_few_proofs_hold_with_errors_at_their_worst():
     tight = []
     for seed in FEW[:2]:
         _, schedule = made(seed, *[PRINTED] * (seed != FEW[0]))  # U in view in one of them
-        found = attack(schedule, 40, seed)
-        judge(seed, found)
-        tight.append(found.tight)
+        worst = attack(schedule, 40, seed)
+        judge(seed, worst)
+        tight.append(worst.tight)
         assert falsify(schedule, 100, seed).failure is None
     assert np.median(tight) > 0.4
 
 
 def test_errors_left_out_of_the_proof_break_it():
-    """The same attacks refute a schedule that was made without the errors."""
+    """Attacks refute a schedule that was made without the errors."""
     over = 0.0
     for seed in FEW:
         if over <= 1e-3:
@@ -131,9 +131,9 @@ def test_many_proofs_hold_with_errors_at_their_worst():
     for seed in seeds:
         if (known := made(seed)) is None:
             continue
-        found = attack(known[1], 200, seed)
-        judge(seed, found)
-        scenes, tight = scenes + 1, [*tight, found.tight]
+        worst = attack(known[1], 200, seed)
+        judge(seed, worst)
+        scenes, tight = scenes + 1, [*tight, worst.tight]
     assert scenes >= fewer(50, len(seeds) // 2) and np.median(tight) > 0.6
 
 
@@ -178,11 +178,11 @@ def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
         synthesize(far)
     with pytest.raises(SynthesisInfeasible, match=r"; or declare navigation.state_error = \[.*, 0") as error:
         fly_schedule(far, Stages())
-    told = re.search(r"state_error = \[([\d.]+), 0, 0, 0\] \(not \[50.0, 0.0, 0.0, 0.0\]\)", str(error.value))
-    assert told is not None and "radius_m" not in str(error.value)
+    size = re.search(r"state_error = \[([\d.]+), 0, 0, 0\] \(not \[50.0, 0.0, 0.0, 0.0\]\)", str(error.value))
+    assert size is not None and "radius_m" not in str(error.value)
     enough = [
-        f"navigation.state_error=[{told[1]}, 0, 0, 0]",
-        f"navigation.state_error=[{1.3 * float(told[1])}, 0, 0, 0]",
+        f"navigation.state_error=[{size[1]}, 0, 0, 0]",
+        f"navigation.state_error=[{1.3 * float(size[1])}, 0, 0, 0]",
     ]
     assert get_safety(far.with_assignments(enough[:1]).problem())
     with pytest.raises(SynthesisInfeasible):
@@ -215,8 +215,8 @@ def test_less_feedback_is_tried_where_errors_of_thrusters_leave_no_safe_referenc
     )
     with pytest.raises(SynthesisInfeasible, match="cross-track thrust"):
         get_safety(scenario.set("tracking.thrust_share", 0.5).problem())
-    found = get_safety(scenario.problem())
-    assert found.problem.thrust_share == 0.35 and found.start_margin.inside
+    safety = get_safety(scenario.problem())
+    assert safety.problem.thrust_share == 0.35 and safety.start_margin.inside
 
 
 def test_in_hills_frame_errors_have_units():
@@ -235,18 +235,18 @@ def test_errors_of_thrusters_cover_every_way_to_make_them():
     rng, bounds = np.random.default_rng(1), (0.05, np.deg2rad(4.0), 0.03)
     bit, period = 0.005, 2.0
     rounding = bit / (2 * period)
-    errors, most = Thrusters.of(*bounds, rounding, 3), 0.0
+    errors, largest = Thrusters.of(*bounds, rounding, 3), 0.0
     for _ in range(4000):
         u = rng.normal(size=3) * [1.0, 0.3, 0.1]
-        told = np.round(u * period / bit) * bit / period
-        way = np.cross(told, rng.normal(size=3))
-        aside = np.sin(bounds[1]) * np.linalg.norm(told) * way / np.linalg.norm(way)
-        turned = np.cos(bounds[1]) * told + aside
+        rounded = np.round(u * period / bit) * bit / period
+        way = np.cross(rounded, rng.normal(size=3))
+        aside = np.sin(bounds[1]) * np.linalg.norm(rounded) * way / np.linalg.norm(way)
+        turned = np.cos(bounds[1]) * rounded + aside
         size, mass = 1 + bounds[0] * rng.choice([-1, 1], 3), 1 + bounds[2] * rng.choice([-1, 1])
         share = np.abs(size * turned / mass - u) / errors.error(u)
         assert np.all(share <= 1)
-        most = max(most, share.max())
-    assert most > 0.9
+        largest = max(largest, share.max())
+    assert largest > 0.9
 
 
 @cache
@@ -258,25 +258,25 @@ def magnified():
 def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     schedule = magnified()
     law, start = schedule.controllers[1], schedule.safety.start
-    told = law.fly(start, 0)
+    tube = law.fly(start, 0)
     assert all(np.all(np.frombuffer(kept) <= law.system.u_max) for kept, _ in law._levels)
     levels, ends = list(law._levels.values()), [replace(law, most=1e-9 * law.system.u_max), law]
-    least, most = (each.disturbance[-1].half_widths for each in ends)
+    least, widest = (each.disturbance[-1].half_widths for each in ends)
     sizes = [each.disturbance[-1].half_widths for each in levels]
-    assert len(levels) > 1 and all(np.all((least <= size) & (size <= most)) for size in sizes)
+    assert len(levels) > 1 and all(np.all((least <= size) & (size <= widest)) for size in sizes)
     assert np.ptp(sizes, axis=0).min() > 0
-    assert any(np.array_equal(each._flown(start, 0)[0].end.G, told.end.G) for each in levels)
+    assert any(np.array_equal(each._flown(start, 0)[0].end.G, tube.end.G) for each in levels)
 
 
 def test_levels_that_are_foreseen_are_those_that_are_found_from_the_least_one(monkeypatch):
     schedule = magnified()
     law, start, u_max = schedule.controllers[1], schedule.safety.start, schedule.safety.problem.system.u_max
     foreseen = law.foreseen(start - law.whole_offset(0)[0], 0)
-    told, _ = law.fly(start, 0), law._levels.clear()
+    tube, _ = law.fly(start, 0), law._levels.clear()
     monkeypatch.setattr(AffineLaw, "foreseen", lambda law, d, k: LEVELS[0] * law.system.u_max)
-    found = law.fly(start, 0)
+    climbed = law.fly(start, 0)
     assert np.any(foreseen > LEVELS[0] * u_max)
-    assert np.array_equal(found.end.G, told.end.G) and np.array_equal(found.bow, told.bow)
+    assert np.array_equal(climbed.end.G, tube.end.G) and np.array_equal(climbed.bow, tube.bow)
 
 
 def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():
@@ -314,9 +314,9 @@ def test_a_certificate_with_errors_holds_far_beyond_the_memory_of_the_loop():
     given += ["thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"]
     schedule = synthesize(load_scenario("static").with_assignments([*given, "tracking.thrust_share=0.5"]))
     assert schedule.share() >= 0.8 and schedule.safety.end.horizon == "infinite"
-    told, record = Document(json.loads(json.dumps(certificate(schedule, "static")))), Record()
+    document, record = Document(json.loads(json.dumps(certificate(schedule, "static")))), Record()
     with flint.ctx.workprec(PRECISION):
-        Argument(told, record, Stated(schedule.safety.start_margin.value)).run()
+        Argument(document, record, Stated(schedule.safety.start_margin.value)).run()
     assert ("guarantee", "proved") in record.checked
 
 
@@ -325,10 +325,10 @@ def test_what_the_reference_commands_is_booked_where_it_acts():
     safety = synthesize(scenario).safety
     clearance, nu = safety.clearance, np.abs(safety.reference.nu)
     rows = safety.tracking.commands[: nu.shape[1]]
-    caused, told = clearance.scheduled(rows), clearance._scheduled.commanded
-    assert np.all(told >= nu + caused.max(axis=1) - 1e-12) and np.all(told.max(axis=0) < 1.5 * nu.max(axis=0))
-    tail = told[clearance.planned :]
-    assert np.all(np.diff(tail, axis=0) <= 0) and np.all(tail[len(tail) // 2 :] == told[-1])
+    caused, sent = clearance.scheduled(rows), clearance._scheduled.commanded
+    assert np.all(sent >= nu + caused.max(axis=1) - 1e-12) and np.all(sent.max(axis=0) < 1.5 * nu.max(axis=0))
+    tail = sent[clearance.planned :]
+    assert np.all(np.diff(tail, axis=0) <= 0) and np.all(tail[len(tail) // 2 :] == sent[-1])
     assert np.all(clearance.scheduled(safety.tracking.system.position) > 0)
 
 
@@ -376,8 +376,8 @@ def printed(seed, errors=True):
 @pytest.mark.parametrize("seed", [5001, pytest.param(5024, marks=pytest.mark.slow)])
 def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
     monitor = monitored(seed, printed(seed))
-    found, under = attack_monitor(monitor, 40, seed)
-    judge(seed, found)
+    worst, under = attack_monitor(monitor, 40, seed)
+    judge(seed, worst)
     assert under > 0.1
     judge(seed, attack_monitor(Monitor(monitor.grid.profiled(), monitor.trust), 40, seed)[0])
 
@@ -393,8 +393,8 @@ def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
     assert DecisionGrid.of(schedule).half_widths.tolist() == system.navigation.tolist()
     assert DecisionGrid.of(schedule, half_widths=0.0).half_widths.tolist() == system.displaced.tolist()
     assert np.any(system.displaced)
-    found, under = attack_monitor(Monitor(DecisionGrid.of(schedule)), 40, 5001)
-    judge(5001, found)
+    worst, under = attack_monitor(Monitor(DecisionGrid.of(schedule)), 40, 5001)
+    judge(5001, worst)
     assert under > 0.1
 
 
@@ -404,10 +404,10 @@ def test_errors_that_a_monitor_does_not_know_of_break_it():
     ours = system.estimate_error, system.thrusters
     object.__setattr__(system, "estimate_error", known.navigation)
     object.__setattr__(system, "thrusters", known.thrusters)
-    found, _ = attack_monitor(monitor, 80, 5001)
+    worst, _ = attack_monitor(monitor, 80, 5001)
     object.__setattr__(system, "estimate_error", ours[0])
     object.__setattr__(system, "thrusters", ours[1])
-    assert found.thrust < -5e-4
+    assert worst.thrust < -5e-4
 
 
 @pytest.mark.slow
@@ -429,12 +429,12 @@ def test_many_monitors_hold_with_errors_at_their_worst():
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
     mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
     schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
-    found = compare_methods(DecisionGrid.of(schedule, latency=1 / 3, period=1 / 3), 4)
-    assert not found.refused and found.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
-    for one in found.results.values():
+    comparison = compare_methods(DecisionGrid.of(schedule, latency=1 / 3, period=1 / 3), 4)
+    assert not comparison.refused and comparison.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
+    for one in comparison.results.values():
         assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name
-    assert found.results["experimental"].metrics.collided.all()
-    assert found.results["monitor_declared"].metrics.experimental_share.min() > 0.1
+    assert comparison.results["experimental"].metrics.collided.all()
+    assert comparison.results["monitor_declared"].metrics.experimental_share.min() > 0.1
 
 
 def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
@@ -445,13 +445,13 @@ def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
     start.flown(np.array([-command, command]), True)
     ahead = start.moved(start.t + duration)
     Ad, Bd = discretize(system.A, system.B, duration)
-    most = np.zeros(6)
+    reach = np.zeros(6)
     for _ in range(200):
         u = rng.choice([-1, 1], 3) * command
         x = Bd @ (u + rng.choice([-1, 1], 3) * system.thrusters.error(u))
         assert np.all(np.abs(x) <= ahead[:6]) and np.all(np.abs(x) <= ahead[6:])
-        most = np.maximum(most, np.abs(x))
-    assert np.any(most > np.abs(Bd) @ command), "without their errors it does not"
+        reach = np.maximum(reach, np.abs(x))
+    assert np.any(reach > np.abs(Bd) @ command), "without their errors it does not"
 
 
 def test_a_grown_set_holds_every_place_within_the_radius():
@@ -508,8 +508,8 @@ def test_forged_errors_are_refused(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     profile = data["profile"]
     for forged, claim in (
-        ([[(20 * float.fromhex(x)).hex() for x in most] for most in profile], "goal"),
-        ([[(0.5 * float.fromhex(x)).hex() for x in most] for most in profile], "recoverable"),
+        ([[(20 * float.fromhex(x)).hex() for x in row] for row in profile], "goal"),
+        ([[(0.5 * float.fromhex(x)).hex() for x in row] for row in profile], "recoverable"),
         ([*profile[:-1], [(1e-6).hex()] * len(profile[0])], "recoverable"),
         (profile[::-1], "format"),
     ):

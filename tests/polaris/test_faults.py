@@ -34,14 +34,14 @@ def largest_by_mixes(directions, capacity, wanted):
         for a, sign in enumerate(signs):
             within[i * N : (i + 1) * N, (sign * m + a) * N : (sign * m + a + 1) * N] = np.eye(N)
     tops = np.tile(capacity, len(corners))[:, None]
-    found = linprog(  # of the least share of thrust for the whole box
+    answer = linprog(  # of the least share of thrust for the whole box
         np.append(np.zeros(2 * m * N), 1.0),
         A_ub=np.hstack([within, -tops]),
         b_ub=np.zeros(len(within)),
         A_eq=np.hstack([makes, np.zeros((len(makes), 1))]),
         b_eq=sides.ravel(),
     )
-    return 1 / found.x[-1]
+    return 1 / answer.x[-1]
 
 
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(i, marks=pytest.mark.slow) for i in (2, 3))])
@@ -52,14 +52,14 @@ def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
     directions, limits = rng.normal(size=(count, m)), rng.uniform(0.5, 2, count)
     faults = [Fault("stuck_off", 0.0), Fault("loss", 0.4)][seed % 2 :]
     made = Allocation.of(directions, limits, wanted := rng.uniform(0.5, 1, m) * 5, faults)
-    most = 1.0  # of what is asked
+    share = 1.0  # of what is asked
     for _, capacity in cases(limits, faults):
         box = list(zip(np.zeros(count), capacity, strict=True))
         for _ in range(2):
             u = made.u_max * rng.choice([-1, 1, rng.uniform(-1, 1)], m)
             assert linprog(np.ones(count), A_eq=directions.T, b_eq=u * (1 - 1e-9), bounds=box).status == 0
-        most = min(most, largest_by_mixes(directions, capacity, wanted))
-    assert made.u_max == pytest.approx(most * wanted, rel=1e-6)
+        share = min(share, largest_by_mixes(directions, capacity, wanted))
+    assert made.u_max == pytest.approx(share * wanted, rel=1e-6)
 
 
 def test_a_loss_of_axis_pairs_takes_its_share_and_one_that_is_off_takes_all():
@@ -97,8 +97,8 @@ def test_bad_tables_are_refused_by_name(assignments, field):
 def test_forged_faults_are_refused(tmp_path):
     forger = Forger(make([*FIVE, 'faults=[{kind="stuck_off"}]'], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
-    told = "faults: of the thrusters at most one fails"
-    assert any(line.startswith(told) for line in forger.honest["assumptions"])
+    premise = "faults: of the thrusters at most one fails"
+    assert any(line.startswith(premise) for line in forger.honest["assumptions"])
 
     def forged(change):
         data = copy.deepcopy(forger.honest)

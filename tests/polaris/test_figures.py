@@ -117,14 +117,14 @@ def test_axes_have_units_and_obstacles_have_names(picture):
 
 
 def test_every_hand_over_has_the_set_of_its_own_time(picture):
-    told = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
+    texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
     switches = np.flatnonzero(np.diff(picture.modes)) + 1
     assert (
         len(switches) and [one.mode for one in picture.printed_slices()] == picture.modes[switches].tolist()
     )
     for one, k in zip(picture.printed_slices(), switches, strict=True):
         assert one.time == pytest.approx(k * picture.reference.delta)
-        assert f"{'SU'[one.mode]} from {one.time:.3g} s" in told
+        assert f"{'SU'[one.mode]} from {one.time:.3g} s" in texts
         for obstacle in picture.obstacles:  # this is why it is safe
             assert obstacle.signed_distance(np.full(len(one.outline), one.time), one.outline).min() > 0
     gone = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
@@ -436,10 +436,10 @@ def drawn_gap(picture, obstacle, times, path, axes):
 def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     picture = random_picture(seed)
     times, path = picture.safe_path()
-    found = closeups(picture)
+    panels = closeups(picture)
     for obstacle in picture.obstacles:
         distance = obstacle.signed_distance(times, path, picture.system)
-        own = [one for one in found if one.obstacle is obstacle]
+        own = [one for one in panels if one.obstacle is obstacle]
         inside = Space.of(picture).corners(obstacle, picture.approach(obstacle).time)
         if isinstance(obstacle, KeepInPolytope) or distance.min() <= 0 or not len(inside):
             assert own == []
@@ -456,7 +456,7 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
             if one.axes is not None:
                 assert np.all(drawn_gap(picture, obstacle, times[a:b], path[a:b], one.axes) > 0)
             shown[a:b] = True
-        assert shown.all() or len(found) == MOST
+        assert shown.all() or len(panels) == MOST
 
 
 def over(height, radius=40.0):
@@ -579,8 +579,8 @@ def assert_slices_are_of_their_instants(schedule, picture):
                 assert inside(place[None, flat], outline, 1e-9 * size**2).all()
             for share, known in ((0.999, True), (1.1, False)):
                 moved = middle + share * (outline - middle) - place[flat]
-                found = recoverable.contains(step * q + part, state - xi + moved @ lift)
-                assert found.all() if known else not found.any()
+                within = recoverable.contains(step * q + part, state - xi + moved @ lift)
+                assert within.all() if known else not within.any()
 
 
 def test_slices_contain_the_chaser_of_every_run():

@@ -133,10 +133,10 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
         x = x @ Ad.T + np.hstack([u, w]) @ Bd.T
         e = x - safe[i + 1]
         node, inside = divmod(i + 1, parts)
-        most = support[node]
+        bound = support[node]
         if inside:
-            most = np.maximum(support[node], support[node + 1]) + tube.bow[node] @ np.abs(rows).T
-        assert np.all(e @ rows.T <= most + ROUNDING), (i, np.max(e @ rows.T - most))
+            bound = np.maximum(support[node], support[node + 1]) + tube.bow[node] @ np.abs(rows).T
+        assert np.all(e @ rows.T <= bound + ROUNDING), (i, np.max(e @ rows.T - bound))
     assert np.all(e @ rows.T <= tube.end.support(rows) + ROUNDING)
 
 
@@ -201,9 +201,9 @@ PARTS |= {"reference_input": np.array([0.1, -0.2])}
 
 
 def layers_of(network):
-    found = [layer_item(layer) for layer in network.layers]
+    items = [layer_item(layer) for layer in network.layers]
     return [
-        Layer(**{k: v.tolist() if hasattr(v, "tolist") else v for k, v in item.items()}) for item in found
+        Layer(**{k: v.tolist() if hasattr(v, "tolist") else v for k, v in item.items()}) for item in items
     ]
 
 
@@ -226,19 +226,19 @@ def test_the_checker_encloses_what_a_network_commands(error):
         G = 0.1 * rng.normal(size=(4, 5))
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
         seen = checked.reads * diagonal([error] * 4)
-        found = checked.command(d, matrix([[x] for x in known]), seen)
+        enclosed = checked.command(d, matrix([[x] for x in known]), seen)
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
-            told = e + rng.choice([-error, error], 4)
+            read = e + rng.choice([-error, error], 4)
             reads = known + policy.stack(
-                {"error": -told, "state": told, "time": np.zeros(1), "reference_input": np.zeros(2)}
+                {"error": -read, "state": read, "time": np.zeros(1), "reference_input": np.zeros(2)}
             )
             u = np.clip(policy.network(reads) * policy.output_scale, -limit, limit)
-            left = found.K * matrix([[x] for x in e]) + found.c
+            left = enclosed.K * matrix([[x] for x in e]) + enclosed.c
             for i in range(2):
-                room = sum((abs(v) for v in found.V.tolist()[i]), arb(0))
+                room = sum((abs(v) for v in enclosed.V.tolist()[i]), arb(0))
                 assert abs(u[i] - left[i, 0]) <= room + 1e-12
-                assert abs(u[i]) <= found.most[i] + 1e-12
+                assert abs(u[i]) <= enclosed.most[i] + 1e-12
 
 
 def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
@@ -286,10 +286,10 @@ def scene(folder, file=HASTY, feedback=None, errors=None, **more):
     table |= {"reference": {"kind": "unaware"}, **more}
     if file.parent != folder:
         shutil.copyfile(file, folder / file.name)
-    found = load_scenario(TINY, SAMPLED).to_dict() | {"experimental": [table]}
-    found["feedback"] = feedback or found["feedback"]
-    found |= errors or {}
-    (folder / "scene.toml").write_text(write_toml(found), encoding="utf-8")
+    data = load_scenario(TINY, SAMPLED).to_dict() | {"experimental": [table]}
+    data["feedback"] = feedback or data["feedback"]
+    data |= errors or {}
+    (folder / "scene.toml").write_text(write_toml(data), encoding="utf-8")
     return folder / "scene.toml"
 
 
@@ -310,7 +310,7 @@ def alone(made, tmp_path_factory):
 def test_a_run_of_a_network_verifies_and_stands_alone(alone):
     folder, verdict = alone
     assert verdict.outcome == "VERIFIED", verdict.text()
-    assert any("layers of 1 networks" in told for _, told in verdict.checked)
+    assert any("layers of 1 networks" in text for _, text in verdict.checked)
     assert folder.summary["synthesis"]["experimental_share"] > 0.3
     assert folder.summary["polaris"]["collided"] is False
     (controller,) = folder.scenario.controllers(get_safety(folder.scenario.problem()))
@@ -328,10 +328,10 @@ def test_runs_of_other_networks_verify(seed, tmp_path):
     affine = [layer for layer in read_onnx(HASTY).layers if isinstance(layer, Affine)]
     weights = [layer.W * rng.uniform(0.9, 1.1, layer.W.shape) for layer in affine]
     write_onnx(tmp_path / "other.onnx", [*weights, *(layer.b for layer in affine)])
-    found = run(scene(tmp_path, tmp_path / "other.onnx", name=f"net{seed}"), tmp_path / "run")
-    verdict = verify(found.path)
+    folder = run(scene(tmp_path, tmp_path / "other.onnx", name=f"net{seed}"), tmp_path / "run")
+    verdict = verify(folder.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
-    assert 1 in found.json("schedule.json")["modes"]
+    assert 1 in folder.json("schedule.json")["modes"]
 
 
 ERRORS = {
@@ -356,12 +356,12 @@ def arithmetic(lines):
 
 @pytest.mark.slow
 def test_a_run_says_in_which_arithmetic_its_network_is_evaluated(made, alone, tmp_path):
-    found = read_run(made).summary["guarantee"]["assumptions"]
+    known = read_run(made).summary["guarantee"]["assumptions"]
     assert (
-        arithmetic(found) == [f"network net: {ARITHMETIC['real']}"]
+        arithmetic(known) == [f"network net: {ARITHMETIC['real']}"]
         and "real arithmetic" in ARITHMETIC["real"]
     )
-    assert arithmetic(alone[1].trusted) == arithmetic(found)
+    assert arithmetic(alone[1].trusted) == arithmetic(known)
     single = run(scene(tmp_path, precision="float32"), tmp_path / "run")
     verdict = verify(single.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
@@ -425,19 +425,19 @@ def test_a_network_in_another_folder_is_copied_and_found_from_anywhere(tmp_path,
     (tmp_path / HASTY.name).unlink()
     text = path.read_text(encoding="utf-8").replace("hasty.onnx", "policies/hasty.onnx")
     path.write_text("# kept\n" + text, encoding="utf-8")
-    found = load_scenario(path)
-    assert found.files() == [tmp_path / "policies" / HASTY.name]
-    copied = tomllib.loads(found.copy_text())
+    scenario = load_scenario(path)
+    assert scenario.files() == [tmp_path / "policies" / HASTY.name]
+    copied = tomllib.loads(scenario.copy_text())
     assert copied["experimental"][0].pop("path") == "hasty.onnx"
-    original = found.to_dict()
+    original = scenario.to_dict()
     assert original["experimental"][0].pop("path") == "policies/hasty.onnx"
     assert copied == original
     monkeypatch.chdir(tmp_path.parent)
-    again = type(found).from_dict(tomllib.loads(found.text_elsewhere()))
-    assert again.files() == found.files()
-    before = found.text_elsewhere()
+    again = type(scenario).from_dict(tomllib.loads(scenario.text_elsewhere()))
+    assert again.files() == scenario.files()
+    before = scenario.text_elsewhere()
     (tmp_path / "policies" / HASTY.name).write_bytes(HASTY.read_bytes() + b"\x12\x00")
-    assert found.text_elsewhere() != before
+    assert scenario.text_elsewhere() != before
 
 
 def forged(made, folder, change, files=()):
@@ -613,10 +613,10 @@ def test_what_does_not_fit_is_one_error(name, tmp_path):
     changes, field = WRONG[name]
     (tmp_path / "text.onnx").write_text("no network", encoding="utf-8")
     shutil.copyfile(scenario_folder() / "policies" / "fuel_saver.onnx", tmp_path / "fuel_saver.onnx")
-    with pytest.raises(ScenarioError) as told:
+    with pytest.raises(ScenarioError) as raised:
         load_scenario(scene(tmp_path, **changes))
-    assert told.value.field == field
-    assert "\n" not in str(told.value)
+    assert raised.value.field == field
+    assert "\n" not in str(raised.value)
 
 
 def test_a_missing_package_is_one_error(tmp_path, monkeypatch):
@@ -645,10 +645,10 @@ def test_an_imitation_gets_nearly_the_share_of_the_law_that_it_imitates(name, tm
     pytest.importorskip("onnx")
     sampled = {"feedback": {"period_s": 2.0}, "recoverable.recourse": "none"}
     law = load_scenario(name, sampled)
-    found, file = law.to_dict(), scenario_folder() / "policies" / "fuel_saver.onnx"
+    data, file = law.to_dict(), scenario_folder() / "policies" / "fuel_saver.onnx"
     table = {"kind": "neural", "name": "net", "path": str(file), "output_scale_N": 0.2}
     table |= {"input_scale": [1 / 60] * 3 + [1.0] * 3, "reference": {"kind": "unaware"}}
-    net = type(law).from_dict(found | {"experimental": [table]})
+    net = type(law).from_dict(data | {"experimental": [table]})
     assert synthesize(net).share() >= 0.95 * synthesize(law).share()
 
 
@@ -669,8 +669,8 @@ def test_a_flight_under_two_layers_of_64_takes_seconds():
 
 @pytest.mark.slow
 def test_a_reference_planned_with_a_network_in_view_gives_it_more_time(made, tmp_path):
-    found = run(scene(tmp_path), tmp_path / "run", overrides=["recoverable.recourse=in_view"])
-    verdict = verify(found.path)
+    folder = run(scene(tmp_path), tmp_path / "run", overrides=["recoverable.recourse=in_view"])
+    verdict = verify(folder.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     alone = read_run(made).summary["synthesis"]["experimental_share"]
-    assert found.summary["synthesis"]["experimental_share"] > alone
+    assert folder.summary["synthesis"]["experimental_share"] > alone

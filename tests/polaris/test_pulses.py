@@ -90,8 +90,8 @@ def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_per
             wrong = pulse - pulse.mean(axis=0)
             mean = (wrong.cumsum(axis=0) * step - wrong * step / 2).mean(axis=0)
             if lead is not None:
-                told = on * fired
-                bound = np.add(lead.fixed, lead.part(told))
+                command = on * fired
+                bound = np.add(lead.fixed, lead.part(command))
                 assert np.all(np.abs(mean) <= bound * (1 + 1e-2))
                 led = max(led, np.max(np.abs(mean) / np.add(lead.fixed, lead.most)))
                 wrong_rate = wrong @ system.B.T - mean @ (system.A @ system.B).T
@@ -148,11 +148,11 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     flight.asked = np.array([[0.1, 0.02, 0.0], [-0.2, 0.19, -0.05], [1e-4, 0.0, 0.2]])
     start = np.random.default_rng(0).normal(size=(3, 6)) * ([100] * 3 + [0.1] * 3)
     x = y = np.concatenate([start, near_circular(env, np.arange(3.0), np.zeros(3))], axis=1)
-    told, fine, push = 1.03 * flight.asked, 400, np.full((3, 3), 1e-6)  # errors stay as they are
+    thrust, fine, push = 1.03 * flight.asked, 400, np.full((3, 3), 1e-6)  # errors stay as they are
     flight.made, flight.parts = flight.asked, []
     flight.start(0)
     for step in range(substeps):
-        x = flight.move(0, step, x, told, push)
+        x = flight.move(0, step, x, thrust, push)
     on = np.abs(flight.asked) / flight.fired
 
     def rate(u):
@@ -163,7 +163,7 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
 
     for step in range(fine):
         gone = [np.clip(2 * i / fine - 1, -on, on) / 2 for i in (step, step + 1)]  # of each pulse
-        u = np.sign(flight.asked) * flight.fired * (gone[1] - gone[0]) * fine + told - flight.asked
+        u = np.sign(flight.asked) * flight.fired * (gone[1] - gone[0]) * fine + thrust - flight.asked
         first = rate(u)
         y, before = y + h / fine * first, y
         y = before + h / fine / 2 * (first + rate(u))
@@ -198,10 +198,10 @@ def test_forged_pulses_are_refused(tmp_path):
 
     without = {key: x for key, x in data["system"]["timing"].items() if key != "fired"}
 
-    def judged(timing=(), told=data["assumptions"], **system):
+    def judged(timing=(), words=data["assumptions"], **system):
         system = data["system"] | system
         system["timing"] = (without if timing is without else system["timing"]) | dict(timing)
-        return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": told})})
+        return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": words})})
 
     less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
     smaller = [(0.99 * float.fromhex(x)).hex() for x in data["system"]["timing"]["displaced"]]
@@ -217,7 +217,7 @@ def test_forged_pulses_are_refused(tmp_path):
         (judged({"carried": (0.0005).hex()}), "assumptions"),
         (judged({"carried": (0.0005).hex()}, fewer), "system"),
         (judged({"pulsed": data["system"]["timing"]["displaced"]}), "system"),
-        (judged(told=held, timing=without), "system"),
+        (judged(words=held, timing=without), "system"),
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim), verdict
     scenario = forger.tree("scenario.toml")
@@ -245,19 +245,19 @@ def test_the_place_of_pulses_is_proven_and_no_other_passes_for_it(placed, more, 
     assert timing["placed"] == placed
     other = {"start": "staggered", "staggered": "start"}[placed]
     for forged in (timing | {"placed": other}, {k: x for k, x in timing.items() if k != "placed"}):
-        told = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": forged}})}
-        assert forger.judge(told).outcome == "REJECTED"
+        files = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": forged}})}
+        assert forger.judge(files).outcome == "REJECTED"
     for pulse in ("held", "centred", other):
         forged = scenario | {"thrusters": scenario["thrusters"] | {"pulse": pulse}}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
     for key in ("fired", "pulsed"):
         less = [(0.99 * float.fromhex(x)).hex() for x in timing[key]]
-        told = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": timing | {key: less}}})}
-        assert forger.judge(told).outcome == "REJECTED", key
+        files = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": timing | {key: less}}})}
+        assert forger.judge(files).outcome == "REJECTED", key
     if more:
         limits = [(1.01 * float.fromhex(x)).hex() for x in system["input_max"]]
-        told = {CERTIFICATE: json.dumps(data | {"system": system | {"input_max": limits}})}
-        assert forger.judge(told).outcome == "REJECTED"
+        files = {CERTIFICATE: json.dumps(data | {"system": system | {"input_max": limits}})}
+        assert forger.judge(files).outcome == "REJECTED"
 
 
 @pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
@@ -292,9 +292,9 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
     system, timing, thrusters = (part for part in (data["system"], data["system"]["timing"], None))
     thrusters = system["thrusters"]
 
-    def judged(told=data["assumptions"], errors=thrusters, **changed):
+    def judged(words=data["assumptions"], errors=thrusters, **changed):
         forged = system | {"timing": timing | changed, "thrusters": errors}
-        return forger.judge({CERTIFICATE: json.dumps(data | {"system": forged, "assumptions": told})})
+        return forger.judge({CERTIFICATE: json.dumps(data | {"system": forged, "assumptions": words})})
 
     def times(share, numbers):
         return [(share * float.fromhex(x)).hex() for x in numbers]
@@ -332,11 +332,11 @@ def test_impulses_above_the_least_one_may_be_of_any_size(remainder):
     firing.thrusters = firing.system.on_time
     firing.begin(1)
     for _ in range(300):
-        told = rng.uniform(-1, 1, (1, 2)) * rng.choice([0.5, 1.5, 40]) * bit / h
-        u, left, _ = OutOfTime.made(loop, told, rest, 0.0)
-        assert np.all(np.abs(left) <= bit) and np.all(np.abs(u - told) * h <= bit * (0.5 if loop.bit else 2))
+        sent = rng.uniform(-1, 1, (1, 2)) * rng.choice([0.5, 1.5, 40]) * bit / h
+        u, left, _ = OutOfTime.made(loop, sent, rest, 0.0)
+        assert np.all(np.abs(left) <= bit) and np.all(np.abs(u - sent) * h <= bit * (0.5 if loop.bit else 2))
         if remainder == "carried":
-            assert np.allclose(firing.applied(told, 0), u, atol=1e-12)
+            assert np.allclose(firing.applied(sent, 0), u, atol=1e-12)
         rest = left
         sizes += np.abs(u[u != 0]).tolist()
     sizes = np.array(sizes) * h / bit
@@ -368,14 +368,14 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         "u_max": [arb(1)],
         "h": arb(2),
         "jitter": 0.0,
-        "spent": lambda most: arb(1),
+        "spent": lambda tops: arb(1),
         "weighted": lambda sizes: sum(sizes, arb(0)),
         "weights": (),
     }
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, along=0.5, across=0.0, shares=())
     plant.prompt = plant
-    told = {}
+    claims = {}
     arrival = SimpleNamespace(
         document=document,
         flight=SimpleNamespace(
@@ -384,16 +384,16 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         node_at=lambda t: 0,
         tops=lambda node: [arb(0.5)],
         until=lambda node: arb(7),
-        no_less=lambda what, claimed, derived: told.update({what: float(derived.mid())}),
+        no_less=lambda what, claimed, derived: claims.update({what: float(derived.mid())}),
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")
     claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
     _check(arrival, claim, None, [arb(0.5)], (arb(0.5), arb(12)))  # thrust is 12 N more once
-    assert told["velocity change until it is settled"] == 7 + ahead + 12
+    assert claims["velocity change until it is settled"] == 7 + ahead + 12
     check_upkeep(arrival, claim, None)
-    assert told["velocity change per second"] == 0.25
-    assert told["velocity change until it is settled"] == 7 + ahead
-    assert told["velocity change per orbit"] == pytest.approx(0.25 * 2000 * np.pi + ahead + left)
+    assert claims["velocity change per second"] == 0.25
+    assert claims["velocity change until it is settled"] == 7 + ahead
+    assert claims["velocity change per orbit"] == pytest.approx(0.25 * 2000 * np.pi + ahead + left)
 
 
 def test_what_is_carried_is_a_displacement_and_a_drift():
@@ -509,13 +509,13 @@ def test_pulses_are_followed_within_a_period(placed):
     firing.start(0)
     assert np.allclose(held + firing.bow(0), other, atol=2e-3 if placed == "centred" else 1e-2)
     places = np.arange(1, 8) / 8
-    found = _pulsed(system, before[:, None], (held + firing.bow(0))[:, None], h, places[:, None])
+    bows = _pulsed(system, before[:, None], (held + firing.bow(0))[:, None], h, places[:, None])
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     true = true - held_path(system, h, before, other, places)
     largest = np.array(system.timing.pulsed)
     for part in (slice(3), slice(3, 6)):  # positions, velocities
         size = np.abs(true[..., part]).max()
-        assert np.abs(found - true)[..., part].max() < 0.03 * size
+        assert np.abs(bows - true)[..., part].max() < 0.03 * size
         assert size > (0.3 if placed == "centred" else 0.1) * np.linalg.norm(largest[part])
 
 
@@ -564,18 +564,18 @@ def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
 @pytest.mark.parametrize("seed", [101, 102, 114])
 def test_nothing_that_flies_early_or_late_breaks_what_is_proven(seed):
     """Attack a random scene with jitter, pulses and others by an integrator of their own."""
-    given, found = judge_scene(seed)
-    assert found is not None, given
-    schedule, least, most = found
-    assert schedule.guarantee == "proved" and least > 0 and 0 < most <= 1, given
+    given, judged = judge_scene(seed)
+    assert judged is not None, given
+    schedule, least, thrust = judged
+    assert schedule.guarantee == "proved" and least > 0 and 0 < thrust <= 1, given
 
 
 @pytest.mark.slow
 def test_no_random_scene_is_broken_by_what_flies_early_or_late():
-    found = [judge_scene(seed)[1] for seed in range(100, fewer(141, 112))]
-    scenes = [each for each in found if each is not None]
-    assert len(scenes) >= len(found) / 2
-    assert all(least > 0 and 0 < most <= 1 for _, least, most in scenes)
+    judged = [judge_scene(seed)[1] for seed in range(100, fewer(141, 112))]
+    scenes = [each for each in judged if each is not None]
+    assert len(scenes) >= len(judged) / 2
+    assert all(least > 0 and 0 < thrust <= 1 for _, least, thrust in scenes)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.7])

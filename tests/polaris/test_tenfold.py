@@ -12,21 +12,21 @@ from ..test_docs import assert_shown
 def test_rows_are_told_of_what_has_been_found():
     attack = {"runs": 600, "violated": False, "limits": [{"proven_share": 0.35}, {"proven_share": None}]}
     row = {"share": 0.5, "delta_v_m_s": 1.25, "goal": True}
-    found = {
+    results = {
         "static, mass, 1": row,
         "static, mass, 10": row | {"share": 0.1, "outcome": "REJECTED", "attacks": attack},
         "static, delay, 10": row,
         "static, misalignment, 1": row,
         "static, misalignment, 10": {"reason": "the start", "exit_code": 3},
     }
-    lines = tenfold.table(found, ("static",), list(tenfold.ERRORS), (1.0, 10.0)).splitlines()[2:]
+    lines = tenfold.table(results, ("static",), list(tenfold.ERRORS), (1.0, 10.0)).splitlines()[2:]
     assert lines == [
         "| `static` | misalignment | 50.0 | none (3) | 1.25 | - | - |",
         "| `static` | mass | 50.0 | 10.0, REJECTED | 1.25 to 1.25 | 600: none violates | 35 to 35 % |",
     ]
     asked = row | {"drift": "0 of 60", "aborts": "12 of 60", "lasts_h": 1.25, "outcome": "VERIFIED"}
-    found |= {"static, none": row, "static, all, faults, aborts": asked}
-    assert tenfold.together(found, ["static"]).splitlines()[2:] == [
+    results |= {"static, none": row, "static, all, faults, aborts": asked}
+    assert tenfold.together(results, ["static"]).splitlines()[2:] == [
         "| `static` | none | 50.0 | 1.25 | - | - | - | - |",
         "| `static` | all, faults, aborts | 50.0 | 1.25 | 0 of 60 | 12 of 60 | 1.2 | VERIFIED |",
     ]
@@ -42,12 +42,12 @@ def test_new_rows_replace_their_own_and_other_columns_the_whole_table():
 
 
 def test_the_page_has_every_cell_and_each_is_confirmed():
-    told = (
+    table = (
         tenfold.TRADEOFFS.read_text(encoding="utf-8")
         .split("<!-- table tenfold -->")[1]
         .split("<!-- end -->")[0]
     )
-    rows = [[cell.strip(" `") for cell in row.split("|")] for row in told.splitlines() if row[:3] == "| `"]
+    rows = [[cell.strip(" `") for cell in row.split("|")] for row in table.splitlines() if row[:3] == "| `"]
     assert [tuple(row[1:3]) for row in rows] == [(s, e) for s in tenfold.SCENES for e in tenfold.ERRORS]
     assert all(0 <= float(row[3]) <= 100 and row[5].endswith(": none violates") for row in rows)
 
@@ -56,8 +56,8 @@ def test_the_page_has_every_cell_and_each_is_confirmed():
 def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
     asked = ["static", "--only", "magnitude", "--times", "10", "--attacks", "300"]
     tenfold.main([*asked, "--out", str(tmp_path)])
-    found = json.loads((tmp_path / "tenfold.json").read_text())["static, magnitude, 10"]
-    assert found["outcome"] == "VERIFIED" and not found["attacks"]["violated"] and found["share"] > 0.5
+    result = json.loads((tmp_path / "tenfold.json").read_text())["static, magnitude, 10"]
+    assert result["outcome"] == "VERIFIED" and not result["attacks"]["violated"] and result["share"] > 0.5
 
 
 @pytest.mark.slow
@@ -65,8 +65,8 @@ def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
 def test_bundled_scenes_are_worth_flying_with_every_error_at_once(scene, tmp_path):
     """At most ten points of U less than without errors, at most half as much velocity change more."""
     tenfold.main([scene, "--together", "--attacks", "0", "--out", str(tmp_path)])
-    found = json.loads((tmp_path / "tenfold.json").read_text())
-    ideal, real, asked = (found[f"{scene}, {kind}"] for kind in tenfold.TOGETHER)
+    results = json.loads((tmp_path / "tenfold.json").read_text())
+    ideal, real, asked = (results[f"{scene}, {kind}"] for kind in tenfold.TOGETHER)
     assert real["share"] >= ideal["share"] - 0.1 - 1e-9
     assert real["delta_v_m_s"] <= 1.5 * ideal["delta_v_m_s"]
     assert ideal["goal"] is real["goal"] is asked["goal"] is True
@@ -74,4 +74,4 @@ def test_bundled_scenes_are_worth_flying_with_every_error_at_once(scene, tmp_pat
     assert {one["outcome"] for one in (ideal, real, asked)} == {"VERIFIED"}
     page = tenfold.TRADEOFFS.read_text(encoding="utf-8").split("<!-- table together -->")[1]
     shown = [line for line in page.split("<!-- end -->")[0].splitlines() if f"`{scene}`" in line]
-    assert_shown("\n".join(shown), tenfold.together(found, [scene]), scene, numbers=True)
+    assert_shown("\n".join(shown), tenfold.together(results, [scene]), scene, numbers=True)

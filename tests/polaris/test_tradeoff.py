@@ -82,13 +82,13 @@ def test_points_are_run_folders_of_their_price(folder, tmp_path):
     assert opened["price-0"].scenario.switching_rules().delta_v_price == 0
     assert opened["printed"].scenario.model.recoverable.recourse == "none"
     for row in rows:
-        told = opened[row["folder"]].summary
-        assert row["share"] == row["weighted_share"] == told["synthesis"]["experimental_share"]
-        assert row["switches"] == told["synthesis"]["switches"]
-        assert row["delta_v_m_s"] == told["polaris"]["delta_v_m_s"] <= row["delta_v_max_m_s"]
+        kept = opened[row["folder"]].summary
+        assert row["share"] == row["weighted_share"] == kept["synthesis"]["experimental_share"]
+        assert row["switches"] == kept["synthesis"]["switches"]
+        assert row["delta_v_m_s"] == kept["polaris"]["delta_v_m_s"] <= row["delta_v_max_m_s"]
         assert row["delta_v_undisturbed_m_s"] == pytest.approx(row["delta_v_m_s"], rel=0.1)
         assert (
-            row["delta_v_most_m_s"] == told["guarantee"]["goal"]["delta_v_max_m_s"] > row["delta_v_max_m_s"]
+            row["delta_v_most_m_s"] == kept["guarantee"]["goal"]["delta_v_max_m_s"] > row["delta_v_max_m_s"]
         )
         assert (row["goal_reached"], row["guarantee"], row["until_s"]) == (True, "proved", 20.0)
 
@@ -102,8 +102,8 @@ def test_a_price_buys_less_velocity_change_and_the_printed_schedule_is_outdone(f
 def test_the_table_says_the_same(folder):
     with (folder.path / "tradeoff.csv").open(encoding="utf-8", newline="") as file:
         read = list(csv.DictReader(file))
-    told = [{key: "" if v is None else str(v) for key, v in row.items()} for row in folder.summary["points"]]
-    assert read == told and polaris.read_run(folder.path).picture() == folder.summary["points"]
+    texts = [{key: "" if v is None else str(v) for key, v in row.items()} for row in folder.summary["points"]]
+    assert read == texts and polaris.read_run(folder.path).picture() == folder.summary["points"]
 
 
 GOOD = {"weighted_share": 0.5, "delta_v_m_s": 1.0, "switches": 2, "goal_reached": True}
@@ -237,9 +237,9 @@ def test_a_lost_worker_is_told(tmp_path):
 def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(monkeypatch, tmp_path):
     monkeypatch.setattr("polaris.runs.picturing.SLICES", 240)  # as in new processes (see `few_slices`)
     assert contents(again(tmp_path / "one", executor=local(2)).path) == contents(again(tmp_path / "in").path)
-    with pytest.raises(PolarisError, match=r"(price-\d|printed): .*feasible") as told:
+    with pytest.raises(PolarisError, match=r"(price-\d|printed): .*feasible") as raised:
         again(tmp_path / "two", overrides=[*SET[:1], "system.input_max=0.05"], executor=local(2))
-    assert told.value.exit_code == 3
+    assert raised.value.exit_code == 3
 
 
 # -- other fields than the price ------------------------------------------------------------------------
@@ -297,9 +297,9 @@ def test_how_far_a_value_may_go():
         }
 
     falling = [row(4, None), row(1, 0.95), row(2, 0.93), row(3, 0.85)]
-    told = needed(falling, "f", 0.9)
-    assert (told["bound"], told["last_proven"], told["next"]) == ("at most", 2, 3)
-    assert told["interpolated"] == pytest.approx(2 + 0.03 / 0.08) and "about 2.375" in answered(told)
+    answer = needed(falling, "f", 0.9)
+    assert (answer["bound"], answer["last_proven"], answer["next"]) == ("at most", 2, 3)
+    assert answer["interpolated"] == pytest.approx(2 + 0.03 / 0.08) and "about 2.375" in answered(answer)
     beyond = needed(falling, "f", 0.8)
     assert (beyond["last_proven"], beyond["interpolated"]) == (3, None)
     assert "infeasible at 4" in answered(beyond)
@@ -349,8 +349,8 @@ def test_command(copied, computed):
     lines = [line.split()[:3] for line in done.stdout.splitlines()]
     assert ["*", "price-0", "83.3%"] in lines and ["*", "price-3", "41.7%"] in lines
     assert ["printed", "41.7%", "2"] in lines and (copied / "figures" / "tradeoff.pdf").is_file()
-    told = invoke(*given, "--json", "--no-figures")
-    assert json.loads(told.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
+    printed = invoke(*given, "--json", "--no-figures")
+    assert json.loads(printed.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
     assert not (copied / "figures").exists()
     assert (invoke(*given, "-q").output, computed) == ("", [])
 
@@ -460,6 +460,6 @@ def test_every_error_source_can_be_swept():
         for name in set(kind.model_fields) - set(others):
             seconds = name in ("from_s", "isolation_s", "lasts_s")
             value = 30 if seconds else {"missed_periods": 1, "within_m": 3000}.get(name, 0.02)
-            ((field, found),) = module._named({f"{table}.{name}": [value]}).values()
-            text = f"{field}={repr(found).removesuffix('.0')}"
+            ((field, number),) = module._named({f"{table}.{name}": [value]}).values()
+            text = f"{field}={repr(number).removesuffix('.0')}"
             assert pickle.dumps(scenario.with_assignments([text]).problem()) != base, text

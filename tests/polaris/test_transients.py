@@ -68,10 +68,10 @@ def made(seed, errors=False):
 
 
 def checked(schedule):
-    """Whether the checker's argument holds, the fault derived by itself."""
-    told, record = Document(json.loads(json.dumps(certificate(schedule, "scene")))), Record()
+    """Return True if the checker's argument holds, the fault derived by itself."""
+    document, record = Document(json.loads(json.dumps(certificate(schedule, "scene")))), Record()
     with flint.ctx.workprec(2 * PRECISION):
-        Argument(told, record, Stated(margins=[float(x) for x in schedule.margins])).run()
+        Argument(document, record, Stated(margins=[float(x) for x in schedule.margins])).run()
     return ("guarantee", "proved") in record.checked
 
 
@@ -105,8 +105,8 @@ def pulsing(scenario, kind):
     period, least = scenario.period(), scenario.system().u_max.min()
     given = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
     given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}"]
-    told = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
-    return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{told}={1.3 * period!r}}}]']
+    keys = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
+    return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{keys}={1.3 * period!r}}}]']
 
 
 @pytest.mark.parametrize("kind", ["loss", pytest.param("navigation_lost", marks=pytest.mark.slow)])
@@ -161,10 +161,10 @@ def test_networks_fly_where_a_fault_may_be_isolated_late(fault, precision):
     calm = dataclasses.replace(transient, networks=None)
     gain = schedule.safety.tracking.gain
     loop = schedule.safety.tracking.loop
-    least, found, most = (moved(system, each, gain, loop) for each in (calm, transient, steeper))
+    least, middle, high = (moved(system, each, gain, loop) for each in (calm, transient, steeper))
     limit = moved(system, dataclasses.replace(calm, asked=True), gain, loop)
-    assert np.all(least <= found) and np.all(found <= most) and np.all(most <= limit)
-    assert fault == LOST or np.allclose(most.max(axis=0), limit.max(axis=0))  # along the axis that is pushed
+    assert np.all(least <= middle) and np.all(middle <= high) and np.all(high <= limit)
+    assert fault == LOST or np.allclose(high.max(axis=0), limit.max(axis=0))  # along the axis that is pushed
 
 
 @pytest.mark.slow
@@ -213,9 +213,9 @@ def test_a_thruster_fails_for_as_long_as_commands_without_it_are_late(given):
     """Commanded at its limit, in a period and until the commands of the next one take effect."""
     late = 'faults=[{kind="loss",share=0.1,isolation_s=0.25}]'
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, late, *given]))
-    told = Document(json.loads(json.dumps(certificate(schedule, "scene"))))
+    document = Document(json.loads(json.dumps(certificate(schedule, "scene"))))
     with flint.ctx.workprec(2 * PRECISION):
-        derived = Argument(told, Record(), Stated()).upsets
+        derived = Argument(document, Record(), Stated()).upsets
     for box in (*(each.added[0].sum(axis=1) for each in schedule.safety.tracking.upsets), *derived):
         sizes = [float(x) for x in (box.entries() if isinstance(box, flint.arb_mat) else box)]
         assert max(sizes[2:4]) >= 0.1 * (0.25 + 0.03) * (1 - 1e-6)
@@ -280,22 +280,22 @@ def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer)
     gain, measures = (system.observer.gain, system.observer.measures) if observed else (np.eye(4), np.eye(4))
     rows = np.vstack([np.eye(4), -np.eye(4)])
     states, commands = tracking.upset(rows)[:, :4], tracking.upset(tracking.commands)[:, :2]
-    x, seen, shown, told = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
+    x, seen, shown, sent = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
     begin = length - fault.lasts / 0.25  # in periods; S flies from node `length` on
     for i in range(200):
         for j in range(parts):
             wrong = fault.pushes[-1] * (begin <= i + (j + 1) / parts - 1e-9 and i < length)
-            x = flow.phi @ x + push @ (told[i] + wrong)
+            x = flow.phi @ x + push @ (sent[i] + wrong)
             lag = max(i - length + 1, 0)
             assert np.all(np.abs(x) <= states[min(lag, len(states) - 1)])
         shown.append(x)
         if (node := i + 1 - late) > 0:  # the estimate of the state so many periods before
-            seen = whole.phi @ seen + held @ told[node - 1]
+            seen = whole.phi @ seen + held @ sent[node - 1]
             seen = seen + gain @ measures @ (shown[node] - seen)
         expected = seen
-        for u in told[max(node, 0) :]:
+        for u in sent[max(node, 0) :]:
             expected = whole.phi @ expected + held @ u
-        told.append(-(answer if i + 1 < length else 1) * tracking.gain @ expected)
+        sent.append(-(answer if i + 1 < length else 1) * tracking.gain @ expected)
         assert np.all(
             np.abs(tracking.gain @ expected) <= commands[min(max(i - length, 0), len(commands) - 1)]
         )
@@ -316,9 +316,9 @@ def test_updates_that_are_not_made_leave_what_they_would_have_corrected(late):
     tracking = outage(1.0, f"timing.delay_s={late}", "system.disturbance_max=0.0")
     whole, known = expm(0.25 * tracking.system.A), tracking.remembered[-4:]
     rest, power = tracking.system.observer.rest @ whole, np.linalg.matrix_power
-    most = np.max([np.abs(power(whole, i) - power(rest, i)) @ known for i in range(1, 5)], axis=0)
-    (found,) = tracking.upsets
-    assert found.along(np.eye(tracking.loop.N))[-4:] == pytest.approx(most, rel=1e-6)
+    bound = np.max([np.abs(power(whole, i) - power(rest, i)) @ known for i in range(1, 5)], axis=0)
+    (upset,) = tracking.upsets
+    assert upset.along(np.eye(tracking.loop.N))[-4:] == pytest.approx(bound, rel=1e-6)
 
 
 @pytest.mark.parametrize("lasts", [0.25, 1.0, 6.0])
@@ -357,20 +357,20 @@ def test_an_outage_moves_a_flight_by_no_more_than_it_needs(late):
     flown = []
     for outage in (0, 4):  # updates that are not made; S steers what is estimated
         x, estimate = np.zeros((runs, 4)), np.zeros((runs, 4))
-        shown, told, found = [x], [np.zeros((runs, 2))], []
+        shown, sent, rows = [x], [np.zeros((runs, 2))], []
         for i in range(nodes):
-            x = x @ whole.phi.T + told[i] @ held.T
+            x = x @ whole.phi.T + sent[i] @ held.T
             shown.append(x)
             if (node := i + 1 - late) > 0:
-                estimate = estimate @ whole.phi.T + told[node - 1] @ held.T
+                estimate = estimate @ whole.phi.T + sent[node - 1] @ held.T
                 learned = (shown[node] - estimate) @ seen.measures.T + noise[:, i]
                 estimate = estimate + learned @ seen.gain.T * (not first <= i < first + outage)
             expected = estimate
-            for u in told[max(node, 0) :]:
+            for u in sent[max(node, 0) :]:
                 expected = expected @ whole.phi.T + u @ held.T
-            told.append(-expected @ tracking.gain.T)
-            found.append(np.hstack([x, -x, told[-1], -told[-1]]))
-        flown.append(np.array(found))
+            sent.append(-expected @ tracking.gain.T)
+            rows.append(np.hstack([x, -x, sent[-1], -sent[-1]]))
+        flown.append(np.array(rows))
     reached = np.abs(flown[1] - flown[0]).sum(axis=1).max(axis=0)
     need = np.concatenate(
         [tracking.upset(np.vstack([np.eye(4), -np.eye(4)]))[-1], tracking.upset(tracking.commands)[-1]]
@@ -403,17 +403,17 @@ def test_observers_go_with_late_faults_in_random_scenes():
 
 @pytest.mark.parametrize("told", ['kind="stuck_on",isolation_s=2.0', 'kind="navigation_lost",lasts_s=6.0'])
 def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
-    """The same flights refute a schedule that was made without them, and the case can be flown again."""
+    """Flights refute a schedule that was made without faults, and the case can be flown again."""
     ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2
     twos = [f"thrusters.directions={ways}", "thrusters.thrust_max_N=1.0"]
     known = load_scenario(TINY).with_assignments([*SOFT, *twos, 'faults=[{kind="stuck_off"}]'])
     late = known.with_assignments([f"faults=[{{{told}}}]"])
     schedule, late = synthesize(known), late.problem().system.transients
     object.__setattr__(schedule.safety.problem.system, "transients", late)
-    found = falsify(schedule, 3000, 0)
-    assert found.failure is not None and found.case[0].failing is not None
-    again, _ = replay(write_case(tmp_path / "case.json", known, found))
-    assert again == found.failure
+    search = falsify(schedule, 3000, 0)
+    assert search.failure is not None and search.case[0].failing is not None
+    again, _ = replay(write_case(tmp_path / "case.json", known, search))
+    assert again == search.failure
 
 
 @pytest.mark.slow
@@ -480,10 +480,10 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
     scenario = load_scenario(TINY).with_assignments([*SOFT, "recoverable.recourse=none"])
     faults = 'faults=[{kind="loss",share=0.1,isolation_s=0.3},{kind="navigation_lost",lasts_s=1.0}]'
     schedule = synthesize(scenario.with_assignments([faults]))
-    told, named = guarantee(schedule)["withheld"], set()
+    withheld, named = guarantee(schedule)["withheld"], set()
     safety, law, starts = schedule.safety, schedule.controllers[1], [schedule.safety.start]
     starts += [step.tube.end for step in schedule.steps]
-    for fault, transient in zip(told, safety.problem.system.transients, strict=True):
+    for fault, transient in zip(withheld, safety.problem.system.transients, strict=True):
         assert (
             f"because of {fault['fault']} "
             in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
@@ -534,15 +534,15 @@ def test_forged_transients_are_refused(tmp_path):
     for change in (shorter, weaker, fewer, other):
         verdict = forged(change)
         assert verdict.outcome == "REJECTED", change.__name__
-    document, told = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
+    document, withheld = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
     limits = limit_names(document)
-    assert check_withheld(document, told, limits) == told and told[0]["steps"]
+    assert check_withheld(document, withheld, limits) == withheld and withheld[0]["steps"]
     for part, lie in (
         (None, {"lasts_s": 0.2}),
         (None, {"fault": "stuck_off"}),
         *((0, {key: value}) for key, value in WRONG.items()),
     ):
-        other = copy.deepcopy(told)
+        other = copy.deepcopy(withheld)
         (other[0] if part is None else other[0]["steps"][part]).update(lie)
         with pytest.raises(Rejected):
             check_withheld(document, other, limits)

@@ -240,8 +240,8 @@ def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
     measured = {one.name: one for one in evaluate_trace(read).agents["chaser"].unsafe}
     speed, far = np.linalg.norm(STATES[:, 3:], axis=1), np.linalg.norm(STATES[:, :3], axis=1)
     assert measured["fast"].distance.min == pytest.approx(float(np.min(0.5 + 1e-3 * far - speed)) * 100)
-    assert measured["late"].kind == "limit on states" and told["late"].distance.at >= 100
-    assert measured["late"].distance.share == pytest.approx(2 / 3, abs=0.05) and told["late"].ttc is None
+    assert measured["late"].kind == "limit on states" and measured["late"].distance.at >= 100
+    assert measured["late"].distance.share == pytest.approx(2 / 3, abs=0.05) and measured["late"].ttc is None
     for wrong in (
         1.0,
         {"fast": 2.0},
