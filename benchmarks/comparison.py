@@ -59,9 +59,9 @@ VALUES = {name: list(product(*(option.values for option in options))) for name, 
 BETTER = 0.98
 """Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
 DEARER = 0.01
-"""The same of worths."""
+"""Worths that differ by less are alike."""
 MORE = 0.02
-"""The same of the share of U where deviations are alike."""
+"""Shares of U that differ by less are alike, where deviations are alike."""
 
 
 Values = tuple[float, ...]

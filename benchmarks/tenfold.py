@@ -41,9 +41,9 @@ ERRORS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
 }
 """Once the size of each error, and what is set besides."""
 MOST = {"thrusters.magnitude_error": 0.49}
-"""What is more is refused: errors of the magnitude stay below a half."""
+"""Largest sizes that are not refused: errors of the magnitude stay below a half."""
 TOGETHER: dict[str, tuple[str, ...]] = {"none": ()}
-"""What is declared at once, one after another: errors, then faults and what is asked after them."""
+"""Overrides declared at once, in steps: errors, then faults and what is asked after them."""
 TOGETHER["all"] = (
     *(f"{key}={size:g}" for sizes, _ in ERRORS.values() for key, size in sizes.items()),
     *("thrusters.pulse=centred", "thrusters.remainder=carried"),

@@ -19,17 +19,17 @@ class Row:
     verdict : {"proven", "violated", "unknown"}
         "violated" only with a concrete trajectory that was replayed.
     expected : {"proven", "violated", "unknown"}
-        What the competition states; "unknown" where it states nothing.
+        Verdict that the competition states; "unknown" if it states nothing.
     bound : float or None
         The quantity of the specification, enclosed by us over the whole horizon.
     known : float or None
         Its limit in the specification, or the best value known.
     reached : float or None
-        What a replayed trajectory reaches: the exact value is no better than this.
+        Value that a replayed trajectory reaches: the exact value is no better than this.
     seconds : float
         Run time of the verification, model construction excluded.
     note : str
-        What the numbers mean, and what was not shown.
+        Meaning of the numbers, and what was not shown.
     """
 
     benchmark: str

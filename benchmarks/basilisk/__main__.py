@@ -53,7 +53,7 @@ REAL = (
     "thrusters.pulse=centred",
     "thrusters.remainder=carried",
 )
-"""What every scene is synthesised with, unless told otherwise."""
+"""Overrides of every scene, unless others are given."""
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,10 @@ from .onboard import FlightSoftware
 from .valves import EXACT, Stuck
 
 SIGNS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
-"""What products of components count in a cross product."""
+"""Signs of products of components in a cross product."""
 
 LOGGED = "seen", "shown", "asked", "impulse", "spread", "pushed"
-"""What is kept of every control period."""
+"""Values that are kept of every control period."""
 
 DRAG = 2.2
 """Drag coefficient; areas follow from the scenario's ballistic coefficients."""
@@ -61,9 +61,9 @@ class Flight:
     states : ndarray, shape (P+1, 6)
         True relative states in the target's frame [m, m/s].
     seen, shown : ndarray, shape (P, 6)
-        What navigation said in every control period, and what was true then.
+        Estimates of navigation in every control period, and the true states then.
     asked : ndarray, shape (P, 3)
-        What the flight software asked for at every control period [N].
+        Commands of the flight software at every control period [N].
     impulse, spread : ndarray, shape (P, 3)
         Of every period's pulses, all centred in it: their true impulse [N s], and their second moment in time
         about the middle [N s^3], in that frame.

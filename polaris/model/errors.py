@@ -72,9 +72,9 @@ class SynthesisInfeasible(PolarisError):
     condition : str
         The condition that fails.
     shortfall : float or None
-        By how much it fails, in the unit named in the message.
+        Amount by which it fails, in the unit named in the message.
     relax : str
-        What to relax to make it feasible.
+        Key or value to relax to make it feasible.
     """
 
     exit_code = 3

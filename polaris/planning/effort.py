@@ -10,7 +10,7 @@ from .problem import PlannerOptions, Progress, Stage, relative_gap
 from .search import Candidate, PathSearch
 
 Spare = Callable[[Candidate | None], bool]
-"""Whether a stage may be given up early with the path known by then."""
+"""Function that returns True if a stage may be given up early with the path known by then."""
 
 
 SPARE_SHARE = 0.25

@@ -24,7 +24,7 @@ SOLVERS = {
     "highs": "mixed-integer program by HiGHS",
     "gurobi": "mixed-integer program by Gurobi",
 }
-"""Who decides the separating facets, and what summaries call it."""
+"""Solvers that decide the separating facets, and their names in summaries."""
 IN_VIEW = "in_view"
 """Status of a plan that follows an experimental controller: certified, but the cheapest of nothing."""
 KNOWN = "known"  # status of a plan that was found before, and is only read
@@ -99,7 +99,7 @@ class Progress:
     Attributes
     ----------
     stage : str
-        What the planner is doing.
+        Name of the stage of the search.
     seconds : float
         Since the start of `plan`.
     incumbent, bound : float
@@ -168,7 +168,7 @@ class Stage:
         "path search", "fuel" (least velocity change at the full margin), "margin" (largest margin), or
         "fuel at the margin found".
     by : str
-        Who did it: out of `SOLVERS`, or plain linear programs.
+        Solver of the stage: out of `SOLVERS`, or plain linear programs.
     status : str
         "optimal" (to the gap), "infeasible", "found" or "none" for the path search, or what stopped it:
         "effort_limit" (counted, the same everywhere) or "time_limit" (the wall clock).
@@ -197,7 +197,7 @@ class Plan:
     facets : ndarray of int, shape (n_o, K)
         Separating facet of every unsafe set in every cell.
     tail_facets : ndarray of int, shape (n_o, tail_cells)
-        The same for the coasting tail.
+        Separating facets in the coasting tail.
     margin : float
         Smallest clearance [m] in position beyond `margins`, over all planned cells and continuous time.
     extra : ndarray, shape (n_o, K)
@@ -215,9 +215,9 @@ class Plan:
     seconds : mapping
         Wall time by part [s].
     solver : str
-        Who decided the separating facets, out of `SOLVERS`.
+        Solver that decided the separating facets, out of `SOLVERS`.
     stages : tuple of Stage
-        What was done, by whom, and how it ended.
+        Stages of the search, their solvers, and how they ended.
     cut_by_clock : tuple of str
         Stages that the wall clock ended early: if there are any, another machine may find another plan.
     stats : mapping

@@ -24,7 +24,7 @@ MARGIN_SHARE = 0.75
 BOOKED_MOST = 0.05  # largest length [m] booked on any row for which "no solution exists" is still said
 
 MARGIN_TRADE = 1e-4
-"""Where the full margin is out of reach: share of it that may be traded for a velocity change as
+"""If the full margin is out of reach: share of it that may be traded for a velocity change as
 large as that of the cheapest transfer without obstacles."""
 
 NEITHER = "the planner neither found a plan nor proved that there is none"

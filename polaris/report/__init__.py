@@ -25,7 +25,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, *, force: bo
     out : path, optional
         The file; default ``report.html`` in the folder, where an older report is replaced.
     force : bool
-        Whether another file that is there is replaced.
+        True if another file that is there is replaced.
 
     Returns
     -------

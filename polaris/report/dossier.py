@@ -160,7 +160,7 @@ def write_dossier(folder: str | Path, out: str | Path | None = None, *, force: b
     out : path, optional
         The file; default ``dossier.pdf`` in the folder, where an older dossier is replaced.
     force : bool
-        Whether another file that is there is replaced.
+        True if another file that is there is replaced.
 
     Returns
     -------

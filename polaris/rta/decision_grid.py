@@ -190,7 +190,7 @@ class DecisionGrid:
         offsets : ndarray, shape (nodes + 1, F)
             At every node [m].
         first : ndarray of int, shape (o,)
-            Where each set's facets begin.
+            Index of each set's first facet.
         """
         polytopes = self.unsafe
         first = np.cumsum([0, *(len(unsafe.normals) for unsafe in polytopes)])[:-1]

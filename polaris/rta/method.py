@@ -34,7 +34,7 @@ class Seen:
     desired : ndarray, shape (R, m)
         Input that the preferred experimental controller wants, clipped to the limits [N].
     mode : ndarray of int, shape (R,)
-        What flew in the period before: 0 is S, 1, 2, ... U, `FILTERED`.
+        Modes of the period before: 0 is S, 1, 2, ... U, `FILTERED`.
     """
 
     k: int
@@ -52,7 +52,7 @@ class Choice:
     mode : ndarray of int, shape (R,)
         0 is S, 1, 2, ... an experimental controller, `FILTERED` the input given here.
     margin : ndarray, shape (R,)
-        What the method decided by, in its own measure: negative where it refused; nan if it has none.
+        Margin of the decision in the method's own measure: negative where it refused; nan if it has none.
     why : ndarray of int, shape (R,)
         Reason, an index into `Method.reasons`.
     u : ndarray, shape (R, m), or None
@@ -78,7 +78,7 @@ class Claim:
     ----------
     kind : {"proved", "none"}
     reach : str
-        How far that goes and what it rests on; for ``none`` what is missing.
+        Extent and basis of the promise; for ``none`` what is missing.
     """
 
     kind: str
@@ -130,21 +130,21 @@ class Method(ABC):
     key, name : str
         On the command line, and for people.
     how : str
-        How it decides, for the documentation.
+        Rule by which it decides, for the documentation.
     proven : bool
-        Whether its promise is proved.
+        True if its promise is proved.
     reasons : tuple of str
-        What `Choice.why` points into.
+        Reasons, of which `Choice.why` has the indices.
     options : tuple of Option
-        What it can be tuned by.
+        Options that it can be tuned by.
     delayed : bool
-        Whether it decides on a measurement, so that the latency passes before a decision takes effect.
+        True if it decides on a measurement, so that the latency passes before a decision takes effect.
     predicts : bool
-        Whether it asks U what it would command elsewhere, which a black box with memory must not be.
+        True if it asks U what it would command elsewhere, which a black box with memory must not be.
     place : int
-        Where it stands in tables.
+        Key by which tables are sorted.
     settings : dict of str to float
-        What it was tuned with.
+        Values that it was tuned with.
     code : FlightCode or None
         Compiled flight code that decides and commands at every node.
     """

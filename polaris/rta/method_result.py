@@ -38,7 +38,7 @@ DEFINITIONS = {
     " runs drawn as here, half of them under worst cases, not of flights in nature",
     "worst": "least distance, time to collision or share; largest of the others",
 }
-"""What each number of a comparison means."""
+"""Meaning of each number of a comparison."""
 
 LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share")
 """Metrics of which little is bad."""
@@ -63,9 +63,9 @@ class MethodResult:
     synthesis_s : float
         Wall time before the flight.
     reasons : mapping
-        How many decisions were taken for each reason.
+        Number of decisions taken for each reason.
     settings : mapping
-        What the method was tuned with.
+        Values that the method was tuned with.
     """
 
     key: str

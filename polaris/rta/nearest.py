@@ -13,7 +13,7 @@ from ..model.system import Array
 PRIMAL = 1e-11  # as in `polaris.rta.projection`
 
 DESIRED, FILTERED, LEFT = 0, 1, -1
-"""How an input came about: as in `polaris.rta.projection`, or left to the solver."""
+"""Status of an input: as in `polaris.rta.projection`, or left to the solver."""
 
 Index = NDArray[np.int64]
 Statuses = NDArray[np.int8]

@@ -33,7 +33,7 @@ class Decision:
         ``desired``, ``filtered``, ``short`` (no input satisfies all conditions: the one that violates them
         least, see `priorities`), ``backup`` (the backup controller's), ``coast`` (no thrust).
     fallback : str or None
-        Why the answer is not the filter's regular one; None if it is.
+        Reason why the answer is not the filter's regular one; None if it is.
     missed : dict of str to float
         Conditions that the answer does not meet, by name, and by how much [N]; inf where no input changes it.
     on_backup : ndarray of bool, shape (N,)

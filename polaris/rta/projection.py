@@ -14,7 +14,7 @@ PRIMAL = 1e-11  # violation [N] of a row of length 1 that the solver may leave
 FEW = 8  # up to so many independent programs go to the solver as one
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
-"""How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
+"""Status of an input: as desired; nearest that satisfies all rows; nearest that violates them least,
 where none satisfies all (see `polaris.rta.priorities`); no input at all, as where a bound is no number or
 a row or the desired input is not finite."""
 

@@ -17,7 +17,7 @@ from .methods.monitor import REENTRY, Monitor
 POOL = 32  # fewest flights whose conditions are drawn at a time
 FLAGS = ("collided", "ended", "intervened")
 TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
-"""What is told of every flight after a period, see `TrainingFlights.advance`."""
+"""Values of every flight after a period, see `TrainingFlights.advance`."""
 
 
 @dataclass(eq=False)

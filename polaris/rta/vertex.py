@@ -14,7 +14,7 @@ from ..planning.lp import GrowingLP
 BITS = 60  # coefficients are taken as multiples of 2^-60: 1e-18, a thousandth of the rounding of one near 1
 STEPS = 20  # most steps in floating point, which only look for a vertex to begin with, per variable or row
 SCALE = 1e3
-"""How much larger than they are programs are handed to HiGHS, which knows no tolerance below 1e-10."""
+"""Factor by which programs are enlarged for HiGHS, which knows no tolerance below 1e-10."""
 
 EXACT_STEPS = 2000  # most exact steps
 BLAND = 300  # after so many the steps follow Bland's rule, which cannot cycle

@@ -106,7 +106,7 @@ class TraceMetrics:
         Axes of position.
     agents : dict of str to AgentMetrics
     notes : tuple of str
-        What a reader of the numbers should know.
+        Remarks for readers of the numbers.
     """
 
     dims: int | None

@@ -170,7 +170,7 @@ def export_run(
         one), ``experimental_2``, ... In a comparison: ``schedule`` (default), ``monitor``,
         ``asif_implicit``, ...; while an input is filtered, the mode is unknown.
     label : str
-        Which flight: ``closest``, ``nominal`` (not in a comparison), ``run 0``, ...
+        Flight to export: ``closest``, ``nominal`` (not in a comparison), ``run 0``, ...
     nominal : bool
         Take other satellites for balls about where they are nominally.
 

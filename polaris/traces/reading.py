@@ -214,7 +214,7 @@ def write_trace(path: str | Path, trace: Trace, *, force: bool = False) -> Path:
         The JSON file; its folder must be there.
     trace : Trace
     force : bool
-        Whether a file that is there is replaced.
+        True if a file that is there is replaced.
 
     Returns
     -------

@@ -27,7 +27,7 @@ class Segment:
     entered : ndarray, shape (N, 2)
         Absolute times between which start set i is entered.
     alive : ndarray of bool, shape (K, N)
-        Whether a trajectory of start i can still be in this mode during step k.
+        True if a trajectory of start i can still be in this mode during step k.
     depth : int
         Transitions taken before.
     """

@@ -39,7 +39,7 @@ class Visit:
     transition : Transition or None
         Taken at the end; None at the horizon, or where the trajectory ends.
     uncertain : ndarray or None
-        What the reset added.
+        Values that the reset added.
     """
 
     mode: str
@@ -88,7 +88,7 @@ def simulate_hybrid(
         Guards and invariants are looked at this often, and instants then found by bisection: a
         guard touched between two samples can be missed.
     policy : {"first", "last", "random"}
-        Which of the admissible instants of the transitions is taken.
+        Choice among the admissible instants of the transitions.
     rng : numpy.random.Generator, optional
         For "random"; inputs and uncertain resets are then random too, and at their centres otherwise.
     jumps : int

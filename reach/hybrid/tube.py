@@ -42,13 +42,13 @@ class HybridOptions:
     tolerance : array_like of shape (n,) or a number, or mapping from mode names, optional
         Steps are halved until the state leaves the set that joins two nodes by less than this.
     clusters : int or mapping from names of target modes, optional
-        What crosses in one transition at one depth is merged into at most so many start sets, each
-        one stretch of time. By default nothing is merged: every step that crosses a guard becomes a
+        Start sets, each one stretch of time, into which all sets are merged that cross in one transition
+        at one depth. By default nothing is merged: every step that crosses a guard becomes a
         start set of its own, and all of them are followed together.
     order : float
         Start sets with more than ``order * n`` generators are reduced.
     reduction : str
-        How; see `reach.sets.reduction`.
+        Method of reduction; see `reach.sets.reduction`.
     jumps : int
         Most transitions of one trajectory. What would need more makes the tube incomplete.
 

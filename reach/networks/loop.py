@@ -40,7 +40,7 @@ class NetworkTube:
         Over the period after node k the state leaves the hull of corresponding points of the two nodes by no
         more than this, elementwise.
     inputs : Zonotope, batch (K,)
-        What the network commands in each period.
+        Commands of the network in each period.
     """
 
     times: Array
@@ -94,9 +94,9 @@ class NetworkLoop:
     network : Network
         With m outputs; any limits of the input are its last activation.
     C : ndarray, shape (r, n)
-        What the network reads.
+        Map from states to the inputs of the network.
     error : ndarray, shape (n,), optional
-        By how much each state that it reads may be off, in every period anew; not at all by default.
+        Largest error of each state that it reads, in every period anew; none by default.
 
     Raises
     ------
@@ -157,9 +157,9 @@ class NetworkLoop:
         ----------
         states : Zonotope
         s, v : array_like, shapes (r,) and (m,)
-            What is added to what the network reads, and to what it commands.
+            Offsets of the network's inputs, and of its commands.
         off : array_like, shape (r,)
-            By how much what it reads may be off, elementwise.
+            Largest errors of its inputs, elementwise.
         spread : ndarray, shape (r, g), optional
             Generators of what is added to what it reads and known as a set alone, as where another body is.
 
@@ -170,7 +170,7 @@ class NetworkLoop:
         bow : ndarray, shape (n,)
             As in `NetworkTube`, disturbance included.
         command : Zonotope
-            What the network commands.
+            Commands of the network.
         """
         require_single("the states", states)
         command = self.command(states, s, off, spread)

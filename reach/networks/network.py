@@ -134,7 +134,7 @@ class Network:
         inputs : Zonotope
             Of dimension `inputs`.
         error : array_like, shape (inputs,)
-            What every input may be off by, elementwise, beside that.
+            Largest error of every input beside that, elementwise.
 
         Raises
         ------

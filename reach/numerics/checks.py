@@ -134,7 +134,7 @@ _KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "Callable[[float], ArrayLike]": ("a function of time", _where(callable)),
     "np.random.Generator": ("a generator", _where(lambda value: isinstance(value, np.random.Generator))),
 }
-"""What an annotation asks for in words, and what converts to it; `_WRONG` where that cannot be."""
+"""By annotation: its meaning in words, and its converter, which returns `_WRONG` if it cannot convert."""
 
 
 def as_numbers(name: str, value: Any) -> Array:

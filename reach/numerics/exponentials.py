@@ -17,7 +17,7 @@ FLUSH = 1e-36
 """Entries below this share of the largest of their row are set to zero: denormal numbers are slow."""
 REACH = 3.0  # norm of ``A t`` up to which Taylor's series of the action is summed at once
 CANCELLED = float(np.exp(2 * REACH) / (8 * REACH))
-"""How much more rounding, per norm of ``A t``, such a series has than a product: its terms grow to
+"""Factor, per norm of ``A t``, by which such a series rounds more than a product: its terms grow to
 ``exp(REACH)`` before they sum to what may be ``exp(-REACH)``."""
 FLUSHED = 1e-15  # share of the sizes of all states that is booked along with each row for what was cut off
 FULL = 500  # entries a row up to which products with a sparse exponential are cheaper than its action

@@ -20,7 +20,7 @@ def clip_relaxation(
     lo, hi : array_like
         Range of the argument.
     limit : array_like
-        Where it is clipped, >= 0.
+        Limits at which it is clipped, >= 0.
     slopes : int, optional
         Round the slope to this many equal parts of 1, so that few different ones occur (a band of
         any slope is sound; the radius pays for it).

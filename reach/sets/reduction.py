@@ -16,7 +16,7 @@ from .zonotope import Zonotope
 Order = NDArray[np.signedinteger[Any]]
 
 CONDITION_LIMIT = 1e8
-"""Where the generators that Scott's method builds on are worse conditioned, "pca" stands in."""
+"""Largest condition of the generators that Scott's method builds on; "pca" stands in beyond."""
 
 
 @checked

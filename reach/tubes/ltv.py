@@ -44,7 +44,7 @@ class Varying:
         Bound on the absolute value of the first derivative: for all times, or ``slope(a, b)`` over
         the interval from a to b.
     bend : array_like or callable, optional
-        The same for the second derivative. With it tubes are of second order in the step, with
+        Bound on the second derivative likewise. With it tubes are of second order in the step, with
         the first alone of first order.
 
     Raises

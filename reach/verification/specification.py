@@ -57,7 +57,7 @@ class Verdict:
         Upper bounds on the rows of the region to stay in (`Always`), or on the directions that were
         to separate (`Never`; its rows negated come first), from the last tube computed.
     reached : ndarray, shape (r,)
-        What trajectories reach in these rows; nan where it was not asked.
+        Values that trajectories reach in these rows; nan where it was not asked.
     trajectory : Trajectory or None
         Of a violation: initial state and inputs that are admissible, replayed; it ends at the
         instant of the violation.

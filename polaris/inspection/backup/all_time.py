@@ -31,7 +31,7 @@ class AllTime:
     first, second : ndarray of int, shape (M,)
         The deputies of each; the second is -1 where there is one only.
     about_speed, about_thrust : ndarray of bool, shape (M,)
-        Which are not distances.
+        True for rows about speed, and about thrust: neither are distances.
     """
 
     def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:

@@ -12,7 +12,7 @@ from .all_time import AllTime
 
 ATTEMPTS = 4  # most plans that are tried from one state
 ROOM = 0.5
-"""How much farther in than need be a deputy is moved that could not be held where it would stop [m]."""
+"""Distance beyond need [m] by which a deputy is moved in that could not be held where it would stop."""
 
 
 class Proven(NamedTuple):
@@ -39,7 +39,7 @@ class Planner:
     ----------
     check : AllTime
     mixed : bool
-        Whether new plans must be safe whoever goes on with the old ones instead.
+        True if new plans must be safe whoever goes on with the old ones instead.
     """
 
     def __init__(self, check: AllTime, mixed: bool = False) -> None:

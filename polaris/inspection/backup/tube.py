@@ -14,7 +14,7 @@ from ..vectors import length
 from .settled import Decay
 
 TOLERANCE = 1e-9
-"""By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
+"""Thrust [N] beyond the limit that a plan may ask for; the tube pays for what is clipped."""
 
 JITTER = 0.002  # default tolerance on the time of a call [s]: calls within 1 ms of an even clock
 VARIATION = 24.0

@@ -71,7 +71,7 @@ class Constraint(ABC):
     family : str
         Its name in tables of strengthening functions and of what is left out; default its label.
     rank : int
-        Where no input satisfies all conditions, the lower rank gives way later: 0 separations, 1 free
+        If no input satisfies all conditions, the lower rank gives way later: 0 separations, 1 free
         flights, 2 speeds, 3 the zone, 4 the sun.
     pair : bool
         True if it is about pairs of deputies.

@@ -69,9 +69,9 @@ class Table:
     first, second : ndarray of int, shape (M,)
         The deputies a row concerns; second is -1 where there is one only.
     place : ndarray of int, shape (M,)
-        Where each is in the stack; `everyone` (N + P, 2) are the deputies of all places.
+        Place of each in the stack; `everyone` (N + P, 2) are the deputies of all places.
     known : int
-        How many of the rows are the paper's.
+        Number of rows that are the paper's.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ class ActiveSetFilter(CallByCall):
     Parameters
     ----------
     filtering : Centralized or Decentralized
-        Where its constraints are tightened for sampled data, answers are for their period.
+        Its answers are for the period of sampled data if its constraints are tightened for that.
     backup : Backup, optional
         Default: no thrust.
     sun_start : float

@@ -27,7 +27,7 @@ LOOPS, LEFT = "polaris.rta.nearest", -1
 """Compiled programs, and the status of one that they leave to the solver."""
 
 AGREED = 1e-9
-"""By how much a deputy may miss its part of an agreed solution that violates a row [units of h per s]."""
+"""Largest miss of a deputy's part of an agreed solution that violates a row [units of h per s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Decentralized:
     ----------
     families : Families
     sharing : {"coasting", "half", "consensus"}
-        Who answers for a condition on a pair. ``coasting``, the paper's: each deputy alone, as if the
+        Shares of a condition on a pair. ``coasting``, the paper's: each deputy alone, as if the
         other did not thrust. ``half``: each for half of it. ``consensus``: each for its part of the
         solution of the centralized program for no thrust, which every deputy can compute from the states
         all of them know, and for half of what that leaves to spare. The shares of ``half`` and

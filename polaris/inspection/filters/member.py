@@ -39,9 +39,9 @@ class Member:
     Parameters
     ----------
     me : int
-        Which deputy this is.
+        Number of this deputy.
     rule : Explicit or Implicit
-        What all would do who had heard all; its planner must be `mixed`. Of its own: nobody else's.
+        Filter that all would follow who had heard all; its planner must be `mixed`. Not shared with others.
     t : float
         Time [s] at which all know the states `x`, before there is anything to lose.
     x : ndarray, shape (N, 6)
@@ -50,9 +50,9 @@ class Member:
     Attributes
     ----------
     moved : bool
-        Whether the last answer was the common one, and not the plan's.
+        True if the last answer was the common one, and not the plan's.
     unproven : bool
-        Whether the state was not known or not within the tube, or the call not in time, since the plan was
+        True if the state was not known or not within the tube, or the call not in time, since the plan was
         made, or another deputy's rule is not this one's: the assumptions do not hold, and what follows is
         unproven until there is a new plan.
 

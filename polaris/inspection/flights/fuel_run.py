@@ -50,11 +50,11 @@ class FuelRun:
     delta_v : ndarray, shape (K+1,)
         Spent by each instant [m/s] (eq. 25); ``phi12 = inspection.delta_v_max - delta_v``.
     latched_at : float or None
-        When the backup took over [s]; None if it never did.
+        Time at which the backup took over [s]; None if it never did.
     predictions : tuple of Prediction
         Backup flights from the instants asked for, and from that of the switch.
     reason : str or None
-        Why it did; not known of a run read from files, nor what follows.
+        Reason why it did; not known of a run read from files, nor what follows.
     exhausted : bool
         Thrust was cut because no fuel was left: the limit held, the parking orbit may not be reached.
     seconds : ndarray

@@ -23,7 +23,7 @@ from ..vectors import length
 from .primary import NoInput, Primary
 
 BACKUP, UNPROVEN = FAILED + 1, FAILED + 2
-"""How an input came about, beside those of `polaris.rta.projection`: the backup controller gave it; it did,
+"""Status of an input, beside those of `polaris.rta.projection`: the backup controller gave it; it did,
 and not even that is known to keep the constraints."""
 
 

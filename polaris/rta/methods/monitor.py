@@ -29,7 +29,7 @@ from ..recovery import Recovery
 
 TRUST = ("declared", "thrust_limits")
 REENTRIES, DWELLS = (0.0, 0.02, 0.05, 0.1, 0.2), (1, 3, 10, 30, 100)
-"""What the benchmark of the comparison page tries."""
+"""Values that the benchmark of the comparison page tries."""
 REENTRY = 0.1  # default of the share of the room to be left: chosen by ``benchmarks/comparison.py``
 
 
@@ -54,7 +54,7 @@ class Monitor(Method):
     ----------
     grid : DecisionGrid
     trust : {"declared", "thrust_limits"}
-        What is assumed of U: by default nothing but the thrust limits, so that no fault of U can break the
+        Assumptions on U: by default nothing but the thrust limits, so that no fault of U can break the
         proof; ``declared``: its law (and its thrust limits where the law would clip). Controllers that may do
         anything are always taken at the limits.
     dwell : int

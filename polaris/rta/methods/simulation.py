@@ -33,7 +33,7 @@ class Simulation(Method):
     ----------
     grid : DecisionGrid
     horizon : float, optional
-        How far it looks [s]; default `AHEAD` of the flight's duration, at least `LEAST` decisions.
+        Look-ahead [s]; default `AHEAD` of the flight's duration, at least `LEAST` decisions.
     buffer : float, optional
         See `Method`.
     """

@@ -170,7 +170,7 @@ def read_log(path: str | Path, *, partial: bool = False) -> list[dict[str, Any]]
     path : path
         As it was given to `DecisionLog`; the files in which the log goes on are read too.
     partial : bool
-        Whether files may be missing, as the oldest are with `max_files`.
+        True if files may be missing, as the oldest are with `max_files`.
 
     Raises
     ------

@@ -24,7 +24,7 @@ class Command(NamedTuple):
     Attributes
     ----------
     mode : int
-        Who flies: 0 is S, 1, 2, ... an experimental controller.
+        Controller that flies: 0 is S, 1, 2, ... an experimental one.
     u : ndarray, shape (m,)
         Input within the limits [N].
     until : float

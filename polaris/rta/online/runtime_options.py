@@ -44,10 +44,10 @@ class RuntimeOptions:
     farthest : float
         Entries of the state beyond this are taken for faults, in the units of the state.
     tolerance : float, optional
-        How early or late a decision may be called [s], below half the period; default the scene's latency
+        Largest time by which a call is early or late [s], below half the period; default the scene's latency
         as far as it is below that, at least a millionth of the period.
     drift : float, optional
-        By how much clock and second clock may differ [s]; default a hundredth of the period.
+        Largest difference of clock and second clock [s]; default a hundredth of the period.
     deadline : float, optional
         Wall time that one call of `OnlineMonitor.step` may take [s], never beyond the moment of effect;
         default the scene's latency, or the period where it has none.
@@ -60,7 +60,7 @@ class RuntimeOptions:
     latch : int or None
         After so many faults of U or of the monitor itself S flies for good; None: never.
     latch_conflicts : int or None
-        The same for measurements that contradict earlier ones, if `reacquire` never agreed in between.
+        After so many measurements that contradict earlier ones, if `reacquire` never agreed in between.
 
     Raises
     ------

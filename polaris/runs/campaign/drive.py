@@ -102,11 +102,11 @@ def run_campaign(
     Parameters
     ----------
     plan : CampaignPlan
-        What to fly.
+        Cases, runs and seed to fly.
     out : path
         Folder of the campaign. If it holds the same one, only what is missing is flown.
     executor : concurrent.futures.Executor or Workers, optional
-        Who flies: any executor (it is not closed), or what `local` and `cluster` give, which also
+        Workers that fly: any executor (it is not closed), or what `local` and `cluster` give, which also
         replace lost workers; by default this process.
     fresh : bool
         Replace another campaign.
@@ -169,7 +169,7 @@ def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: st
     case, batch, run : int
         As in the table.
     mode : str, optional
-        Who flies; by default the first that flew.
+        Mode that flies; by default the first that flew.
 
     Raises
     ------

@@ -186,7 +186,7 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
     ----------
     path : path
     same_version : bool
-        Whether it must be of this version of the package, as for flying its runs again.
+        True if it must be of this version of the package, as for flying its runs again.
 
     Raises
     ------

@@ -44,7 +44,7 @@ class CampaignPlan:
     batch : int
         Runs per task; another size is another campaign, for every batch has a seed of its own.
     kind : Kind
-        How a batch is flown; by default runs of schedules.
+        Kind of flights of a batch; by default runs of schedules.
 
     Raises
     ------

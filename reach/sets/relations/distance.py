@@ -28,17 +28,17 @@ class Answer:
         True: proved, rounding included. False: `witness` shows why not. None: not decided, either
         because the method is only sufficient or because the sets touch to within rounding.
     margin : float
-        By how much it holds, never too large; negative where it does not. For containment in a
+        Margin by which it holds, never too large; negative where it does not. For containment in a
         polytope or an interval: the distance to the nearest facet. In a zonotope or an ellipsoid:
         one minus the factor by which it must be scaled about its centre to hold the inner set. For
         disjointness: the distance of the sets, 0 where they meet.
     witness : ndarray, shape (n,), or None
         With a "no": a point of the inner set outside the outer one; a point in both sets.
     direction : ndarray, shape (n,), or None
-        What separates: the facet that the witness is beyond; for disjoint sets a d with
+        Separating direction: the facet that the witness is beyond; for disjoint sets a d with
         ``d . x < d . y`` for all their points.
     reason : str
-        Why it was not decided.
+        Reason why it was not decided.
     """
 
     holds: bool | None
