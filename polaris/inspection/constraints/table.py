@@ -139,7 +139,7 @@ class Table:
         return np.isin(self.family, families)
 
     def stack(self, x: Array) -> Array:
-        """Stack the deputies' rows, then those of each pair, relative to each other: (..., N + P, d)."""
+        """Stack (..., N, d) of the deputies, then of each pair, relative to each other: (..., N + P, d)."""
         if self.inspection.deputies == 1:
             return x
         first, second = self.inspection.pairs.T
