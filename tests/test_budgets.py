@@ -16,7 +16,7 @@ PACKAGES = ("polaris", "reach")
 
 LINES = {
     # rooms: (limit, aim)
-    ("reach",): (9228, 8400),
+    ("reach",): (9232, 8400),
     ("polaris/certificate",): (11141, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9333, 5000),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (9964, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8235, 6400),
     ("polaris/planning",): (2518, 2200),
-    ("polaris", "reach"): (70460, 48000),
+    ("polaris", "reach"): (70464, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import hadamard
 
 from ..numerics.checks import Array, checked, require_alike, require_same_dim
 from ..numerics.errors import ReachError
@@ -15,8 +16,11 @@ from .zonotope import Zonotope
 
 Order = NDArray[np.signedinteger[Any]]
 
-CONDITION_LIMIT = 1e8
-"""Largest condition of the generators that Scott's method builds on; "pca" stands in beyond."""
+ALIKE = 2
+"""Number of next generators by direction that each is compared with; more take longer, and find no better."""
+
+TINY = 1e-300
+"""Least length: that of a generator of zeros."""
 
 
 @checked
@@ -31,14 +35,13 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
         One set or a stack (each member is reduced on its own, all at once).
     order : float
         Largest number of generators per dimension, >= 1.
-    method : {"pca", "girard", "combastel", "scott", "auto"}
+    method : {"pca", "girard", "combastel", "parallel", "auto"}
         "girard", "combastel" and "pca" keep the longest generators and enclose the rest in a
         parallelotope: along the axes, lengths being ``norm(g, 1) - norm(g, inf)`` (Girard 2005) or
         ``norm(g, 2)`` (Combastel 2003), or along the principal axes of what is enclosed (Kopetzki,
-        Schuermann and Althoff 2017). "scott" gives up one generator after the other to a
-        parallelotope of n of them, each time the one that adds the least volume (Scott, Raimondo,
-        Marseglia and Braatz 2016). "auto" takes, for each member, the least of these by
-        `mean_width`.
+        Schuermann and Althoff 2017). "parallel" merges nearly parallel generators with each other
+        and encloses the rests in a box: it loses least of many that turn slowly, one member after
+        the other. "auto" takes, for each member, the least of these by `mean_width`.
 
     Raises
     ------
@@ -154,63 +157,62 @@ def pca(G: Array, budget: int) -> Array:
     return np.concatenate([kept, frame * (radii + slack)[..., None, :]], axis=-1)
 
 
-def scott(G: Array, budget: int) -> Array:
-    """Absorb generators one by one into a parallelotope of n of them, with the least volume added.
+def parallel(G: Array, budget: int) -> Array:
+    """Merge nearly parallel generators with each other, and the least of them with a box."""
+    flat = G.reshape(-1, *G.shape[-2:])
+    return np.reshape([_merged(one, budget) for one in flat], (*G.shape[:-1], budget))
 
-    Giving up column r_j of R in ``G = T [1 R]`` multiplies T by ``1 + |r_ij|`` column by column.
+
+def _merged(G: Array, budget: int) -> Array:
+    """Merge generators (n, g) by rounds, with which Walsh's diagonals of the hull grow least.
+
+    The sum u of two takes their place, ``g = a u + rest`` with shares a by length; a box holds the rests.
     """
-    n = G.shape[-2]
-    order = _independent_first(G)
-    G = np.take_along_axis(G, order[..., None, :], axis=-1)
-    T, V = G[..., :n], G[..., n:]
-    good = np.linalg.cond(T) < CONDITION_LIMIT
-    T = np.where(good[..., None, None], T, np.eye(n))
-    R = np.linalg.solve(T, V)
-    stretch, alive = np.ones((*G.shape[:-2], n)), np.ones((*V.shape[:-2], V.shape[-1]), dtype=bool)
-    for _ in range(V.shape[-1] - (budget - n)):
-        r = np.abs(R)
-        volume = np.prod(1 + r, axis=-2)
-        cost = volume - 1 - r.sum(axis=-2)
-        cost = np.where(alive, np.where(cost > 1e-12 * volume, cost, 0.0), np.inf)
-        worst = _ranks(cost).argmin(axis=-1)[..., None]
-        grown = 1 + np.take_along_axis(r, worst[..., None], axis=-1)[..., 0]
-        stretch = stretch * grown
-        R = R / grown[..., None]
-        np.put_along_axis(alive, worst, False, axis=-1)
-    survivors = np.argsort(~alive, axis=-1, kind="stable")[..., None, : budget - n]
-    kept = np.take_along_axis(V, survivors, axis=-1)
-    # What solving for R and the products of the stretches can be wrong by, booked on each edge.
-    inverse = np.linalg.inv(T)
-    start = np.linalg.solve(T, V)
-    left = np.abs(V - T @ start) + gamma(n) * (np.abs(V) + np.abs(T) @ np.abs(start))
-    booked = 2 * (np.abs(inverse) @ left).sum(axis=-1) + gamma(4 * V.shape[-1]) * stretch
-    out = np.concatenate([kept, T * (stretch + booked)[..., None, :]], axis=-1)
-    return np.where(good[..., None, None], out, pca(G, budget))
+    n, shares = len(G), 1 / np.maximum(np.abs(G).sum(axis=1), TINY)
+    rows = hadamard(1 << (n - 1).bit_length())[:, :n] * shares
+    price, box, terms = len(rows) * shares, np.zeros(n), gamma(G.shape[1] + 8)
+    while (surplus := G.shape[1] - (budget - n)) > 0:
+        images = rows @ G
+        length = np.maximum(np.linalg.norm(images, axis=0), TINY)
+        largest = _ranks(np.abs(images), 0).argmax(axis=0)[None]
+        signs = np.where(np.take_along_axis(images, largest, axis=0)[0] < 0, -1.0, 1.0)
+        direction = signs * (np.cos(np.arange(len(rows))) @ images) / length  # a number of it, any would do
+        order = np.argsort(_ranks(direction), kind="stable")
+        G, length, images = (G * signs)[:, order], length[order], images[:, order]
+        unit, every = price[:, None] * G / length, np.arange(len(order))
+        options = [(np.abs(unit).sum(axis=0) * length - np.abs(images).sum(axis=0), every, every)]
+        for ahead in range(1, ALIKE + 1):
+            i, j = every[:-ahead], every[ahead:]
+            apart = np.abs(unit[:, i] - unit[:, j]).sum(axis=0)
+            options.append((2 * apart * length[i] * length[j] / (length[i] + length[j]), i, j))
+        costs, first, second = (np.concatenate(part) for part in zip(*options, strict=True))
+        pairs = _least(costs, first, second, min(surplus, len(order) // 3 + 1))
+        alone = pairs[0] == pairs[1]
+        (i, j), boxed = pairs[:, ~alone], pairs[0, alone]
+        a, u = length[i] / (length[i] + length[j]), G[:, i] + G[:, j]
+        box += np.abs(G[:, boxed]).sum(axis=1) + terms * np.abs(G[:, [*i, *j]]).sum(axis=1)
+        box += np.abs(G[:, i] - a * u).sum(axis=1) + np.abs(G[:, j] - (1 - a) * u).sum(axis=1)
+        G = np.hstack([np.delete(G, pairs.ravel(), axis=1), u])
+    return np.pad(np.hstack([G, np.diag(box * (1 + terms))]), ((0, 0), (0, -surplus)))
 
 
-def _independent_first(G: Array) -> Order:
-    """Order of the columns: n far from dependent first (Gram-Schmidt with pivoting), then the others."""
-    rest = G.copy()
-    taken: list[Order] = []
-    for _ in range(G.shape[-2]):
-        lengths = np.linalg.norm(rest, axis=-2)
-        if taken:
-            np.put_along_axis(lengths, np.concatenate(taken, axis=-1), -1.0, axis=-1)
-        pivot = _ranks(lengths).argmax(axis=-1)[..., None]
-        taken.append(pivot)
-        q = np.take_along_axis(rest, pivot[..., None], axis=-1)
-        q = q / np.maximum(np.linalg.norm(q, axis=-2, keepdims=True), 1e-300)
-        rest = rest - q * (np.swapaxes(q, -1, -2) @ rest)
-    first = np.concatenate(taken, axis=-1)
-    rank = np.full((*G.shape[:-2], G.shape[-1]), len(taken))
-    np.put_along_axis(rank, first, np.arange(len(taken)), axis=-1)
-    return np.argsort(rank, axis=-1, kind="stable")
+def _least(costs: Array, first: Order, second: Order, most: int) -> Order:
+    """Choose at most so many pairs of least cost without a common member, shape (2, pairs)."""
+    chosen, taken = list[tuple[int, int]](), set[int]()
+    for at in np.argsort(_ranks(np.where(costs > 2.0**-40, costs, 0.0)), kind="stable"):
+        i, j = int(first[at]), int(second[at])
+        if i not in taken and j not in taken:
+            chosen.append((i, j))
+            taken |= {i, j}
+            if len(chosen) == most:
+                break
+    return np.array(chosen).T
 
 
 METHODS: dict[str, Callable[[Array, int], Array]] = {
     "pca": pca,
     "girard": girard,
     "combastel": combastel,
-    "scott": scott,
+    "parallel": parallel,
 }
 """Reductions of generators measured in half-widths, to a number of them."""

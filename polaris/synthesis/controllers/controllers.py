@@ -171,7 +171,7 @@ class AffineController(AffineLaw):
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
         whole = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
         order = ORDER if self.system.ideal else WIDE if states.dim == n else whole
-        segment = TubeSegment(states, bow + rounding, end.reduce(order), refused, slopes)
+        segment = TubeSegment(states, bow + rounding, end.reduce(order, "parallel"), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
     @cached_property
@@ -288,7 +288,7 @@ def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> Tu
         G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
         return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)
 
-    end = joined(tube.end, others[-1]).reduce(WHOLE * n / start.dim)
+    end = joined(tube.end, others[-1]).reduce(WHOLE * n / start.dim, "parallel")
     return replace(tube, states=joined(tube.states, others), end=end)
 
 

@@ -143,10 +143,10 @@ class AffineLaw:
         for i in range(1, q + 1):
             if n < N:
                 z = Zonotope(np.zeros(N), np.hstack([self.closed.F @ sets[-1].G, once]))
-                sets.append(z if z.order_count <= 2 * order * N else z.reduce(order))
+                sets.append(z if z.order_count <= 2 * order * N else z.reduce(order, "parallel"))
             else:
                 z = Zonotope(np.zeros(N), np.hstack([merged(blocks[:i], together), *early(i)]))
-                sets.append(z.reduce(order))
+                sets.append(z.reduce(order, "parallel"))
         return Zonotope.stack(sets)
 
     @cached_property
