@@ -26,14 +26,14 @@ PAST = 1e-3
 REALS = dict(zip(PRECISIONS, (np.float64, np.float32), strict=True))
 
 LOOP = """#include "{0}.h"
-const int32_t sizes[] = {{sizeof({0}_memory), sizeof({0}_input), sizeof({0}_output)}};
-void start(int32_t runs, {0}_memory *memory)
+const int32_t sizes[] = {{sizeof({1}), sizeof({0}_input), sizeof({0}_output)}};
+void start(int32_t runs, {1} *memory)
 {{
-    for (int32_t i = 0; i < runs; i++) {{ {0}_start(&memory[i]); }}
+    for (int32_t i = 0; i < runs; i++) {{ {2}_start(&memory[i]); }}
 }}
-void step(int32_t runs, {0}_memory *memory, const {0}_input *input, {0}_output *output)
+void step(int32_t runs, {1} *memory, const {0}_input *input, {0}_output *output)
 {{
-    for (int32_t i = 0; i < runs; i++) {{ {0}_step(&memory[i], &input[i], &output[i]); }}
+    for (int32_t i = 0; i < runs; i++) {{ {2}_step(&memory[i], &input[i], &output[i]); }}
 }}
 """
 
@@ -50,6 +50,8 @@ class FlightCode:
     ----------
     tables : Tables
     precision : str
+    online : bool
+        True if the online monitor in it decides, instead of the schedule.
     modes : ndarray of int, shape (R,)
         Newest modes that it answered with.
     answers : Counter
@@ -70,12 +72,13 @@ class FlightCode:
             self.tables, self.precision, _ = parsed(header.read_text(), source.read_text(), prefix)
         except (OSError, ValueError) as error:
             raise ScenarioError("code", str(folder), f"must be a folder of flight code: {error}") from error
+        self.online = f"{prefix}_online_step" in header.read_text()
         n, m, real = len(self.tables.range), len(self.tables.limit), REALS[self.precision]
         given = [("period", "i4"), ("controller", "i4"), ("state", real, n), ("command", real, m)]
         answer = [("mode", "i4"), ("fault", "u4"), ("command", real, m), ("margin", real)]
         self._input, self._output = np.dtype(given, align=True), np.dtype(answer, align=True)
         with tempfile.TemporaryDirectory() as scratch:
-            self._library = _compiled(prefix, source, Path(scratch))
+            self._library = _compiled(prefix, source, Path(scratch), self.online)
         size, *others = (ctypes.c_int32 * 3).in_dll(self._library, "sizes")
         if others != [self._input.itemsize, self._output.itemsize]:
             raise PolarisError(f"{source}: its structures are laid out otherwise than here")
@@ -127,12 +130,13 @@ class FlightCode:
         return answer["command"].astype(float) * (1 + PAST * clipped[:, None])
 
 
-def _compiled(prefix: str, source: Path, scratch: Path) -> ctypes.CDLL:
+def _compiled(prefix: str, source: Path, scratch: Path, online: bool) -> ctypes.CDLL:
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise PolarisError(f"flight code needs a C compiler, and none of {', '.join(COMPILERS)} is here")
     loop, out = scratch / "loop.c", scratch / "flight.so"
-    loop.write_text(LOOP.format(prefix))
+    entry = f"{prefix}_online" if online else prefix
+    loop.write_text(LOOP.format(prefix, entry if online else f"{prefix}_memory", entry))
     command = [compiler, *FLAGS, f"-I{source.parent}", str(source), str(loop), "-o", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

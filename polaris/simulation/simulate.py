@@ -67,8 +67,11 @@ def simulate(
     one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
-    if mode is not None and code is not None:
-        raise ScenarioError("simulation.mode", mode, "must be left out where flight code decides")
+    if code is not None and code.online != bool(mode):
+        rule = (
+            "must be a controller where an online monitor in flight code decides, be left out with a schedule"
+        )
+        raise ScenarioError("simulation.mode", mode, rule)
     rng = np.random.default_rng(seed)
     flight = flies(schedule.safety.problem.system)(schedule, flown_modes(schedule, tail, mode), substeps)
     flight.code = code and code.of(schedule)

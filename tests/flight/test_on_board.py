@@ -196,7 +196,7 @@ def test_what_is_not_proved_is_not_flown_as_code(monkeypatch):
         patch.setattr(type(schedule), "guarantee", "statistical")
         refused = compare_methods(schedule, 1, 0, methods=("safety", "code")).refused
     assert "must be 'proved' to fly" in refused["code"]
-    with pytest.raises(ScenarioError, match="left out"):
+    with pytest.raises(ScenarioError, match="be left out with a schedule"):
         simulate(schedule, 1, mode=1, code=code_of(schedule))
     with pytest.raises(ScenarioError, match="of another schedule"):
         simulate(schedule, 1, code=code_of(scheduled("outage")))
