@@ -25,6 +25,7 @@ from .model.timing import owed
 FORMAT = "polaris-mission"
 CERTIFICATE, SCENARIO, SUMMARY = "certificate.json", "scenario.toml", "summary.json"
 OWN = "kind", "legs"  # keys at the top that no leg has
+PLANT = "kind", "A", "B", "C", "D", "mass", "mean_motion", "input_names"  # of the system, one in all legs
 SETS = "obstacles", "keep_in"  # tables of sets, some of which may move
 PLACED = 1e-9  # rounding of places of moving sets, and of instants, relative to their size
 
@@ -221,8 +222,7 @@ def _same_craft(one: Document, two: Document, where: str) -> None:
     if (one.observer or {}).get("initial") or (two.observer or {}).get("initial"):
         raise Rejected("joint", f"{where}: an observer's first errors are those of the first leg alone")
     remembers = any(each.timing or each.observer for each in (one, two))
-    kept = ("kind", "A", "B", "C", "D", "mass", "mean_motion", "input_names")
-    for key in {*one.system, *two.system} if remembers else kept:
+    for key in {*one.system, *two.system} if remembers else PLANT:
         if one.system.get(key) != two.system.get(key):
             raise Rejected("joint", f"{where}: {key} of the system is another")
 

@@ -277,16 +277,17 @@ class Loop:
             x, xi = states[at], self.xi[k][:, None]
             time = np.arange(k * self.per, (k + 1) * self.per + 1)[:, None]
             taken = (time >= over) & (over < (k + 1) * self.per)  # a cell's limits end with it
-            p, s = x @ system.position.T, np.linspace(0, 1, self.per + 1)[:, None, None]
+            s = np.linspace(0, 1, self.per + 1)[:, None, None]
             for u, unsafe in enumerate(self.unsafe):
                 cell = min(k, unsafe.cells - 1)
                 b = unsafe.offsets[cell, 0] * (1 - s) + unsafe.offsets[cell, 1] * s
-                out = p @ unsafe.normals.T - b
+                rows = unsafe.rows(system)
+                out = x @ rows.T - b
                 left[:, u] = np.minimum(left[:, u], out.max(axis=2).min(axis=0))
                 if k >= len(known):  # on an orbit flown again its own facets count, at their own instants
                     continue
                 f = known[k, u]
-                room = (xi @ system.position.T) @ unsafe.normals[f] - b[..., f]
+                room = xi @ rows[f] - b[..., f]
                 share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
             e = (x - xi)[: self.per : self.parts] + flown.wrong[at][: self.per : self.parts]
             need = e @ self.gain.T
@@ -513,7 +514,7 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
     bites = np.where(near, told, 0) / loop.dt + rng.integers(0, loop.per + 1, count)
     targets = np.where(near, bites.astype(int), targets)
     targets = np.clip(targets, np.maximum(first, 1), loop.N)
-    C, o = loop.system.position, len(loop.unsafe)
+    o = len(loop.unsafe)
     facets = loop.schedule.safety.clearance.facets
     rows = np.empty((count, loop.system.n))
     limit = rng.integers(0, o + 1 + (o == 0), count) if o else np.full(count, 0)
@@ -521,7 +522,7 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
         if limit[r] < o:
             unsafe, cell = loop.unsafe[limit[r]], min(targets[r] // loop.per, len(facets) - 1)
             f = facets[cell, limit[r]] if rng.random() < 0.85 else rng.integers(len(unsafe.normals))
-            rows[r] = -unsafe.normals[f] @ C
+            rows[r] = -unsafe.rows(loop.system)[f]
         else:
             rows[r] = rng.choice([-1, 1]) * loop.gain[rng.integers(len(loop.gain))]
     margins = np.r_[loop.schedule.margins, np.nan]

@@ -424,6 +424,30 @@ def test_a_mission_with_a_mistake_is_refused(field, tmp_path):
     assert told.value.field == field
 
 
+TWO_CRAFT = {
+    "the loop remembers": {"timing": {"delay_s": 0.25}, "system": {"input_max": 0.9}},
+    "the mass": {"system": {"mass_kg": 2.0}},
+    "a delay in one leg": {"timing": {"delay_s": 0.25}},
+    "first estimates": {"navigation": {"measurement": {"matrix": np.eye(4).tolist(), "error": [0.01] * 4}}},
+}
+
+
+@pytest.mark.parametrize("name", TWO_CRAFT)
+def test_legs_of_two_craft_are_refused_before_anything_is_flown(name, tmp_path):
+    document, more = tour(), TWO_CRAFT[name]
+    if name == "first estimates":
+        more["navigation"]["measurement"]["initial"] = {"state_error": [0.02] * 4}
+        document |= more
+    else:
+        document["legs"][1]["system"] = document["system"] | more.get("system", {})
+    if "timing" in more:
+        for each in document["legs"][1 if name == "a delay in one leg" else 0 :]:
+            each["timing"] = more["timing"]
+    with pytest.raises(ScenarioError, match="must have the system|first estimate"):
+        run(written(document, tmp_path), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_mission_is_loaded_as_it_is_written(tmp_path):
     loaded = load_scenario(written(tour(), tmp_path))
     (tmp_path / "again.toml").write_text(loaded.to_toml(), encoding="utf-8")

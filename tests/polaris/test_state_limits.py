@@ -31,6 +31,7 @@ from polaris.report.scene.timelines import proven_distance, schedule_timeline
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.asif_explicit import ExplicitASIF
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.recovery import Recovery
 from polaris.runs.picturing import picture_of
 from polaris.runs.schedule import write_run
@@ -43,6 +44,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 
 from ..sizes import fewer
+from .closed_loops import attack, attack_monitor
 from .forging import COARSE, Forger, Lie, make
 from .random_scenarios import random_scenario
 from .tiny import TINY
@@ -187,6 +189,22 @@ def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
         assert np.isfinite(line.values).any() and np.isnan(line.values).any() == (limit.name != "speed")
 
 
+def test_limits_hold_at_every_hand_over(limited):
+    """Worst cases of another integrator, in the midst of periods, too."""
+    found = attack(limited[1], 80, 0)
+    assert found.left.min() > 0 and found.thrust >= 0 and found.over <= 1e-6
+
+
+@pytest.mark.parametrize(
+    "limits, trust", [(f"keep_in=[{OCTAGON}]", "declared"), (f"obstacles=[{PILLAR},{AWAY}]", "thrust_limits")]
+)
+def test_limits_hold_under_an_online_monitor(limits, trust):
+    schedule = synthesize(load_scenario(TINY, [SOFT, limits]))
+    found, share = attack_monitor(Monitor(DecisionGrid.of(schedule), trust), 40, 0)
+    assert found.left.min() > 0 and found.thrust >= 0
+    assert share > 0
+
+
 def test_runs_that_leave_a_limit_are_judged_so(limited):
     scenario, schedule = limited
     free = synthesize(load_scenario(TINY))
@@ -262,6 +280,13 @@ FORGERIES = {
     "scenario with another row": lambda lie: lie.scenario["keep_in"][2]["rows"][0].__setitem__(0, 0.11),
     "scenario with a longer window": lambda lie: lie.scenario["keep_in"][1].update(until_s=10.0),
     "scenario with an earlier one": lambda lie: lie.scenario["obstacles"][1].update(from_s=0.0),
+    "scenario with a window that ends before it begins": lambda lie: lie.scenario["keep_in"][1].update(
+        until_s=1.0
+    ),
+    "scenario with another direction of distance": lambda lie: lie.scenario["keep_in"][0]["towards"][
+        0
+    ].__setitem__(0, -2.9),
+    "scenario with one direction less": lambda lie: lie.scenario["keep_in"][0]["towards"].pop(),
     "scenario with more sides": lambda lie: lie.scenario["keep_in"][1].update(sides=9),
     "scenario with other directions": lambda lie: lie.scenario["keep_in"][0].update(facets=9),
 }
@@ -272,6 +297,21 @@ def test_forgeries_are_refused(forger, name):
     lie = Lie(forger)
     FORGERIES[name](lie)
     lie.judge({"unsafe_sets", "format"})
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    "key", ["max_m_s", "per_distance_1_s", "towards", "from_s", "until_s", "rows", "bounds"]
+)
+def test_numbers_of_limits_are_finite(forger, key, value):
+    lie = Lie(forger)
+    at = {"max_m_s": 0, "per_distance_1_s": 0, "towards": 0, "rows": 2, "bounds": 2}.get(key, 1)
+    place = lie.scenario["keep_in"][at]
+    while isinstance(place[key], list):
+        place, key = place[key], 0
+    place[key] = value
+    lie.judge({"scenario"})
+    assert lie.verdict().outcome == "REJECTED"
 
 
 def test_a_limit_that_is_left_out_everywhere_but_in_the_scenario_is_missed(forger):

@@ -26,7 +26,7 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
     """
     name, begins, ends = spec["name"], spec.get("from_s", 0.0), spec.get("until_s", math.inf)
     T, moved = document.steps * document.delta, document.displaced
-    if begins >= T or (ends < math.inf and ends > T * (1 + ROUNDED)):
+    if begins >= min(T, ends) or (ends < math.inf and ends > T * (1 + ROUNDED)):
         raise Rejected("unsafe_sets", f"{name} does not begin and end within {T:g} s")
     if spec["kind"] == "turning":
         _check_turning(document, items, spec)

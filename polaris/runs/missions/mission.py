@@ -11,6 +11,7 @@ summary.json       the same for people, statistics of the flights, times
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ import numpy as np
 from ...certificate.assumptions import hand_over
 from ...certificate.files.document import canonical
 from ...certificate.files.document import digest as digest_of
-from ...certificate.mission import FORMAT, SCENARIO
-from ...model.errors import SynthesisInfeasible
+from ...certificate.mission import FORMAT, PLANT, SCENARIO
+from ...model.errors import ScenarioError, SynthesisInfeasible
 from ...scenario.mission import MissionScenario, moves
 from ...scenario.tables.schedule import InitialBox
 from ...simulation.metrics import finite
@@ -28,6 +29,7 @@ from ...simulation.mission import Flown, fly_on
 from ...synthesis.legs.joint import Joint, joint, turn_of
 from ...synthesis.schedule.schedule import Schedule
 from ..files.arrays import read_arrays
+from ..files.controllers import system_table
 from ..files.folder import RunFolder, RunKind, read_json, write_folder
 from ..files.ownership import sha256
 from ..files.tables import strict, write_text
@@ -59,6 +61,7 @@ class FlownMission:
 def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
     """Synthesise every leg, prove every joint, and fly the mission from end to end in simulation."""
     scenarios, legs, joints, leaves = mission.legs(), list[FlownSchedule](), list[Joint](), list[float]()
+    _check_craft([strict(system_table(each.problem()), float.hex) for each in scenarios])
     for i, scenario in enumerate(scenarios):
         try:
             legs.append(fly_schedule(scenario, stages))
@@ -87,6 +90,21 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
         plan = mission.model.legs[0].simulation
         flown = fly_on([each.schedule for each in legs], leaves, min(plan.runs, MOST_RUNS), plan.seed)
     return FlownMission(legs, joints, leaves, flown)
+
+
+def _check_craft(systems: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse legs of two plants and, where a loop remembers more than the state's error, of two systems."""
+    remembers = any({"timing", "observer"} & set(each) for each in systems)
+    for i, (one, two) in enumerate(pairwise(systems), 1):
+        for key in sorted({*one, *two}) if remembers else PLANT:
+            if one.get(key) != two.get(key):
+                rule = f"must have the system of the leg before it: {key} is another"
+                raise ScenarioError(f"legs[{i}]", key, rule + ", and its loop remembers" * (key not in PLANT))
+        if any("initial" in each.get("observer", {}) for each in (one, two)):
+            rule = (
+                "must not be given in a mission: errors of a first estimate are those of the first leg alone"
+            )
+            raise ScenarioError(f"legs[{i}].navigation.measurement.initial", "a table", rule)
 
 
 MOST_RUNS = 20  # flights from end to end that are kept
