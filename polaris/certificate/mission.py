@@ -125,8 +125,8 @@ def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -
         data = untrusted(own / CERTIFICATE)
         document = Document(data)
         if data["digest"] != known["digest"]:
-            told = f"the run of leg {known['name']} is not the one that the mission was made of"
-            raise Rejected("legs", told)
+            reason = f"the run of leg {known['name']} is not the one that the mission was made of"
+            raise Rejected("legs", reason)
         heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
         scenario = {**shared, **heading, **spec}
         stay = _number(scenario.pop("stay_s", 0.0))

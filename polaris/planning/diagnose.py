@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.checks import counted
 from ..model.errors import SynthesisInfeasible
+from ..model.scene.state_limits import RATE
 from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
 from .lp import GrowingLP
@@ -52,7 +53,9 @@ def blocked(rows: Rows, deadline: float) -> NoReturn:
     helpful = _droppable(problem, deadline)
     larger = (f for f in FACTORS if perf_counter() < deadline)
     factor = next((f for f in larger if _works(problem, deadline, u_limit=problem.u_limit * f)), None)
-    amount = "" if short is None else f" ({'' if proven else 'at most '}{short:.3g} m short)"
+    amount = ""
+    if short is not None:
+        amount = f" ({'' if proven else 'at most '}{short:.3g} m short{_lengths(*problem.unsafe)})"
     condition = (
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
         f"margins required from the unsafe sets{amount}."
@@ -81,7 +84,7 @@ def _start(problem: PlanProblem) -> None:
                 raise _outside(body, float(required[best]), float(clear[best]))
             raise SynthesisInfeasible(
                 f"The start is {short:.3g} m too close to {body.name}: a margin of {required[best]:.3g} m is "
-                f"required, the clearance is {clear[best]:.3g} m.",
+                f"required, the clearance is {clear[best]:.3g} m{_lengths(body)}.",
                 short,
                 f"start further away, or at least {short:.3g} m less margin.",
             )
@@ -98,10 +101,15 @@ def _outside(body: TimedPolytope, required: float, inside: float) -> SynthesisIn
     where, short = "inside" if inside >= 0 else "outside", required - inside
     return SynthesisInfeasible(
         f"The start is {abs(inside):.3g} m {where} {called}; it must be {required:.3g} m inside: the"
-        " safety controller may need as much.",
+        f" safety controller may need as much{_lengths(body)}.",
         short,
         f"make the set at least {short:.3g} m larger there, or start as much further inside.",
     )
+
+
+def _lengths(*bodies: TimedPolytope) -> str:
+    """Say how velocities count where lengths are those of limits on the whole state."""
+    return f", 1 m/s counting as {1 / RATE:g} m" if any(body.of_state for body in bodies) else ""
 
 
 def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:

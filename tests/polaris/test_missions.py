@@ -8,12 +8,16 @@ import hashlib
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from polaris.certificate.checker import verify
+from polaris.certificate.claims import argument
+from polaris.certificate.claims import joint as joints
 from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.show.mission import show_mission
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.report import write_report
@@ -103,8 +107,8 @@ def test_legs_in_another_order_are_refused(forged, whole):
     shutil.move(forged / "3-home", forged / "2-home")
     if whole:
         mission["legs"][1:] = mission["legs"][:0:-1]
-        for joint, after in zip(data["joints"], mission["legs"][1:], strict=True):
-            joint["center"] = after["initial_set"]["center"]
+        for each, after in zip(data["joints"], mission["legs"][1:], strict=True):
+            each["center"] = after["initial_set"]["center"]
     summary_agrees(forged, data)
     verdict = mended(forged, data, mission)
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "joint" if whole else "legs")
@@ -127,6 +131,31 @@ def test_an_end_set_outside_the_next_start_set_is_refused(forged, tmp_path):
     summary_agrees(forged, data)
     verdict = mended(forged, data, mission)
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "joint") and "leg out" in verdict.witness
+
+
+def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, monkeypatch):
+    verdicts = []
+
+    def with_other_widths(arrival, claimed):
+        node, n = claimed.first[0][0], len(claimed.center)
+        known = joints._Check(arrival, claimed)
+        along = (known.needs.rows * arrival.state(node)).entries()
+        signs = [1] * n + [-1] * n
+        over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]
+        need = [float((a + b).upper()) for a, b in zip(over, arrival.at(known.needs, node), strict=True)]
+        for share in (1 + 1e-9, 1 - 1e-9):
+            widths = [share * max(pair) for pair in zip(need[:n], need[n:], strict=True)]
+            here = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
+            try:
+                joints.check_joint(arrival, replace(claimed, first=[[node, node]], **here))
+                verdicts.append("in")
+            except Rejected as error:
+                verdicts.append(error.claim)
+        return ""
+
+    monkeypatch.setattr(argument, "check_joint", with_other_widths)
+    assert verify(flown).outcome == "VERIFIED"
+    assert verdicts == ["in", "joint"] * 2
 
 
 FORGERIES = {

@@ -360,6 +360,8 @@ def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed,
             runs = simulate(schedule, 50, attempt, substeps=3)
             assert not runs.metrics().collided.any(), attempt
             assert falsify(schedule, 200, attempt).failure is None, attempt
+            worst = attack(schedule, 40, attempt)
+            assert worst.left.min() > 0 and worst.thrust >= 0, attempt
         break
     assert found
 
@@ -546,7 +548,7 @@ def test_what_cannot_be_meant_is_refused(name):
 
 def test_a_limit_that_no_plan_keeps_says_so():
     scenario = load_scenario(TINY, ["keep_in=[{kind='speed',name='slow',max_m_s=0.4}]"])
-    with pytest.raises(PolarisError, match="not with the margins required") as error:
+    with pytest.raises(PolarisError, match="not with the margins required.*1 m/s counting as 100 m") as error:
         synthesize(scenario)
     assert error.value.exit_code == 3
 
