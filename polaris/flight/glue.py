@@ -27,7 +27,13 @@ MODULE = "Components"
 
 
 def glue_files(
-    tables: Tables, prefix: str, precision: str, framework: str, name: str | None = None, module: str = MODULE
+    tables: Tables,
+    prefix: str,
+    precision: str,
+    framework: str,
+    name: str | None = None,
+    module: str = MODULE,
+    online: bool = False,
 ) -> dict[str, str]:
     """Return the texts of the glue for a framework by their paths beside the flight code.
 
@@ -41,6 +47,8 @@ def glue_files(
         Of the component or application; default from the prefix.
     module : str
         Of the component, for F' alone.
+    online : bool
+        Call the online monitor in the code instead of the schedule.
 
     Raises
     ------
@@ -57,6 +65,8 @@ def glue_files(
         raise ScenarioError("name", name, "must not be the prefix of the flight code")
     n, m = tables.sizes["N"], tables.sizes["M"]
     known = {"PREFIX": prefix, "GUARD": prefix.upper(), "NAME": name, "APP": name.upper(), "MODULE": module}
+    entry = f"{prefix}_online" if online else prefix
+    known |= {"ENTRY": entry, "MEMORY": entry if online else f"{prefix}_memory"}
     known |= {"N": str(n), "M": str(m), "REAL": "F64" if precision == "double" else "F32"}
     place = Path(__file__).parent / "templates"
     texts = {path.format(name): (place / one).read_text() for path, one in FILES[framework].items()}

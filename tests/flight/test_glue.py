@@ -12,7 +12,7 @@ from polaris.certificate.code.answers import COMMAND, LATCHED, Call, FlightStep
 from polaris.certificate.code.text import KEY, PRECISIONS
 from polaris.cli.app import app
 from polaris.flight.export import export_c
-from polaris.flight.glue import default_name
+from polaris.flight.glue import FILES, default_name, glue_files
 from polaris.flight.vectors import calls
 from polaris.model.errors import ScenarioError
 
@@ -167,6 +167,20 @@ def test_the_model_of_a_component_is_fpp(run, tmp_path):
     export_c(run, tmp_path / "code", glue="fprime")
     (model,) = (tmp_path / "code").rglob("*.fpp")
     compiled([tool("fpp-syntax"), model])
+
+
+@pytest.mark.parametrize("framework", FILES)
+def test_glue_may_call_the_online_monitor(run, tmp_path, framework):
+    export_c(run, tmp_path / "code", prefix="demo")
+    _, tables, precision = read_code(tmp_path / "code")
+    plain, online = (
+        "".join(glue_files(tables, "demo", precision, framework, online=monitor).values())
+        for monitor in (False, True)
+    )
+    assert "demo_online" not in plain and "demo_memory" not in online
+    for call in ("start", "step"):
+        assert plain.replace(f"demo_{call}(", f"demo_online_{call}(").count(call) == online.count(call)
+        assert f"demo_online_{call}(" in online and f"demo_{call}(" not in online
 
 
 @pytest.mark.parametrize(

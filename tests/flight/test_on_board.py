@@ -24,6 +24,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import CHOSEN, kept, printed
 from ..polaris.forging import COARSE, make
+from ..polaris.random_scenarios import random_scenario
 from ..polaris.test_cubesat import CRAFT
 from ..polaris.test_honest_sources import SOURCES
 from ..polaris.test_model_error import ERRORS
@@ -111,6 +112,29 @@ def test_thousands_of_attacks_on_the_code_violate_nothing(precision):
         never_clipped(schedule, code)
         flights += attacks.runs
     assert flights >= 2000
+
+
+@pytest.mark.slow
+def test_code_of_random_scenes_flies_safely(tmp_path):
+    """Of every plant, set, goal, controller and rule that scenes are drawn with; errors and faults, too."""
+    rng, proved = np.random.default_rng(2), 0
+    for seed in range(fewer(300, 20)):
+        names = rng.choice(list(SOURCES), rng.integers(0, 3), replace=False)
+        try:
+            if names.size:
+                periods = f"feedback.period_s={rng.choice([0.25, 0.5])}", "tracking.R=[60,60]"
+                schedule = synthesize(load_scenario(TINY, [*periods, *declared(*names)]))
+            else:
+                (tmp_path / "scene.toml").write_text(random_scenario(seed))
+                schedule = synthesize(load_scenario(tmp_path / "scene.toml"))
+            codes = [code_of(schedule, precision) for precision in PRECISIONS]
+        except PolarisError:
+            continue
+        for code in codes:
+            attacks = falsify(schedule, 100, seed, code=code)
+            assert attacks.failure is None, f"{seed}, {names}: {attacks.failure}"
+        proved += 1
+    assert proved >= 5
 
 
 def test_attacks_find_code_that_does_not_keep_to_the_proof():

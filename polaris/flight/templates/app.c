@@ -7,7 +7,7 @@ static struct {
     uint32 RunStatus;
     CFE_SB_PipeId_t Pipe;
     CFE_TBL_Handle_t Table;
-    @PREFIX@_memory Memory;
+    @MEMORY@ Memory;
     @APP@_VerdictMsg_t Verdict;
     @APP@_HkMsg_t Hk;
 } Data;
@@ -39,7 +39,7 @@ static void Step(const @APP@_InputMsg_t *Message)
     if (!Allowed()) {
         Input.controller = 0;
     }
-    @PREFIX@_step(&Data.Memory, &Input, Output);
+    @ENTRY@_step(&Data.Memory, &Input, Output);
     Data.Verdict.Period = Input.period;
     CFE_SB_TimeStampMsg(CFE_MSG_PTR(Data.Verdict.TelemetryHeader));
     (void)CFE_SB_TransmitMsg(CFE_MSG_PTR(Data.Verdict.TelemetryHeader), true);
@@ -79,7 +79,7 @@ static int32 Start(void)
 {
     (void)memset(&Data, 0, sizeof(Data));
     Data.RunStatus = CFE_ES_RunStatus_APP_RUN;
-    @PREFIX@_start(&Data.Memory);
+    @ENTRY@_start(&Data.Memory);
     int32 Status = CFE_EVS_Register(NULL, 0, CFE_EVS_EventFilter_BINARY);
     (void)CFE_MSG_Init(CFE_MSG_PTR(Data.Verdict.TelemetryHeader), CFE_SB_ValueToMsgId(@APP@_VERDICT_MID),
                        sizeof(Data.Verdict));

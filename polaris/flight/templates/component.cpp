@@ -4,7 +4,7 @@
 namespace @MODULE@ {
 
 @NAME@::@NAME@(const char* const compName) : @NAME@ComponentBase(compName), m_memory(), m_last(), m_calls(0U) {
-    @PREFIX@_start(&this->m_memory);
+    @ENTRY@_start(&this->m_memory);
 }
 
 void @NAME@::inputIn_handler(FwIndexType portNum,
@@ -25,7 +25,7 @@ void @NAME@::inputIn_handler(FwIndexType portNum,
     for (U32 i = 0U; i < @GUARD@_INPUTS; i++) {
         input.command[i] = force[i];
     }
-    @PREFIX@_step(&this->m_memory, &input, &output);
+    @ENTRY@_step(&this->m_memory, &input, &output);
     @MODULE@::@NAME@Force answer;
     for (U32 i = 0U; i < @GUARD@_INPUTS; i++) {
         answer[i] = output.command[i];

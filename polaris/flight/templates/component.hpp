@@ -26,7 +26,7 @@ class @NAME@ final : public @NAME@ComponentBase {
     //! Tell the ground
     void report(I32 period, const @PREFIX@_output& output);
 
-    @PREFIX@_memory m_memory;
+    @MEMORY@ m_memory;
     @PREFIX@_output m_last;
     U32 m_calls;
 };
