@@ -12,7 +12,7 @@ BENCH := $(VENV)/.stamp-bench
 # Exact versions that were tested; `make constraints` chooses them anew.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 PYTEST := -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
-EXTRAS := test docs fast bench gurobi orbits readers ranges # not basilisk, which needs older packages
+EXTRAS := test docs fast bench gurobi orbits ranges # not basilisk, which needs older packages
 RUN := runs/static
 
 .DEFAULT_GOAL := help
