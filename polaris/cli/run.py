@@ -44,6 +44,9 @@ def run(
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule" and folder.summary["guarantee"]["kind"] == "statistical":
         echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
+    if not folder.summary.get("model_error", {"covered": True})["covered"]:
+        text = "the declared disturbance does not cover the model error: the proof is of the linear model"
+        echo(f"warning: {text}; raise system.disturbance_max_m_s2 (polaris model-error --fit)", err=True)
     output.finish(folder)
     return 0 if folder.summary.get("safe", True) else REFUTED
 
@@ -105,11 +108,11 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write an interactive report: one HTML file that needs no network. Or a dossier for print."""
-    from ..report import write_dossier, write_report
+    from ..report import write_report
     from .console import ShownStages
 
     with ShownStages(quiet).stage("report"):
-        path = (write_dossier if dossier else write_report)(folder, out, force=force)
+        path = write_report(folder, out, dossier=dossier, force=force)
     if not quiet:
         echo(str(path))
 

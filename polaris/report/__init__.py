@@ -3,27 +3,32 @@
 from pathlib import Path
 
 from ..model.errors import ScenarioError
-from ..runs.files.atomic import adding, check_file, write_whole
+from ..runs.files.atomic import adding, check_file, replacing_file
 from ..runs.files.folder import RunFolder, readable
 from ..runs.files.tables import write_text
 from ..runs.missions.mission import MISSION
 from ..runs.points import TRADEOFF
 from ..runs.run import read_run
-from .dossier import write_dossier
+from .dossier import draw_dossier
 from .html.page import Page, page_html
 
-__all__ = ["report_page", "write_dossier", "write_report"]
+__all__ = ["report_page", "write_report"]
 
 
-def write_report(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:
-    """Write the report of a run folder or of a comparison.
+def write_report(
+    folder: str | Path, out: str | Path | None = None, *, dossier: bool = False, force: bool = False
+) -> Path:
+    """Write the report of a run folder or of a comparison, or the dossier of a run.
 
     Parameters
     ----------
     folder : path
-        A run folder, one of the inspection problem, or a comparison.
+        A run folder, one of the inspection problem, or a comparison; for a dossier one of a schedule or a
+        mission.
     out : path, optional
-        The file; default ``report.html`` in the folder, where an older report is replaced.
+        The file; default ``report.html`` or ``dossier.pdf`` in the folder, where an older one is replaced.
+    dossier : bool
+        Whether to write PDF for print instead: clause by clause what the run answers.
     force : bool
         True if another file that is there is replaced.
 
@@ -41,15 +46,22 @@ def write_report(folder: str | Path, out: str | Path | None = None, *, force: bo
     if run.kind is TRADEOFF:
         rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
         raise ScenarioError("report", str(folder), rule)
-    for leg in run.picture().legs if run.kind is MISSION and out is None else ():
+    name, endings = ("dossier.pdf", (".pdf",)) if dossier else ("report.html", (".html", ".htm"))
+    target = None if out is None else check_file(out, endings=endings, force=force)
+    for leg in run.picture().legs if run.kind is MISSION and target is None and not dossier else ():
         write_report(leg.path, force=force)
-    if out is not None:
-        target = check_file(out, endings=(".html", ".htm"), force=force)
-        write_whole(target, page_html(report_page(run)), force=force)
+
+    def write(place: Path) -> None:
+        with readable(run.path):
+            draw_dossier(run, place) if dossier else write_text(place, page_html(report_page(run)))
+
+    if target is not None:
+        with replacing_file(target, "--out", force) as beside:
+            write(beside)
         return target
     with adding(run.path, taken="replaced" if force else "refused") as beside:
-        write_text(beside / "report.html", page_html(report_page(run)))
-    return run.path / "report.html"
+        write(beside / name)
+    return run.path / name
 
 
 def report_page(run: RunFolder) -> Page:

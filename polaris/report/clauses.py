@@ -32,6 +32,15 @@ class Clause:
 
 
 FRENCH, ISO, ESA = "French technical regulation", "ISO 24330:2022", "ESA guidelines"
+SOURCES = {
+    FRENCH: "Arrêté of 31 March 2011 as changed on 28 June 2024, third part, chapter V, in-orbit service;"
+    " what an article asks is said in our words.",
+    ISO: "Programmatic principles and practices for rendezvous, proximity operations and on-orbit servicing;"
+    " clauses by number and title, their text is not quoted.",
+    ESA: "Guidelines for Safe and Sustainable Close-Proximity Operations, October 2021; by topic, without"
+    " their text.",
+}
+"""Texts that the clauses are from, and what is said of them."""
 
 SAFE = Evidence("proven safe", "claim: Safe")
 GOAL = Evidence("goal", "claim: Goal")
@@ -50,8 +59,11 @@ SETS = Evidence("unsafe sets", "scenario.toml: obstacles.name")
 CORRIDORS = Evidence("sets that are never left", "scenario.toml: keep_in.name")
 THRUST = Evidence("largest demand of thrust by S", "summary.json: polaris.max_thrust_ratio_safety")
 START = Evidence("room left at the start", "summary.json: synthesis.start_margin")
-CENTRE = Evidence("centre of the start set", "scenario.toml: initial_set.center")
-WIDTHS = Evidence("half-widths of the start set", "scenario.toml: initial_set.half_widths")
+BOX = Evidence("box around the start set", "scenario.toml: initial_set")
+JOINTS = Evidence("GO boxes between legs", "summary.json: mission.joints")
+WHOLE = Evidence("velocity change of all legs, at most", "summary.json: mission.delta_v_max_m_s")
+ALLOWED = Evidence("disturbance that the proof allows", "scenario.toml: system.disturbance_max_m_s2")
+MODEL = Evidence("left out by the linear model, at most, not checked", "summary.json: model_error.bound_m_s2")
 ERRORS = (
     Evidence("errors of navigation", "scenario.toml: navigation"),
     Evidence("errors of thrusters", "scenario.toml: thrusters"),
@@ -81,14 +93,14 @@ CLAUSES = (
         "Art. 47-6, GO and NO-GO",
         "At hold or passage points the states of both objects that allow to go on are defined in advance:"
         " position, velocity, attitude, rates.",
-        (CENTRE, WIDTHS, START, GOAL, UPKEEP),
+        (JOINTS, BOX, START, GOAL, UPKEEP),
         "attitude and rates; states of equipment and ground; who decides",
     ),
     Clause(
         FRENCH,
         "Art. 47-16, performance in the approach",
         "Corridors are violated with a probability of less than 1 % per approach.",
-        (SAFE, ENTER, RUNS),
+        (SAFE, ENTER, RUNS, ALLOWED, MODEL),
         "the probability that an assumption does not hold, which is all that is left of it",
     ),
     Clause(
@@ -117,7 +129,9 @@ CLAUSES = (
         (DIGESTS,),
         "approval; commands from the ground",
     ),
-    Clause(ISO, "5.2.3 Trajectory practice", "", (LEAST, GOAL, UPKEEP), "choice of the goal and of zones"),
+    Clause(
+        ISO, "5.2.3 Trajectory practice", "", (LEAST, GOAL, UPKEEP, WHOLE), "choice of the goal and of zones"
+    ),
     Clause(
         ISO,
         "5.2.5 Collision avoidance practices in proximity",
@@ -156,7 +170,7 @@ CLAUSES = (
         (SAFE, THRUST, POWERED),
         "what to do at steps from which it is not proven; aborts of flights under the monitor",
     ),
-    Clause(ESA, "Go/no-go criteria", "", (CENTRE, WIDTHS, START), "criteria of other subsystems"),
+    Clause(ESA, "Go/no-go criteria", "", (JOINTS, BOX, START), "criteria of other subsystems"),
     Clause(
         ESA,
         "Navigation and actuation performance",
@@ -171,7 +185,9 @@ CLAUSES = (
         (FAULTS, SAFE),
         "that isolation is as fast as declared; a second fault; S itself",
     ),
-    Clause(ESA, "Verification and validation", "", (CHECK, RUNS, ENTER), "hardware in the loop"),
+    Clause(
+        ESA, "Verification and validation", "", (CHECK, ALLOWED, MODEL, RUNS, ENTER), "hardware in the loop"
+    ),
 )
 
 

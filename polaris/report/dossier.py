@@ -1,8 +1,8 @@
 """The dossier of a run: clause by clause what its files answer, on at most twelve pages for print."""
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from textwrap import wrap
@@ -11,12 +11,13 @@ from typing import Any
 from ..certificate.checker import verify
 from ..certificate.kernel.verdict import VERIFIED, Verdict
 from ..model.errors import ScenarioError
-from ..runs.files.atomic import adding, check_file, replacing_file
-from ..runs.files.folder import RunFolder, readable
+from ..runs.files.folder import RunFolder
 from ..runs.files.ownership import sha256
 from ..runs.files.tables import besides
-from ..runs.run import read_run
-from .clauses import CLAUSES, Clause, Evidence
+from ..runs.missions.mission import MISSION
+from ..synthesis.safety.recoverable import directed
+from .clauses import CLAUSES, SOURCES, Clause, Evidence
+from .missions import joint_tables
 from .sentences import goal, reach
 from .tables import Measure, value_cell
 
@@ -25,7 +26,10 @@ PAGE = (8.27, 11.69)  # A4 [in]
 LINES, COLUMNS = 76, 112  # of a page, in its smallest type
 LONGEST = 240  # characters of one answer: texts come from files that others may have written
 HEADS = "#0072B2"  # colour of headings: the light font has no bold letters
+MOST_SCENES = 4  # legs of which a scene is drawn
 ABSENT = "not asked for in this run"
+UNDECLARED = "not declared, so taken to be none"
+ALONE = "no mission of several legs"
 UNPROVEN = "not proven"
 
 
@@ -39,36 +43,36 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Dossier:
-    """Contents of the dossier of a run: its folder, files by name, and the checker's verdict."""
+class DossierLeg:
+    """A run of a schedule that a dossier is about: its name in a mission, its folder, its files by name."""
 
+    name: str
     run: RunFolder
-    verdict: Verdict
-    files: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, Any]
 
     @classmethod
-    def of(cls, run: RunFolder) -> "Dossier":
-        """Read the files of a run folder of a schedule, and let the checker judge it."""
-        if run.kind.name != "schedule":
-            raise ScenarioError("report", str(run.path), "is no run of a schedule: it has no dossier")
+    def of(cls, run: RunFolder, name: str = "") -> "DossierLeg":
+        """Read the files of a run folder of a schedule."""
         scenario = tomllib.loads((run.path / "scenario.toml").read_text(encoding="utf-8"))
-        return cls(run, verify(run.path), {"summary.json": run.summary, "scenario.toml": scenario})
+        return cls(name, run, {"summary.json": run.summary, "scenario.toml": scenario})
 
     @property
-    def proven(self) -> bool:
-        """True if the run claims a proof and the independent checker confirms it."""
-        return (
-            self.files["summary.json"]["guarantee"]["kind"] == "proved" and self.verdict.outcome == VERIFIED
-        )
+    def claim(self) -> Mapping[str, Any]:
+        """Guarantee that the run states."""
+        claim: Mapping[str, Any] = self.files["summary.json"]["guarantee"]
+        return claim
 
-    def answer(self, evidence: Evidence) -> str:
-        """Return what the run says: a value of its files with its unit, or a sentence of its guarantee."""
-        file, _, path = evidence.address.partition(": ")
-        if file == "check":
-            return self.verdict.outcome if path == "outcome" else sha256(self.run.path / "certificate.json")
-        if file == "claim":
-            texts = [text for head, text in self._claims() if head == path]
-            return (" ".join(texts) or ABSENT) if self.proven else UNPROVEN
+    def sentence(self, head: str) -> str:
+        """Return a sentence of the guarantee by its head."""
+        known = [("Safe", reach(self.claim)), ("Goal", goal(self.claim["goal"])), *besides(self.claim)]
+        return " ".join(text for name, text in known if name == head) or ABSENT
+
+    def value(self, file: str, path: str) -> str:
+        """Return the value of a file with its unit."""
+        if path == "initial_set":
+            box, names = self.run.scenario.initial_set(), self.run.scenario.system().state_names
+            ends = zip(names, box.c - box.half_widths, box.c + box.half_widths, strict=True)
+            return _plain(", ".join(f"{name} {a:.6g} to {b:.6g}" for name, a, b in ends) + " (m, m/s)")
         value, keys = self.files[file], path.split(".")
         for key in keys:
             if isinstance(value, list):
@@ -77,20 +81,69 @@ class Dossier:
                 value = value.get(key) if isinstance(value, dict) else None
         if value is None or value == []:
             known = path.startswith("polaris.") and isinstance(self.files[file].get("polaris"), dict)
-            return value_cell(None, keys[-1]).text if known else ABSENT
+            absent = ABSENT if file == "summary.json" else UNDECLARED
+            return value_cell(None, keys[-1]).text if known else absent
         return _plain(Measure.of(keys[-1]).text(value) if isinstance(value, int | float) else _listed(value))
 
-    def _claims(self) -> list[tuple[str, str]]:
-        claim = self.files["summary.json"]["guarantee"]
-        return [("Safe", reach(claim)), ("Goal", goal(claim["goal"])), *besides(claim)]
+
+@dataclass(frozen=True)
+class Dossier:
+    """Contents of a dossier: the run folder, the checker's verdict, and the legs, one of a schedule."""
+
+    run: RunFolder
+    verdict: Verdict
+    legs: Sequence[DossierLeg]
+
+    @classmethod
+    def of(cls, run: RunFolder, judge: Callable[[Path], Verdict] = verify) -> "Dossier":
+        """Read the files of a run folder of a schedule or a mission, and let the checker judge it."""
+        if run.kind is MISSION:
+            named = zip(run.summary["mission"]["legs"], run.picture().legs, strict=True)
+            return cls(run, judge(run.path), [DossierLeg.of(leg, known["name"]) for known, leg in named])
+        if run.kind.name != "schedule":
+            raise ScenarioError("report", str(run.path), "is no run of a schedule: it has no dossier")
+        return cls(run, judge(run.path), [DossierLeg.of(run)])
+
+    @property
+    def proven(self) -> bool:
+        """True if every leg claims a proof and the independent checker confirms it."""
+        return self.verdict.outcome == VERIFIED and all(leg.claim["kind"] == "proved" for leg in self.legs)
+
+    def answers(self, evidence: Evidence) -> list[str]:
+        """Return what the run says, values or sentences of the guarantee, and of which legs each."""
+        file, _, path = evidence.address.partition(": ")
+        if file == "check":
+            return [self.verdict.outcome if path == "outcome" else sha256(self.run.path / "certificate.json")]
+        if (file == "claim" or path.startswith("mission.")) and not self.proven:
+            return [UNPROVEN]
+        if path.startswith("mission."):
+            return self._of_mission(path) if self.run.kind is MISSION else [ALONE]
+        by_answer: dict[str, list[str]] = {}
+        for leg in self.legs:
+            text = leg.sentence(path) if file == "claim" else leg.value(file, path)
+            by_answer.setdefault(text, []).append(leg.name)
+        if len(by_answer) == 1:
+            return list(by_answer)
+        return [f"{', '.join(names)}: {text}" for text, names in by_answer.items()]
+
+    def _of_mission(self, path: str) -> list[str]:
+        if path == "mission.joints":
+            tables = joint_tables(self.run.summary)
+            boxes = (", ".join(f"{row[0].text} {row[-1].text}" for row in each.rows) for each in tables)
+            return [f"{each.caption}: {box} (m, m/s)" for each, box in zip(tables, boxes, strict=True)]
+        largest = self.run.summary["mission"]["delta_v_max_m_s"]
+        return ["no bound" if largest is None else f"{directed(largest, '.4g', up=True)} m/s"]
 
     def lines(self) -> Iterator[Line]:
         """Give all lines of text, in order."""
-        summary = self.files["summary.json"]
+        summary = self.run.summary
         yield Line(_plain(f"Dossier: {summary['title']}")[:COLUMNS], True)
-        yield from _wrapped(
-            f"Run of {summary['scenario']}, made {summary.get('created', 'at no known time')}."
-        )
+        made, by = summary.get("created", "at no known time"), summary.get("versions", {}).get("polaris", "?")
+        yield from _wrapped(_plain(f"Run of {summary['scenario']}, made {made} by Polaris {by}."))
+        if self.run.kind is MISSION:
+            names = ", ".join(leg.name for leg in self.legs)
+            text = "values of a leg are in the files of its folder, which begins with its number"
+            yield from _wrapped(f"Mission of {len(self.legs)} legs, {names}; {text}.")
         yield from _wrapped(f"The independent checker says {self.verdict.outcome}.")
         if not self.proven:
             why = self.verdict.witness or "the run claims no proof"
@@ -102,29 +155,49 @@ class Dossier:
         for source, group in groupby(CLAUSES, lambda clause: clause.source):
             yield Line("")
             yield Line(source, True, with_next=True)
+            yield from _wrapped(SOURCES[source])
             for clause in group:
                 yield from self._clause(clause)
         yield Line("")
         yield Line("What the claims rest on (summary.json: guarantee.assumptions)", True, with_next=True)
-        for one in summary["guarantee"]["assumptions"]:
+        own = summary["mission"]["assumptions"] if self.run.kind is MISSION else []
+        rest: dict[str, dict[str, None]] = {}
+        for leg in self.legs:
+            for one in leg.claim["assumptions"]:
+                rest.setdefault(one, {})[leg.name] = None
+        for one in own:
             yield from _wrapped(f"- {_plain(one)}")
+        for one, names in rest.items():
+            of = "" if len(names) == len(self.legs) else f" [{', '.join(names)}]"
+            yield from _wrapped(f"- {_plain(one)}{of}")
 
     def _clause(self, clause: Clause) -> Iterator[Line]:
         yield Line(clause.title, True, with_next=True)
         yield from _wrapped(f"Asks: {clause.asks}" if clause.asks else "")
         for one in clause.evidence:
-            yield from _wrapped(f"- {one.words}: {self.answer(one)} [{one.address}]", "    ")
+            answers = self.answers(one)
+            if len(answers) == 1:
+                yield from _wrapped(f"- {one.words}: {answers[0]} [{one.address}]", "    ")
+                continue
+            yield from _wrapped(f"- {one.words} [{one.address}]:", "    ")
+            for text in answers:
+                yield from _wrapped(text, "        ")
         yield from _wrapped(f"Only the mission: {clause.mission}.")
+
+    @property
+    def figures(self) -> int:
+        """Number of pages with figures: the scenes of the first legs, and the diagrams of one."""
+        return min(len(self.legs), MOST_SCENES) + 1
 
     def pages(self) -> list[list[Line]]:
         """Return the lines page by page; a heading stays with what follows it."""
         pages: list[list[Line]] = [[]]
         for line in self.lines():
             room = LINES - len(pages[-1]) - 3 * line.with_next
-            if room <= 0 and len(pages) < MOST_PAGES - 2:  # the figure has a page, and so has what is cut
+            if room <= 0 and len(pages) < MOST_PAGES - self.figures:
                 pages.append([])
             elif room <= 0:
-                pages[-1][-1] = Line("The rest of the assumptions is in summary.json.", True)
+                pages[-1][-1] = Line("The rest is in summary.json, of a mission in those of its legs.", True)
                 break
             pages[-1].append(line)
         return pages
@@ -132,8 +205,8 @@ class Dossier:
 
 def _plain(text: object) -> str:
     """Return a text of a file as one line of bounded length."""
-    line = " ".join("".join(letter if letter.isprintable() else " " for letter in str(text)).split())
-    return line if len(line) <= LONGEST else line[: LONGEST - 1] + "…"
+    text = " ".join("".join(letter if letter.isprintable() else " " for letter in str(text)).split())
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
 def _listed(value: object) -> str:
@@ -150,59 +223,39 @@ def _wrapped(text: str, indent: str = "  ") -> Iterator[Line]:
         yield Line(indent + "  " * (i > 0) + part)
 
 
-def write_dossier(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:
-    """Write the dossier of a run folder of a schedule as a PDF file of at most twelve pages.
-
-    Parameters
-    ----------
-    folder : path
-        A run folder of a schedule.
-    out : path, optional
-        The file; default ``dossier.pdf`` in the folder, where an older dossier is replaced.
-    force : bool
-        True if another file that is there is replaced.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ScenarioError
-        If the folder is no such run or damaged, a file of the user is there, or it cannot be written.
-    """
-    run = read_run(folder)
-    target = None if out is None else check_file(out, endings=(".pdf",), force=force)
-    with readable(run.path):
-        dossier = Dossier.of(run)
-        if target is not None:
-            with replacing_file(target, "--out", force) as beside:
-                _draw(dossier, beside)
-            return target
-        with adding(run.path, taken="replaced" if force else "refused") as beside:
-            _draw(dossier, beside / "dossier.pdf")
-    return run.path / "dossier.pdf"
-
-
-def _draw(dossier: Dossier, path: Path) -> None:
+def draw_dossier(run: RunFolder, path: Path) -> None:
+    """Write the dossier of a schedule or a mission as PDF; the checker judges the run first."""
     from matplotlib.backends.backend_pdf import PdfPages
 
     from .figures.scene import scene_figure
     from .figures.style import new_figure, printing
+    from .figures.timelines import distance_figure
 
-    texts = dossier.pages()
+    dossier = Dossier.of(run)
+    texts, pictures = dossier.pages(), [leg.run.picture() for leg in dossier.legs[:MOST_SCENES]]
+    of = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
+    drawn = [(f"Scene{name}", scene_figure, one) for name, one in zip(of, pictures, strict=False)]
+    drawn.append((f"Flights{of[0]} over time", distance_figure, pictures[0]))
+    count = len(texts) + len(drawn)
     with printing(), PdfPages(path, metadata={"CreationDate": None, "Title": "Dossier"}) as pdf:
         for number, lines in enumerate(texts, 1):
             figure = new_figure(PAGE[1], PAGE[0])
             figure.set_layout_engine(None)
-            _write_lines(figure, lines, f"{number} of {len(texts) + 1}")
+            _write_lines(figure, lines, f"{number} of {count}")
             pdf.savefig(figure)
-        pdf.savefig(scene_figure(dossier.run.picture()))
+        for number, (name, draw, picture) in enumerate(drawn, len(texts) + 1):
+            figure = draw(picture)
+            figure.set_layout_engine("constrained", rect=(0.05, 0.05, 0.9, 0.9))
+            figure.set_size_inches(
+                PAGE[0], min(PAGE[1], PAGE[0] / figure.get_figwidth() * figure.get_figheight())
+            )
+            figure.text(0.05, 0.99, name, fontsize=8, color=HEADS, va="top", parse_math=False)
+            figure.text(0.95, 0.01, f"{number} of {count}", fontsize=7, ha="right")
+            pdf.savefig(figure)
 
 
 def _write_lines(figure: Any, lines: Sequence[Line], footer: str) -> None:
     for i, line in enumerate(lines):
-        at, size, colour = 0.96 - 0.92 * i / LINES, 8 if line.head else 7, HEADS if line.head else "black"
-        figure.text(0.07, at, line.text, fontsize=size, color=colour, va="top", parse_math=False)
+        at, size, colour = 0.96 - 0.92 * i / LINES, 9 if line.head else 8.3, HEADS if line.head else "black"
+        figure.text(0.06, at, line.text, fontsize=size, color=colour, va="top", parse_math=False)
     figure.text(0.93, 0.02, footer, fontsize=7, ha="right")

@@ -26,6 +26,12 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         text = "of the time is proven for anything within the thrust limits instead of black boxes"
         rows.append(("Without samples", f"{details['proven_share']:.1%} {text}"))
         rows.append(("Worst found", _worst(details["worst_found"])))
+    if (left_out := summary.get("model_error")) is not None:
+        bound = directed(left_out["bound_m_s2"], ".3g", up=True)
+        within = "within" if left_out["covered"] else "MORE THAN"
+        text = f"the linear model leaves out at most {bound} m/s^2 where the schedule flies, {within} the"
+        text += f" {left_out['declared_m_s2']:g} that the proof allows; the checker does not derive it"
+        rows.append(("Model error", text))
     return [*rows, ("Time", f"{total:.2f} s ({stages})")]
 
 

@@ -29,6 +29,7 @@ from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS, finite
+from ..simulation.orbit.model_error import left_out
 from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis.controllers.black_box import Ask
 from ..synthesis.controllers.controllers import AffineController
@@ -208,6 +209,7 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
             "seconds": {**_seconds(schedule, seconds), "plan_parts": plan.seconds},
         },
         "guarantee": guarantee(schedule),
+        **left_out(scenario, schedule),
         "definitions": DEFINITIONS,
         "seed": scenario.simulation.seed,
     }

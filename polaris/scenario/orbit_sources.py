@@ -25,6 +25,7 @@ from ..simulation.orbit.environment import EARTH_RADIUS_M, MU, Environment
 from ..simulation.orbit.fit import fit_ellipses
 from ..simulation.orbit.inertial import elements_of_state, propagate
 from ..simulation.orbit.oem import SECOND, Ephemeris, epoch_text, parse_epoch, read_oem
+from ..simulation.orbit.residual import residual_bound, two_digits
 from ..simulation.orbit.start import start_set
 from .reading import validate
 from .tables.fields import ScenarioPart, unit
@@ -113,8 +114,12 @@ class _Resolved:
         if chaser is not None and target is None:
             rule = "is required: a start set from the chaser's ephemeris needs the target's"
             raise ScenarioError("orbit.ephemeris", None, rule)
-        path = self._path(target, chaser)
-        self._fill(path)
+        named = target, self.source.two_line_elements, self.orbit.get("elements")
+        if any(one is not None for one in named) or self.source.within_m is None:
+            path = self._path(target, chaser)
+            self._fill(path)
+        if self.source.within_m is not None:
+            self._allow(self.source.within_m)
         if chaser is not None and target is not None and self.start is not None:
             self._start(target, chaser, path.epoch, self.start)
         return self.document, tuple(self.notes)
@@ -235,6 +240,18 @@ class _Resolved:
             f"assumed of the target besides: within {orbit['radius_deviation_max_m']:g} m and"
             f" {orbit['radial_rate_max_m_s']:g} m/s of that ellipse, for as long as a guarantee is to hold"
         )
+
+    def _allow(self, reach: float) -> None:
+        """Let the disturbance bound be what covers the model error within a distance [m]."""
+        system = self.document.get("system")
+        eta = system.get("mean_motion_rad_s") if isinstance(system, dict) else None
+        if not isinstance(system, dict) or not isinstance(eta, float) or not 0 < eta <= 0.01:
+            raise ScenarioError("orbit.within_m", reach, "needs system.mean_motion_rad_s, or what gives it")
+        if "disturbance_max_m_s2" not in system:
+            bound = residual_bound(self._environment(eta)[0], reach, reach, 2 * eta * reach)
+            system["disturbance_max_m_s2"] = allowed = two_digits(float(bound.total))
+            text = f"covers the model error within {reach:g} m at up to {2 * eta * reach:.2g} m/s"
+            self.notes.append(f"system.disturbance_max_m_s2: {allowed:g} m/s^2 {text}")
 
     def _start(self, target: Ephemeris, chaser: Ephemeris, epoch: int, asked: StartSource) -> None:
         """Put the start set into the document."""

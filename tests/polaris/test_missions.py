@@ -17,10 +17,12 @@ from polaris.certificate.checker import verify
 from polaris.certificate.claims import argument
 from polaris.certificate.claims import joint as joints
 from polaris.certificate.files.document import canonical, digest
-from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.kernel.verdict import Rejected, Verdict
 from polaris.cli.show.mission import show_mission
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.report import write_report
+from polaris.report.clauses import CLAUSES
+from polaris.report.dossier import MOST_PAGES, UNPROVEN, Dossier
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -493,6 +495,22 @@ def test_report_has_a_section_for_every_leg(flown):
     )
     assert "GO from out to across" in page and (flown / "1-out" / "report.html").is_file()
     assert read_run(flown).kind.name == "mission" and verify(flown).outcome == "VERIFIED"
+
+
+def test_dossier_answers_leg_by_leg_and_claims_nothing_that_is_not_verified(flown):
+    dossier = Dossier.of(read_run(flown))
+    text = "\n".join(line.text for line in dossier.lines())
+    assert dossier.proven and "Mission of 3 legs, out, across, home" in text and "NOTHING" not in text
+    assert "GO from out to across" in text and "7.7 to 8.3" in text
+    known = {one.address: dossier.answers(one) for clause in CLAUSES for one in clause.evidence}
+    assert len(known["summary.json: mission.joints"]) == 2 and len(known["claim: Goal"]) == 3
+    assert [text.split(":")[0] for text in known["scenario.toml: initial_set"]] == ["out", "across", "home"]
+    assert len(dossier.pages()) + dossier.figures <= MOST_PAGES
+    refused = Dossier.of(read_run(flown), lambda path: Verdict("REJECTED", "joint", "no"))
+    answers = [refused.answers(one) for clause in CLAUSES for one in clause.evidence]
+    claimed = [one for one in known if one.startswith("claim: ") or "mission." in one]
+    assert answers.count([UNPROVEN]) >= len(claimed) and not refused.proven
+    assert write_report(flown, dossier=True).read_bytes().startswith(b"%PDF-")
 
 
 def test_waiting_costs_and_the_planned_stay_are_in_the_sums(tmp_path):

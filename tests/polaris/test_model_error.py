@@ -14,9 +14,9 @@ from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.orbit.environment import MU, Environment
 from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
-from polaris.simulation.orbit.model_error import justify, model_error, sample_residual, two_digits
+from polaris.simulation.orbit.model_error import justify, model_error, sample_residual
 from polaris.simulation.orbit.region import Region, visited
-from polaris.simulation.orbit.residual import residual_bound
+from polaris.simulation.orbit.residual import residual_bound, two_digits
 from polaris.simulation.orbit.truth import declared, fly_true, runge_kutta
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from polaris.certificate.checker import verify
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.runs.files.arrays import read_flights
@@ -26,7 +28,7 @@ from polaris.simulation.orbit.inertial import (
     state_of_elements,
     to_hill,
 )
-from polaris.simulation.orbit.model_error import sample_residual
+from polaris.simulation.orbit.model_error import error_within, sample_residual
 from polaris.simulation.orbit.oem import (
     SECOND,
     Ephemeris,
@@ -381,6 +383,9 @@ def client(tmp_path_factory):
     assert (
         "note: assumption: the start set covers 3 sigma" in done.stderr and "safe for all time" in done.stdout
     )
+    assert (
+        "Model error: the linear model leaves out at most" in done.stdout and "MORE THAN" not in done.stdout
+    )
     done = CliRunner().invoke(app, ["export", "oem", str(out)])
     assert done.exit_code == 0 and str(out / "oem" / "reference.oem") in done.stdout
     return out
@@ -397,6 +402,48 @@ def test_the_run_covers_its_model_error_and_verifies(client):
     assert done.exit_code == 5 and "TOO SMALL" in done.stdout
     done = CliRunner().invoke(app, ["model-error", str(client), "--set", "planner.gap=0.1"])
     assert done.exit_code == 2 and "keys of [orbit] only" in done.stderr
+
+
+FORGED_ERRORS = {
+    "declared": lambda error: error.update(declared_m_s2=error["declared_m_s2"] * 1.01),
+    "covered": lambda error: error.update(covered=False),
+    "bound": lambda error: error.update(bound_m_s2=error["bound_m_s2"] / 2),
+    "parts": lambda error: error["parts_m_s2"].update(eccentricity=1.0),
+    "unit": lambda error: error.update(bound_mm_s2=1.0),
+}
+
+
+@pytest.mark.parametrize("name", [*FORGED_ERRORS, "left out"])
+def test_a_forged_model_error_is_refused(client, name, tmp_path):
+    """A run states its model error; what contradicts scenario or certificate is refused, as is none."""
+    forged = shutil.copytree(client, tmp_path / "forged")
+    summary = json.loads((forged / "summary.json").read_text())
+    if name == "left out":
+        del summary["model_error"]
+    else:
+        FORGED_ERRORS[name](summary["model_error"])
+    (forged / "summary.json").write_text(json.dumps(summary))
+    verdict = verify(forged)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "summary"), verdict.text()
+
+
+def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
+    source = {"elements": ELEMENTS, "within_m": 420.0}
+    data = load_scenario(DATA / "client.toml").to_dict()
+    del data["system"]["disturbance_max_m_s2"], data["system"]["mean_motion_rad_s"]
+    data["orbit"] = AIR | source
+    made = ScheduleScenario.from_dict(data, "here")
+    declared, needed = made.system().w_max, float(error_within(made, 420.0).total)
+    assert needed <= declared <= 1.1 * needed and "within_m" not in made.to_dict()["orbit"]
+    assert any(f"{declared:g} m/s^2 covers the model error within 420 m" in line for line in made.derived)
+    numbers_alone = made.to_dict()
+    del numbers_alone["system"]["disturbance_max_m_s2"], numbers_alone["orbit"]["elements"]
+    numbers_alone["orbit"]["within_m"] = 420.0
+    assert ScheduleScenario.from_dict(numbers_alone, "here").system().w_max == declared
+    assert document(source, disturbance_max_m_s2=1e-6).system().w_max == 1e-6
+    del numbers_alone["system"]["mean_motion_rad_s"]
+    with pytest.raises(ScenarioError, match=r"orbit\.within_m"):
+        ScheduleScenario.from_dict(numbers_alone, "here")
 
 
 @pytest.mark.slow

@@ -12,12 +12,16 @@ from typer.testing import CliRunner
 from polaris.certificate.kernel.verdict import Verdict
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
-from polaris.report import write_dossier
+from polaris.report import write_report
 from polaris.report.clauses import CLAUSES
-from polaris.report.dossier import ABSENT, COLUMNS, LINES, MOST_PAGES, UNPROVEN, Dossier
+from polaris.report.dossier import ABSENT, ALONE, COLUMNS, LINES, MOST_PAGES, UNDECLARED, UNPROVEN, Dossier
 from polaris.runs.run import read_run
 
 from .folders import EVIL, rename, rewrite_json, write_tiny
+
+
+def write_dossier(folder, out=None, **how):
+    return write_report(folder, out, dossier=True, **how)
 
 
 @pytest.fixture
@@ -78,9 +82,7 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
 
 
 def lines_of(run, verdict):
-    opened = read_run(run)
-    scenario = tomllib.loads((run / "scenario.toml").read_text())
-    return Dossier(opened, verdict, {"summary.json": opened.summary, "scenario.toml": scenario})
+    return Dossier.of(read_run(run), lambda path: verdict)
 
 
 def test_what_the_checker_does_not_confirm_is_not_claimed(run):
@@ -90,7 +92,7 @@ def test_what_the_checker_does_not_confirm_is_not_claimed(run):
     )
     for dossier, proven in ((confirmed, True), (refused, False)):
         claims = [one for clause in CLAUSES for one in clause.evidence if one.address.startswith("claim: ")]
-        answers = [dossier.answer(one) for one in claims]
+        answers = [dossier.answers(one)[0] for one in claims]
         assert all((answer == UNPROVEN) != proven for answer in answers)
         text = "\n".join(line.text for line in dossier.lines())
         assert ("NOTHING IS PROVEN OF THIS RUN: no" in text) != proven
@@ -100,18 +102,22 @@ def test_what_the_checker_does_not_confirm_is_not_claimed(run):
 
 def test_what_a_run_does_not_have_is_said(run):
     dossier = lines_of(run, Verdict("VERIFIED"))
-    answers = {one.address: dossier.answer(one) for clause in CLAUSES for one in clause.evidence}
-    assert answers["claim: Passive safety"] == answers["scenario.toml: faults.kind"] == ABSENT
+    answers = {one.address: dossier.answers(one)[0] for clause in CLAUSES for one in clause.evidence}
+    assert answers["claim: Passive safety"] == ABSENT and answers["scenario.toml: faults.kind"] == UNDECLARED
+    assert answers["summary.json: mission.joints"] == ALONE
     assert answers["claim: Safe"] != ABSENT and answers["check: outcome"] == "VERIFIED"
 
 
 def test_long_texts_of_files_make_no_more_pages(run):
     rename(run, "$x_$" + EVIL * 999)
-    rewrite_json(run / "summary.json", lambda data: data["guarantee"].update(assumptions=["a " * 999] * 999))
+    rewrite_json(
+        run / "summary.json",
+        lambda data: data["guarantee"].update(assumptions=[f"{i} " + "a " * 999 for i in range(999)]),
+    )
     pages = lines_of(run, Verdict("VERIFIED")).pages()
-    assert len(pages) < MOST_PAGES and all(len(page) <= LINES + 1 for page in pages)
+    assert len(pages) <= MOST_PAGES - 2 and all(len(page) <= LINES + 1 for page in pages)
     assert max(len(line.text) for page in pages for line in page) <= COLUMNS
-    assert "rest of the assumptions" in pages[-1][-1].text
+    assert "The rest is in" in pages[-1][-1].text
     assert write_dossier(run, run.parent / "own.pdf").stat().st_size > 10_000
 
 

@@ -206,8 +206,21 @@ def check_summary(
         or bool(document.transients)
         or spent <= _raised(goal),
     }
-    _hold(needed, "")
+    _hold(needed | _of_model_error(document, stored.get("model_error"), "orbit" in scenario), "")
     return stored
+
+
+def _of_model_error(document: Document, stated: dict[str, Any] | None, asked: bool) -> dict[str, bool]:
+    """Return what the model error of a summary must agree with; its bound itself is not derived here."""
+    if stated is None or document.mean_motion is None:
+        return {"model_error where the scenario has an orbit": stated is None and not asked}
+    bound, parts = stated["bound_m_s2"], math.fsum(stated["parts_m_s2"].values())
+    return {
+        "model_error where, and only where, the scenario has an orbit": asked,
+        "model_error.declared_m_s2 of the system": stated["declared_m_s2"] == document.w_max,
+        "model_error.covered as the two bounds have it": stated["covered"] == (bound <= document.w_max),
+        "model_error.bound_m_s2 of no less than its parts": _raised(bound) >= parts,
+    }
 
 
 def _close(what: str, derived: float, stored: float, size: float | None = None) -> None:

@@ -233,6 +233,11 @@ SUMMARY = {
         "seconds": object,
     },
     "guarantee": CLAIMED,
+    "model_error?": {
+        "scenario": TEXT, "covered": bool, **every(NOT_NEGATIVE, "declared_m_s2 bound_m_s2"),
+        "parts_m_s2": Named(NOT_NEGATIVE), "satellites_covered_until_s": Named(BOUND),
+        "worst": {"controller": TEXT, **every(NOT_NEGATIVE, "time_s radial_m distance_m speed_m_s")},
+    },
     "definitions": Named(TEXT),
     "seed": Whole(),
     "versions": Named(TEXT),

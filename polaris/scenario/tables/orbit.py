@@ -57,6 +57,10 @@ class OrbitSource(ScenarioPart):
     """Time 0 of the scenario, in the time system of the source; its first epoch by default, that of the first
     covariance if a start set is read too."""
 
+    within_m: f.Positive | None = unit("m", default=None)
+    """Distance up to which `system.disturbance_max_m_s2`, if it is not given, covers what the linear model
+    leaves out, at speeds up to twice the mean motion times it."""
+
 
 class StartSource(ScenarioPart):
     """A start set from two ephemerides: the chaser's here, the target's in ``[orbit]``."""

@@ -16,7 +16,7 @@ from ...synthesis.schedule.synthesize import synthesize
 from .environment import Environment
 from .frame import on_ellipse, relative_rate
 from .region import Region, satellite_region, visited
-from .residual import Residual, residual_bound
+from .residual import Residual, residual_bound, two_digits
 
 MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back through the tubes, but weakly
 
@@ -36,7 +36,8 @@ class ModelError:
     residual : Residual
         Bounds per box of the region.
     sampled : float
-        Largest residual [m/s^2] found by sampling the region and the target's orbits: at most `bound`.
+        Largest residual [m/s^2] found by sampling the region and the target's orbits: at most `bound`; nan if
+        nothing was sampled.
     satellites : dict
         For every satellite among the unsafe sets, until when [s] its declared acceleration covers its own
         model error; infinity if it does for as long as it is perceived.
@@ -71,15 +72,16 @@ class ModelError:
 
     def summary(self) -> dict[str, Any]:
         """The numbers of a report; strict JSON."""
-        at = self.worst
+        at, sampled = self.worst, {}
+        if math.isfinite(self.sampled):
+            sampled = {"sampled_m_s2": self.sampled, "sampled_share": self.sampled / self.bound}
         radial, distance, speed = self.region.extent
         return {
             "scenario": self.scenario.name,
             "declared_m_s2": self.declared,
             "bound_m_s2": self.bound,
             "covered": self.covered,
-            "sampled_m_s2": self.sampled,
-            "sampled_share": self.sampled / self.bound,
+            **sampled,
             "parts_m_s2": {name: float(value[at]) for name, value in self.residual.parts.items()},
             "worst": {
                 "controller": self.region.what[at],
@@ -104,7 +106,7 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     schedule : Schedule, optional
         Its schedule; synthesised if not given.
     samples : int
-        States sampled to see how tight the bound is.
+        States sampled to see how tight the bound is, or none.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     schedule = synthesize(scenario) if schedule is None else schedule
     region = visited(schedule)
     residual = residual_bound(env, *region.extent)
-    found = sample_residual(env, region, samples, np.random.default_rng(0))
+    found = sample_residual(env, region, samples, np.random.default_rng(0)) if samples else math.nan
     others = {}
     safety, delta = schedule.safety, schedule.safety.problem.delta
     for satellite in (o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle)):
@@ -124,6 +126,13 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
         short = np.flatnonzero(need > satellite.thrust_accel_max + safety.problem.system.w_max)
         others[satellite.name] = float(box.start[short[0]]) if len(short) else math.inf
     return ModelError(scenario, schedule, region, residual, found, others)
+
+
+def left_out(scenario: Any, schedule: Schedule) -> dict[str, Any]:
+    """Return the model error of a schedule as ``model_error`` of a summary; nothing without ``[orbit]``."""
+    if scenario.model.orbit is None or schedule.safety.problem.system.mean_motion is None:
+        return {}
+    return {"model_error": model_error(scenario, schedule, samples=0).summary()}
 
 
 def error_within(scenario: Any, distance: float) -> Residual:
@@ -147,7 +156,7 @@ def justify(scenario: Any) -> ModelError:
     `ScenarioError` if none is found, `SynthesisInfeasible` or `NotCertified` without a safe synthesis under
     it.
     """
-    found = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=1)
+    found = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=0)
     for _ in range(MOST_ROUNDS):
         wanted = two_digits(max(found.bound, found.declared))
         found = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
@@ -155,14 +164,6 @@ def justify(scenario: Any) -> ModelError:
             return found
     rule = f"no bound covers the model error after {MOST_ROUNDS} rounds: tubes grow as fast as it does"
     raise ScenarioError("system.disturbance_max_m_s2", found.declared, rule)
-
-
-def two_digits(value: float) -> float:
-    """The next number up with two significant digits."""
-    if value <= 0:
-        return 0.0
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}")
 
 
 def sample_residual(env: Environment, region: Region, count: int, rng: np.random.Generator) -> float:

@@ -3,6 +3,7 @@
 Every part is an inequality proven in docs/model-error.md; nothing here is sampled.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -67,6 +68,14 @@ def residual_bound(env: Environment, radial: ArrayLike, distance: ArrayLike, spe
         drag_place=_drag_place(env, x, r, v),
         other=np.full(r.shape, env.other),
     )
+
+
+def two_digits(value: float) -> float:
+    """The next number up with two significant digits."""
+    if value <= 0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}")
 
 
 PIECES = 64  # into which the range of e cos(anomaly) is cut; with more the bound of ellipses falls by little
