@@ -136,7 +136,7 @@ def _check(
     confirmed = len(record.checked)
     while True:
         try:
-            Argument(document, record, stated, code is not None).run()
+            Argument(document, record, stated, code).run()
             break
         except Imprecise:
             if flint.ctx.prec >= MOST_BITS:

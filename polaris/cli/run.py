@@ -139,8 +139,9 @@ def export_c_command(
     glue: Literal["fprime", "cfs"] | None = Option(None, help="Write a component or application, too."),
     name: str | None = Option(None, help="Of that component or application; default from the prefix."),
     module: str = Option("Components", help="Of that component, for F'."),
+    monitor: bool = Option(False, "--monitor", help="With the online monitor, which decides in flight."),
 ) -> None:
     """Write the safety controller, the schedule and the reference of a run as C99, with a self-test."""
     from ..flight.export import export_c
 
-    echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module))))
+    echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module, monitor))))

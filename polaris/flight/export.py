@@ -9,9 +9,10 @@ from ..certificate.files.document import Document
 from ..model.errors import ScenarioError
 from ..runs.files.atomic import check_target, replacing
 from ..runs.files.tables import write_text
-from ..runs.read_schedule import certificate_of, schedule_folder
+from ..runs.read_schedule import certificate_of, read_schedule, schedule_folder
 from ..simulation.on_board import check_flyable, tables_of
 from .glue import MODULE, glue_files
+from .online import with_monitor
 from .rounding import disturbance_taken, stated_rounding
 from .vectors import FLIGHTS, calls
 
@@ -24,6 +25,7 @@ def export_c(
     glue: str | None = None,
     name: str | None = None,
     module: str = MODULE,
+    monitor: bool = False,
 ) -> list[Path]:
     """Write the flight code of a run folder: S, the schedule and the reference, and a self-test.
 
@@ -39,6 +41,8 @@ def export_c(
         Of all external names; default ``polaris_`` and the start of the scenario's name.
     glue, name, module : str, optional
         Framework whose component or application is written beside the code, as of `glue_files`.
+    monitor : bool
+        Include the online monitor, which may let U fly where the schedule does not.
 
     Returns
     -------
@@ -48,7 +52,7 @@ def export_c(
     ------
     ScenarioError
         If the run is not proved, rounding takes more than the disturbance bound, an option has no such value,
-        or `out` cannot be written.
+        the monitor does not model the scene, or `out` cannot be written.
     """
     run = schedule_folder(folder)
     document = certificate_of(run.path)
@@ -63,8 +67,11 @@ def export_c(
         rule = f"takes {share:.3g} of the disturbance bound by rounding, and must leave some of it"
         raise ScenarioError("precision", precision, rule)
     tables = replace(tables, rounding=rounding).rounded(precision)
+    if monitor:
+        tables = with_monitor(tables, document, read_schedule(run.path), precision)
     texts = files(tables, prefix, precision, document.digest)
-    texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, calls(tables, FLIGHTS, 0))
+    given = calls(tables, FLIGHTS * (1 + monitor), 0)
+    texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, given)
     texts |= {} if glue is None else glue_files(tables, prefix, precision, glue, name, module)
     target = check_target(out, texts)
     with replacing(target) as place:

@@ -1,6 +1,6 @@
 """Rounding on board, worked out in decimal arithmetic: the bound that the header states."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal, localcontext
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from ..certificate.code.text import Tables
 from ..certificate.files.document import Document
+from ..model.system import Array
 
 DIGITS = 50
 MORE = 1.05  # the statement exceeds what is worked out by this: decimal digits, and a checker's own rounding
@@ -25,25 +26,39 @@ def stated_rounding(document: Document, tables: Tables, precision: str) -> float
 
     Every entry is followed through the step function at its largest over all cells, part by part.
     """
-    n, m, u = len(document.A), len(document.u_max), UNIT[precision]
     with localcontext() as context:
         context.prec = DIGITS
+        u, (gain, limit) = UNIT[precision], (np.abs(_exact(x)) for x in (tables.gain, tables.limit))
         handed = u if precision == "float" else Decimal(0)
-        gain, reach, limit = (np.abs(_exact(x)) for x in (tables.gain, tables.range, tables.limit))
-        path, worst = _path(document), Decimal(0)
-        starts = _exact(tables.waypoints)
-        feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
-        feeds[: len(tables.feed)] = _exact(tables.feed)
-        for part, (moved, pushed) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
-            Phi, Gamma = _exact(moved), _exact(pushed)
-            off = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
-            size = np.abs(Phi) @ np.abs(starts).max(axis=0) + np.abs(Gamma) @ np.abs(feeds).max(axis=0)
-            error = off + size * u * (n + m + 2)
-            apart = size + error + reach
-            error = error + apart * u + reach * handed
-            spread = gain @ (apart + error) + np.abs(feeds).max(axis=0) + limit
-            worst = max(worst, *(gain @ error + spread * (u * (n + 3) + 2 * handed)))
+        worst, feed = Decimal(0), np.abs(_exact(tables.feed)).max(axis=0)
+        for error, apart in _gaps(document, tables, precision):
+            spread = gain @ (apart + error) + feed + limit
+            worst = max(worst, *(gain @ error + spread * (u * (gain.shape[1] + 3) + 2 * handed)))
         return float(worst) * MORE
+
+
+def gap_error(document: Document, tables: Tables, precision: str) -> Array:
+    """Bound on what rounding on board changes of a state's error, for states within the range, (n,)."""
+    with localcontext() as context:
+        context.prec = DIGITS
+        errors = [error for error, _ in _gaps(document, tables, precision)]
+        return np.asarray(np.max(errors, axis=0).astype(float) * MORE)
+
+
+def _gaps(document: Document, tables: Tables, precision: str) -> Iterator[tuple[Exact, Exact]]:
+    """Rounding of the error at the nodes of a step, and the size of the error, (n,) each, part by part."""
+    n, m, u = len(document.A), len(document.u_max), UNIT[precision]
+    handed = u if precision == "float" else Decimal(0)
+    reach, path, starts = np.abs(_exact(tables.range)), _path(document), _exact(tables.waypoints)
+    feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
+    feeds[: len(tables.feed)] = _exact(tables.feed)
+    for part, (moved, pushed) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
+        Phi, Gamma = _exact(moved), _exact(pushed)
+        off = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
+        size = np.abs(Phi) @ np.abs(starts).max(axis=0) + np.abs(Gamma) @ np.abs(feeds).max(axis=0)
+        error = off + size * u * (n + m + 2)
+        apart = size + error + reach
+        yield error + apart * u + reach * handed, apart
 
 
 def disturbance_taken(document: Document, error: float) -> float:

@@ -5,7 +5,7 @@ from math import inf, nan
 
 import numpy as np
 
-from ..certificate.code.answers import Call
+from ..certificate.code.answers import Call, FlightStep
 from ..certificate.code.text import FARTHEST, Tables
 from ..model.system import Array
 
@@ -20,26 +20,33 @@ FLIGHTS = 60  # of the self-test
 def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
     """Calls of many flights from anywhere; two thirds of the calls are regular.
 
-    What fails else: an entry of the state or of the command, U, the number of the period.
+    What fails else: an entry of the state or of the command, U, the number of the period. Half of the flights
+    are of the online monitor, where the tables have one.
     """
     rng, q = np.random.default_rng(seed), len(tables.moved)
     last, waypoints = len(tables.waypoints) * q + 2 * q, np.array(tables.waypoints)
     reach, limit = np.array(tables.range), np.array(tables.limit)
+    known, apart = FlightStep(tables), np.array(tables.apart)
     for flight in range(flights):
+        start = 2 if tables.rows and flight // 2 % 2 else 1
         period = 0 if flight % 2 else int(rng.integers(0, last))
         left = FLIGHT if flight % 3 else 2 * q
         for place in range(left):
-            cell = min(period // q, len(waypoints) - 1)
-            state = waypoints[cell] + rng.uniform(-1, 1, len(reach)) * reach * 10.0 ** rng.uniform(-6, 0.3)
+            cell = min(max(period, 0) // q, len(waypoints) - 1)
+            spread = rng.uniform(-1, 1, len(reach)) * 10.0 ** rng.uniform(-6, 0.3)
+            state = waypoints[cell] + spread * reach
+            if start == 2:  # about the reference at the node
+                state = np.array(known.gap(cell, period % q, 0 * reach)) + spread * apart * (1 + place % 3)
             command = rng.uniform(-1.2, 1.2, len(limit)) * limit
             mode = tables.modes[cell] if cell < len(tables.modes) else 0
+            mode = int(place % 5 < 4) if start == 2 else mode  # S may fly in between
             odd = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
-            yield _call(rng, place == 0, period, state, mode, command, int(odd))
+            yield _call(rng, 0 if place else start, period, state, mode, command, int(odd))
             period += 1 if odd != 4 else int(rng.integers(-3, 6))
 
 
 def _call(
-    rng: np.random.Generator, start: bool, period: int, state: Array, mode: int, command: Array, odd: int
+    rng: np.random.Generator, start: int, period: int, state: Array, mode: int, command: Array, odd: int
 ) -> Call:
     if odd == 0:
         state[rng.integers(0, len(state))] = rng.choice(SPECIAL)

@@ -69,21 +69,41 @@ class FlightLibrary:
                 ("answer", Output),
             ]
 
+        class Online(ctypes.Structure):
+            _fields_ = [
+                ("safe", Memory),
+                ("flown", ctypes.c_int32),
+                ("lost", ctypes.c_int32),
+                ("answer", Output),
+            ]
+
         sources = [f"{prefix}.c"]
         library = ctypes.CDLL(built(folder, compiler, sources, out, "-O2", "-fPIC", "-shared"))
         self._start, self._step = library[f"{prefix}_start"], library[f"{prefix}_step"]
         self.memory, self._input, self._output = Memory, Input(), Output()
         self._own = Memory()
+        if tables.rows:
+            self.online, self._decide = Online(), library[f"{prefix}_online_step"]
+            self._begin = library[f"{prefix}_online_start"]
         self._at = ctypes.byref(self._input), ctypes.byref(self._output)
 
     def start(self, memory=None):
         """Begin a flight, with a memory of its own if one is given."""
         self._start(ctypes.byref(memory or self._own))
 
-    def step(self, period, state, controller, command, memory=None):
+    def decide_from(self, period):
+        """Begin a flight of the online monitor, as if S had flown it until a period."""
+        self._begin(ctypes.byref(self.online))
+        self.online.safe.last = period - 1
+
+    def decide(self, *call):
+        """Answer one call of the flight that the online monitor decides."""
+        return self.step(*call, memory=self.online, called=self._decide)
+
+    def step(self, period, state, controller, command, memory=None, called=None):
         """Answer one call."""
         given, out = self._input, self._output
         given.period, given.controller = period, controller
         given.state[:], given.command[:] = state, command
-        self._step(ctypes.byref(memory or self._own), *self._at)
+        (called or self._step)(ctypes.byref(memory or self._own), *self._at)
         return FlightAnswer(out.mode, out.fault, tuple(out.command), out.margin)

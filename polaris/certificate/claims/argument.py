@@ -1,9 +1,12 @@
 """The safety argument, re-derived from the primary data of a certificate."""
 
+from pathlib import Path as FilePath
 from typing import Any
 
 from flint import arb, arb_mat
 
+from ..code.check import read_code
+from ..code.online import check_online
 from ..files.artefacts import Stated
 from ..files.document import Document
 from ..kernel.arcs import Path
@@ -36,11 +39,11 @@ class Argument:
     """Every step of the argument, in the order in which `run` makes it.
 
     Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides. With
-    `code`, S may take over at every node of an experimental step.
+    `code`, a folder, S may take over at every node of an experimental step.
     """
 
     def __init__(
-        self, document: Document, record: Record, stated: Stated | None = None, code: bool = False
+        self, document: Document, record: Record, stated: Stated | None = None, code: FilePath | None = None
     ) -> None:
         self.document, self.record, self.stated, self.code = document, record, stated or Stated(), code
         self.n, self.K = len(document.A), document.steps
@@ -138,13 +141,16 @@ class Argument:
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), margins[k])
         reached = {node: sets[node // doc.q] for node in claimed if node < flight.recovery.nodes}
         for k, mode in enumerate(doc.modes):  # a fault is isolated, or a command of U is missing, at any node
-            within = flown[k].nodes if mode > 0 and (doc.transients or self.code) else []
+            within = flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = flight.keeps(reached, claimed)
         ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, tightest share {least:.3g}"
         self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
         claims = sum(margin > 0 for margin in claimed.values())
         self.record.holds("margins", f"{claims} instants next to experimental steps")
+        tables, precision = read_code(self.code)[1:3] if self.code is not None else (None, "")
+        if tables is not None and tables.rows:
+            self.record.holds("monitor", check_online(flight, tables, precision))
 
 
 def check_statement(said: dict[str, Any]) -> str:

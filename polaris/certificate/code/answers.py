@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
 
-from .text import FARTHEST, Tables, literal, rounded, template
+from .text import FARTHEST, KEEP, Tables, literal, rounded, template
 
-STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED = (1 << i for i in range(9))
+STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED, REFUSED = (1 << i for i in range(10))
 """Faults, as in the header."""
 
 LARGEST = {"double": 1.7976931348623157e308, "float": 3.4028234663852886e38}
@@ -19,9 +19,13 @@ LARGEST = {"double": 1.7976931348623157e308, "float": 3.4028234663852886e38}
 
 @dataclass(frozen=True)
 class Call:
-    """One call: whether a flight begins with it, and what `FlightStep.step` is handed."""
+    """One call: what `FlightStep.step` is handed, and what begins with it.
 
-    start: bool
+    `start` is 1 for a flight of the schedule, 2 for one of the online monitor that goes on at this period
+    after S has flown, 0 for none.
+    """
+
+    start: int
     period: int
     state: tuple[float, ...]
     controller: int
@@ -79,33 +83,42 @@ class FlightStep:
         q, steps = len(tables.moved), len(tables.modes)
         cell, part = divmod(min(self.last, len(tables.waypoints) * q - 1), q)
         scheduled = tables.modes[cell] if cell < steps else 0
-        finite = all(-LARGEST[self.precision] <= u <= LARGEST[self.precision] for u in command)
-        if scheduled and (controller != scheduled or not finite):
+        if scheduled and (controller != scheduled or not self.finite(command)):
             fault |= COMMAND
         self.latched |= fault > 0
         mode = 0 if self.latched else scheduled
         fault |= LATCHED * self.latched | ENDED * (self.last >= tables.covered)
         if not all(-bound <= x <= bound for x, bound in zip(self.state, tables.range, strict=True)):
             fault |= RANGE
-        self.answer = self._clipped(command if mode else self.safety(cell, part, self.state), mode, fault)
+        self.answer = self.clipped(command if mode else self.safety(cell, part, self.state), mode, fault)
         return self.answer
 
-    def safety(self, cell: int, part: int, state: Sequence[float]) -> list[float]:
-        """Command of S at a node of a cell, before clipping [N]; the order of operations is that of the C."""
-        tables, precision = self.tables, self.precision
-        feed = tables.feed[cell] if cell < len(tables.modes) else []
-        command = list(feed) or [0.0] * len(tables.limit)
-        for j, x in enumerate(state):
-            reference = 0.0
-            for row, values in ((tables.moved, tables.waypoints[cell]), (tables.pushed, feed)):
-                for a, b in zip(row[part][j], values, strict=False):
-                    reference = rounded(reference + rounded(a * b, precision), precision)
-            error = rounded(reference - x, precision)
-            for i, row in enumerate(tables.gain):
-                command[i] = rounded(command[i] + rounded(row[j] * error, precision), precision)
-        return command
+    def finite(self, command: Sequence[float]) -> bool:
+        """Return True if every entry is a number of the precision."""
+        return all(
+            -LARGEST[self.precision] <= rounded(u, self.precision) <= LARGEST[self.precision] for u in command
+        )
 
-    def _clipped(self, command: Sequence[float], mode: int, fault: int) -> FlightAnswer:
+    def gap(self, cell: int, part: int, state: Sequence[float]) -> list[float]:
+        """Return the reference at a node less a state; the order of operations is that of the C."""
+        tables, precision = self.tables, self.precision
+        feed, gap = tables.feed[cell] if cell < len(tables.modes) else [], []
+        for j, x in enumerate(state):
+            known = (tables.moved[part][j], tables.waypoints[cell]), (tables.pushed[part][j], feed)
+            reference = 0.0
+            for row, values in known:
+                reference = summed(reference, row, values, precision)
+            gap.append(rounded(reference - x, precision))
+        return gap
+
+    def safety(self, cell: int, part: int, state: Sequence[float]) -> list[float]:
+        """Return the command of S at a node of a cell, before clipping [N]."""
+        tables, gap = self.tables, self.gap(cell, part, state)
+        feed = tables.feed[cell] if cell < len(tables.modes) else [0.0] * len(tables.limit)
+        return [summed(u, row, gap, self.precision) for u, row in zip(feed, tables.gain, strict=True)]
+
+    def clipped(self, command: Sequence[float], mode: int, fault: int) -> FlightAnswer:
+        """Return the answer with a command clipped to the limits."""
         margin, kept = inf, list[float]()
         for value, limit in zip(command, self.tables.limit, strict=True):
             kept.append(min(max(value, -limit), limit))
@@ -115,19 +128,122 @@ class FlightStep:
         return FlightAnswer(mode, fault, tuple(kept), min(margin, 1.0))
 
 
+class OnlineStep:
+    """State of the flight code between calls where the online monitor decides who flies.
+
+    No number of a controller is told apart: whatever flies within the thrust limits, S can take over at the
+    next node. Only numbers of periods that contradict each other end that for good.
+    """
+
+    def __init__(self, tables: Tables, precision: str = "double") -> None:
+        self.tables, self.precision = tables, precision
+        self.safe = FlightStep(tables, precision)
+        self.flown, self.lost, self.answer = 0, False, self.safe.answer
+
+    def step(
+        self, period: int, state: Sequence[float], controller: int, command: Sequence[float]
+    ) -> FlightAnswer:
+        """Answer the call of a control period, as `FlightStep.step` does."""
+        if period >= 0 and period == self.safe.last:
+            return replace(self.answer, fault=self.answer.fault | REPEATED)
+        answer = self.safe.step(period, state, 0, command)
+        fault = answer.fault & ~(COMMAND | LATCHED)
+        self.lost |= fault & (MISSED | CLOCK) > 0
+        fault |= LATCHED * self.lost
+        node, tables = self.safe.last, self.tables
+        share = 1.0 if self.flown or node == 0 else rounded(KEEP, self.precision)
+        self.flown = 0
+        if controller > 0 and not self.safe.finite(command):
+            fault |= COMMAND
+        elif controller > 0 and not fault & ~CLIPPED:
+            if node < len(tables.modes) * len(tables.moved) and self.recoverable(
+                node, self.safe.state, share
+            ):
+                self.flown, fault = controller, 0
+                given = [rounded(float(u), self.precision) for u in command]
+                answer = self.safe.clipped(given, controller, fault)
+                fault = answer.fault
+            else:
+                fault |= REFUSED
+        self.answer = replace(answer, fault=fault)
+        return self.answer
+
+    def recoverable(self, node: int, state: Sequence[float], share: float) -> bool:
+        """Return True if S can take over at the next node, whatever flies until then.
+
+        A decision for U needs at most a share of the room at every limit; the first that fails ends it.
+        """
+        tables, precision, q = self.tables, self.precision, len(self.tables.moved)
+        gap = self.safe.gap(*divmod(node, q), state)
+        shares = [rounded(abs(x) / most, precision) for x, most in zip(gap, tables.apart, strict=True)]
+        size = max(0.0, *shares)
+        if size > 1.0:
+            return False
+        for lag, rows in enumerate(zip(tables.booked, tables.sized, strict=True)):
+            booked = [
+                rounded(a + rounded(b * size, precision), precision) for a, b in zip(*rows, strict=True)
+            ]
+            cell, part = divmod(node + lag, q)
+            values = [summed(0.0, row, gap, precision) for row in tables.rows]
+            if not self._kept(tables.room[cell], part, booked, values, share):
+                return False
+            if part == 0 and cell > 0:
+                ended = tables.room[cell - 1][: tables.facets]
+                if not self._kept(ended, q, booked, values, share):
+                    return False
+            if lag == 0:
+                gap = [summed(0.0, row, gap, precision) for row in tables.held]
+                feed = tables.feed[cell]
+                gap = [summed(x, row, feed, precision) for x, row in zip(gap, tables.force, strict=True)]
+            else:
+                gap = [summed(0.0, row, gap, precision) for row in tables.loop]
+        return True
+
+    def _kept(
+        self,
+        room: Sequence[Sequence[float]],
+        part: int,
+        booked: Sequence[float],
+        values: Sequence[float],
+        share: float,
+    ) -> bool:
+        precision = self.precision
+        for sides, more, value in zip(room, booked, values, strict=False):
+            for at, by, sign in ((0, 1, 1.0), (2, 3, -1.0)):
+                limit = rounded(sides[at] + rounded(sides[by] * part, precision), precision)
+                need = rounded(more + sign * value, precision)
+                if not (need <= limit and need <= rounded(share * limit, precision)):
+                    return False
+        return True
+
+
+def summed(start: float, row: Sequence[float], values: Sequence[float], precision: str) -> float:
+    """Return a number plus products, added one after the other, each operation rounded."""
+    if precision == "double":
+        for a, b in zip(row, values, strict=False):
+            start += a * b
+        return start
+    for a, b in zip(row, values, strict=False):
+        start = rounded(start + rounded(a * b, precision), precision)
+    return start
+
+
 # -- the self-test program --------------------------------------------------------------------------
 
 LEAST = "(-2147483647 - 1)"  # of 32 bits, as C99 writes it
 ODD = {"NAN": nan, "INFINITY": inf, "-INFINITY": -inf}
-VECTOR = re.compile(r"\{([01]), \{(-?\d+|\(-2147483647 - 1\)), (-?\d+), \{(.*?)\}, \{(.*?)\}\}", re.ASCII)
+VECTOR = re.compile(r"\{([012]), \{(-?\d+|\(-2147483647 - 1\)), (-?\d+), \{(.*?)\}, \{(.*?)\}\}", re.ASCII)
 
 
 def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
     """Every call with the answer that is expected."""
-    flown = FlightStep(tables, precision)
+    flown: FlightStep | OnlineStep = FlightStep(tables, precision)
     for call in given:
-        if call.start:
+        if call.start == 1:
             flown = FlightStep(tables, precision)
+        if call.start == 2:
+            flown = OnlineStep(tables, precision)
+            flown.safe.last = call.period - 1
         yield call, flown.step(call.period, call.state, call.controller, call.command)
 
 
@@ -146,7 +262,8 @@ def selftest(tables: Tables, prefix: str, precision: str, given: Iterable[Call])
             f" {{{answer.mode}, {answer.fault}U, {{{kept}}}, {margin}}}}}"
         )
     body = "static const vector vectors[] = {\n" + ",\n".join(rows) + "};"
-    return template("selftest.c").replace("@PREFIX@", prefix).replace("@VECTORS@", body)
+    text = template("selftest.c").replace("@PREFIX@", prefix).replace("@GUARD@", prefix.upper())
+    return text.replace("@VECTORS@", body)
 
 
 def _number(x: float, prefix: str, precision: str) -> str:
@@ -164,6 +281,6 @@ def calls_of(text: str, prefix: str) -> list[Call]:
         return tuple(ODD[one] if one in ODD else float.fromhex(one.rstrip("f")) for one in known)
 
     return [
-        Call(start == "1", -(2**31) if period == LEAST else int(period), values(x), int(who), values(u))
+        Call(int(start), -(2**31) if period == LEAST else int(period), values(x), int(who), values(u))
         for start, period, who, x, u in VECTOR.findall(text)
     ]

@@ -5,6 +5,8 @@ Sums are bounded in the order of the step function: ``c`` roundings in a row are
 at most the smallest normal number each time.
 """
 
+from collections.abc import Iterator
+
 from flint import arb, arb_mat
 
 from ..files.document import Document
@@ -24,43 +26,58 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
 
     The exact one is that of S along the exact reference `path`, or a command of U, both clipped.
     """
-    n, m, q = len(document.A), len(document.u_max), document.q
+    n, m = len(document.A), len(document.u_max)
     exact = arb(0) if precision == "double" else arb(UNIT[precision])  # of numbers that are handed over
-    reach, gain, limit = column(tables.range), matrix(tables.gain), column(tables.limit)
-    feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(path.arcs) - len(tables.feed))
-    starts = [column(x) for x in tables.waypoints]
-    top = _tops(starts), _tops(feeds)
+    gain, limit, feed = matrix(tables.gain), column(tables.limit), tops([column(u) for u in tables.feed])
     worst = [arb(0)] * m
-    for part in range(q):
-        moved, pushed = matrix(tables.moved[part]), matrix(tables.pushed[part])
-        sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
-        off = [
-            arc.nodes[part] - moved * x - pushed * u
-            for arc, x, u in zip(path.arcs, starts, feeds, strict=True)
-        ]
-        error = _tops(off) + sizes * _several(n + m, precision) + _least(n, n + m, precision)
-        apart = sizes + error + reach
-        error += apart * arb(UNIT[precision]) + reach * exact
-        apart += error
-        spread = magnitude(gain) * apart + top[1] + limit
-        total = magnitude(gain) * error + spread * (_several(n + 1, precision) + 2 * exact)
-        total += _least(m, n + 1, precision)
+    for error, apart in _gaps(document, tables, precision, path):
+        spread = magnitude(gain) * (apart + error) + feed + limit
+        total = magnitude(gain) * error + spread * (several(n + 1, precision) + 2 * exact)
+        total += least(m, n + 1, precision)
         worst = [largest(pair) for pair in zip(worst, total.entries(), strict=True)]
     return largest(worst)
 
 
-def _tops(columns: list[arb_mat]) -> arb_mat:
+def gap_error(document: Document, tables: Tables, precision: str, path: Path) -> arb_mat:
+    """Bound on what rounding changes of a state's error, for states within the range, (n, 1)."""
+    return tops([error for error, _ in _gaps(document, tables, precision, path)])
+
+
+def _gaps(
+    document: Document, tables: Tables, precision: str, path: Path
+) -> Iterator[tuple[arb_mat, arb_mat]]:
+    """Rounding of the error at the nodes of a step, and the size of the error, (n, 1) each, part by part."""
+    n, m = len(document.A), len(document.u_max)
+    exact = arb(0) if precision == "double" else arb(UNIT[precision])
+    reach, starts = column(tables.range), [column(x) for x in tables.waypoints]
+    feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(starts) - len(tables.feed))
+    top = tops(starts), tops(feeds)
+    for part, rows in enumerate(zip(tables.moved, tables.pushed, strict=True)):
+        moved, pushed = map(matrix, rows)
+        sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
+        off = [
+            arc.nodes[part] - moved * x - pushed * u
+            for arc, x, u in zip(path.arcs[: len(starts)], starts, feeds, strict=True)
+        ]
+        error = tops(off) + sizes * several(n + m, precision) + least(n, n + m, precision)
+        apart = sizes + error + reach
+        yield error + apart * arb(UNIT[precision]) + reach * exact, apart
+
+
+def tops(columns: list[arb_mat]) -> arb_mat:
     """Largest magnitude of every entry of some columns."""
     rows = zip(*(absolute(one).entries() for one in columns), strict=True)
     return column([largest(row) for row in rows])
 
 
-def _several(count: int, precision: str) -> arb:
+def several(count: int, precision: str) -> arb:
+    """Bound on the relative error of so many roundings in a row."""
     lost = arb(UNIT[precision]) * (count + 1)
     return lost / (1 - lost)
 
 
-def _least(rows: int, count: int, precision: str) -> arb_mat:
+def least(rows: int, count: int, precision: str) -> arb_mat:
+    """Bound on what so many operations lose by underflow, for some rows."""
     return column([arb(SMALLEST[precision]) * 2 * (count + 1)] * rows)
 
 

@@ -7,7 +7,7 @@
 #include <string.h>
 
 typedef struct {
-    int32_t start; /* 1: a new flight begins with this call */
+    int32_t start; /* a flight begins with this call: 1 of the schedule, 2 of the online monitor */
     @PREFIX@_input input;
     @PREFIX@_output expected;
 } vector;
@@ -17,15 +17,32 @@ typedef struct {
 int main(void)
 {
     @PREFIX@_memory memory;
+#ifdef @GUARD@_LAGS
+    @PREFIX@_online online;
+    int32_t decided = 0; /* 1 where the online monitor flies */
+#endif
     @PREFIX@_output output;
     int wrong = 0;
     const int count = (int)(sizeof(vectors) / sizeof(vectors[0]));
     for (int i = 0; i < count; i++) {
         const vector *const one = &vectors[i];
+#ifdef @GUARD@_LAGS
         if (one->start != 0) {
-            @PREFIX@_start(&memory);
+            decided = (one->start == 2) ? 1 : 0;
+            @PREFIX@_online_start(&online);
+            online.safe.last = one->input.period - 1; /* the safety controller has flown until then */
         }
-        @PREFIX@_step(&memory, &one->input, &output);
+        if (decided != 0) {
+            @PREFIX@_online_step(&online, &one->input, &output);
+        }
+        else
+#endif
+        {
+            if (one->start != 0) {
+                @PREFIX@_start(&memory);
+            }
+            @PREFIX@_step(&memory, &one->input, &output);
+        }
         if ((output.mode != one->expected.mode) || (output.fault != one->expected.fault) ||
             (memcmp(output.command, one->expected.command, sizeof(output.command)) != 0) ||
             (memcmp(&output.margin, &one->expected.margin, sizeof(output.margin)) != 0)) {

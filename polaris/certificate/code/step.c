@@ -21,12 +21,9 @@ static int32_t plausible(const @PREFIX@_real *values, int32_t count, @PREFIX@_re
     return good;
 }
 
-/* Command of the safety controller, before clipping. */
-static void safety(int32_t cell, int32_t part, const @PREFIX@_real *state, @PREFIX@_real *command)
+/* The reference at a node less a state. */
+static void gap_of(int32_t cell, int32_t part, const @PREFIX@_real *state, @PREFIX@_real *gap)
 {
-    for (int32_t i = 0; i < @GUARD@_INPUTS; i++) {
-        command[i] = (cell < @GUARD@_STEPS) ? feed[cell][i] : @ZERO@;
-    }
     for (int32_t j = 0; j < @GUARD@_STATES; j++) {
         @PREFIX@_real reference = @ZERO@;
         for (int32_t l = 0; l < @GUARD@_STATES; l++) {
@@ -37,8 +34,17 @@ static void safety(int32_t cell, int32_t part, const @PREFIX@_real *state, @PREF
                 reference += pushed[part][j][l] * feed[cell][l];
             }
         }
-        for (int32_t i = 0; i < @GUARD@_INPUTS; i++) {
-            command[i] += gain[i][j] * (reference - state[j]);
+        gap[j] = reference - state[j];
+    }
+}
+
+/* Command of the safety controller, before clipping. */
+static void safety(int32_t cell, const @PREFIX@_real *gap, @PREFIX@_real *command)
+{
+    for (int32_t i = 0; i < @GUARD@_INPUTS; i++) {
+        command[i] = (cell < @GUARD@_STEPS) ? feed[cell][i] : @ZERO@;
+        for (int32_t j = 0; j < @GUARD@_STATES; j++) {
+            command[i] += gain[i][j] * gap[j];
         }
     }
 }
@@ -133,10 +139,13 @@ void @PREFIX@_step(@PREFIX@_memory *memory, const @PREFIX@_input *input, @PREFIX
         if (output->mode != 0) {
             answer(input->command, output);
         } else {
+            @PREFIX@_real gap[@GUARD@_STATES];
             @PREFIX@_real command[@GUARD@_INPUTS];
-            safety(cell, node % @GUARD@_PARTS, memory->state, command);
+            gap_of(cell, node % @GUARD@_PARTS, memory->state, gap);
+            safety(cell, gap, command);
             answer(command, output);
         }
         memory->answer = *output;
     }
 }
+@ONLINE@

@@ -54,5 +54,5 @@ typedef struct {
 
 void @PREFIX@_start(@PREFIX@_memory *memory);
 void @PREFIX@_step(@PREFIX@_memory *memory, const @PREFIX@_input *input, @PREFIX@_output *output);
-
+@ONLINE@
 #endif

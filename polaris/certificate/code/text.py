@@ -2,7 +2,7 @@
 
 import re
 from ctypes import c_float
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,11 @@ PREFIX = re.compile(r"[a-z][a-z0-9_]{0,19}")  # 31 characters tell external name
 PRECISIONS = {"double": "DBL_MAX", "float": "FLT_MAX"}
 HEAD = re.compile(r'_CERTIFICATE "([0-9a-f]{64})"\n')
 SIZES = "N", "M", "Q", "STEPS", "CELLS", "COVERED"
+ONLINE = "KINDS", "FACETS", "LAGS", "AHEAD"  # sizes of the online monitor's tables
+FREE = 2.0**100  # room that limits nothing
+KEEP = (
+    0.9  # share of the room that U may need where S has flown: a tenth is left, as `Monitor.reentry` has it
+)
 
 Table = Any  # nested lists of floats
 
@@ -38,6 +43,20 @@ class Tables:
         Largest entries of a state for which rounding is bounded.
     rounding : float
         Bound on what rounding changes of a command then [N].
+    rows : list, shape (r, n)
+        Of the online monitor, empty without it, as are all below: limits of recoverable sets, facets first,
+        one of rows that are opposite.
+    facets : int
+        Number of rows that are facets.
+    held, force, loop : list, shapes (n, n), (n, m) and (n, n)
+        Transition over a period, what a unit input adds, and the transition under S.
+    apart : list, shape (n,)
+        Largest errors for which U may fly.
+    booked, sized : list, shape (l, r)
+        What is booked of a limit so many periods after a decision, rounding included, and what more as the
+        error grows from none to the largest.
+    room : list, shape (c, r, 4)
+        Room of every cell ahead along a row and against it: at its start, and more in every period.
     """
 
     covered: int
@@ -50,12 +69,23 @@ class Tables:
     limit: Table
     range: Table
     rounding: float = 0.0
+    facets: int = 0
+    rows: Table = field(default_factory=list)
+    held: Table = field(default_factory=list)
+    force: Table = field(default_factory=list)
+    loop: Table = field(default_factory=list)
+    apart: Table = field(default_factory=list)
+    booked: Table = field(default_factory=list)
+    sized: Table = field(default_factory=list)
+    room: Table = field(default_factory=list)
 
     @property
     def sizes(self) -> dict[str, int]:
         """Sizes by their names in the templates."""
         counts = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
-        return dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
+        sizes = dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
+        online = len(self.rows), self.facets, len(self.booked), len(self.room)
+        return sizes | (dict(zip(ONLINE, online, strict=True)) if self.rows else {})
 
     def rounded(self, precision: str) -> "Tables":
         """Return the tables with every number rounded to a precision."""
@@ -72,6 +102,17 @@ SHAPES = {
     "limit": ("M",),
     "range": ("N",),
 }
+ONLINE_SHAPES = {
+    "rows": ("KINDS", "N"),
+    "held": ("N", "N"),
+    "force": ("N", "M"),
+    "loop": ("N", "N"),
+    "apart": ("N",),
+    "booked": ("LAGS", "KINDS"),
+    "sized": ("LAGS", "KINDS"),
+    "room": ("AHEAD", "KINDS", "SIDES"),
+}
+SIDES = 4
 NAMES = {"N": "STATES", "M": "INPUTS", "Q": "PARTS", "STEPS": "STEPS", "CELLS": "CELLS"}
 KEY = re.compile(r"@([A-Z]+)@")
 LITERAL = re.compile(r"[^\s{},]+")
@@ -102,9 +143,9 @@ def _braces(value: Table, precision: str) -> str:
 
 def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str, str]:
     """Return the texts of the header and the source by their names, of tables rounded to the precision."""
-    guard, parts = prefix.upper(), []
-    for name, shape in SHAPES.items():
-        size = "".join(f"[{guard}_{NAMES[one]}]" for one in shape)
+    guard, parts, online = prefix.upper(), [], bool(tables.rows)
+    for name, shape in (SHAPES | (ONLINE_SHAPES if online else {})).items():
+        size = "".join(f"[{guard}_{NAMES.get(one, one)}]" for one in shape)
         body = _braces(getattr(tables, name), precision)
         parts.append(f"static const {prefix}_real {name}{size} = {body};")
     steps = ", ".join(f"{mode}U" for mode in tables.modes)
@@ -119,10 +160,13 @@ def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str,
     n, m, *_ = tables.sizes.values()
     counts = {"PRODUCTS": n * (n + 2 * m), "SUMS": n * (n + 2 * m + 1) + m, "QUOTIENTS": m}
     known |= counts  # of `safety` and `answer`
-    reals = {"ZERO": 0.0, "ONE": 1.0, "FARTHEST": FARTHEST, "ROUNDING": tables.rounding}
+    reals = {"ZERO": 0.0, "ONE": 1.0, "FARTHEST": FARTHEST, "ROUNDING": tables.rounding, "KEEP": KEEP}
     known |= {key: literal(x, precision) for key, x in reals.items()}
-    texts = {f"{prefix}.{kind}": template(f"step.{kind}") for kind in ("h", "c")}
-    return {name: KEY.sub(lambda key: str(known[key[1]]), text) for name, text in texts.items()}
+    texts = dict[str, str]()
+    for kind in ("h", "c"):
+        text = template(f"step.{kind}").replace("@ONLINE@", template(f"online.{kind}") if online else "")
+        texts[f"{prefix}.{kind}"] = KEY.sub(lambda key: str(known[key[1]]), text)
+    return texts
 
 
 def template(name: str) -> str:
@@ -134,20 +178,22 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
     """Read tables, precision and digest back; `ValueError` where these files are not exactly their text."""
     precision = next((p for p in PRECISIONS if f"typedef {p} {prefix}_real;" in header), "")
     head = HEAD.search(header)
-    sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in SIZES}
+    online = f"{prefix.upper()}_LAGS" in header
+    asked = (*SIZES, *ONLINE) if online else SIZES
+    sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in asked}
     if not precision or head is None:
         raise ValueError("the header names no precision, or no certificate")
     arrays = dict[str, Any]()
-    for name, shape in SHAPES.items():
+    for name, shape in (SHAPES | (ONLINE_SHAPES if online else {})).items():
         texts = _literals(source, f"static const {prefix}_real {name}[")
-        count = [sizes[one] for one in shape]
+        count = [SIDES if one == "SIDES" else sizes[one] for one in shape]
         if len(texts) != prod(count):
             raise ValueError(f"the table {name} has {len(texts)} numbers, not {prod(count)}")
         arrays[name] = _nested([float.fromhex(text.rstrip("f")) for text in texts], count)
     modes = [int(text.rstrip("U")) for text in _literals(source, "static const uint8_t modes[")]
     bound = re.search(rf"#define {prefix.upper()}_ROUNDING \((\S+?)f?\)", header)
     arrays["rounding"] = float.fromhex(bound[1]) if bound else 0.0
-    tables = Tables(covered=sizes["COVERED"], modes=modes, **arrays)
+    tables = Tables(covered=sizes["COVERED"], modes=modes, facets=sizes.get("FACETS", 0), **arrays)
     for name, text in files(tables, prefix, precision, head[1]).items():
         given = header if name.endswith(".h") else source
         if given != text:

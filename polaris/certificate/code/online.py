@@ -1,0 +1,264 @@
+"""Check of the online monitor's tables: where it lets U fly, S can take over at the next node.
+
+A decision at a node looks at the estimate alone. If it is for U, then under any thrust within the limits the
+error keeps to the facets until the next node, and S keeps to every limit from there on, whatever was before.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+
+from flint import arb, arb_mat
+
+from ..claims.continuation import Continuation
+from ..kernel.balls import (
+    above,
+    absolute,
+    beside,
+    column,
+    largest,
+    magnitude,
+    matrix,
+    maxima,
+    plain,
+    require,
+    row_sums,
+    rows_of,
+    sums,
+    widths,
+)
+from ..kernel.motion import Push
+from ..kernel.verdict import Rejected
+from ..kernel.zonotopes import Directions
+from ..model.craft.needs import part
+from ..model.limits import Target
+from .rounding import UNIT, gap_error, least, several, tops
+from .text import Tables
+
+CLAIM = "monitor"
+NEAR = 64  # roundings by which stored rows may be off, relative to the largest entry
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What a decision for U rests on: bounds along the rows of all limits, node by node."""
+
+    flight: Continuation
+    tables: Tables
+    precision: str
+
+    @cached_property
+    def fed(self) -> arb_mat:
+        """Largest input of the reference up to T (m, 1), with that of the tables."""
+        K = self.flight.document.steps
+        return tops([column(u) for u in [*self.flight.document.inputs[:K], *self.tables.feed]])
+
+    @cached_property
+    def off(self) -> arb_mat:
+        """Bound on what rounding changes of the error of the estimate, (n, 1)."""
+        flight = self.flight
+        return gap_error(flight.document, self.tables, self.precision, flight.path)
+
+    @cached_property
+    def half(self) -> arb_mat:
+        """Bound on errors of the estimate, (n, 1)."""
+        craft = self.flight.tracker.craft
+        return magnitude(craft.carry) * column(craft.missed(craft.lagged(craft.plant.u_max)))
+
+    def start(self, share: int) -> arb_mat:
+        """Size of the error where a decision may be for U, a share of the largest on board, (n, 1)."""
+        return self.apart * share + self.off + self.half
+
+    @property
+    def apart(self) -> arb_mat:
+        """Largest computed error for which U may fly: its share of the table's is rounded, (n, 1)."""
+        return column(self.tables.apart) * (1 + 4 * arb(UNIT[self.precision]))
+
+    @cached_property
+    def pushes(self) -> list[Push]:
+        """All that thrust may do in a period beside the reference's input."""
+        plant = self.flight.tracker.craft.plant
+        return [Push.in_box(plant.B, plant.u_max), *plant.push(plant.thruster_error(plant.u_max))]
+
+    @cached_property
+    def added(self) -> arb_mat:
+        """Generators of what thrust, disturbances and errors add in a period."""
+        craft = self.flight.tracker.craft
+        return beside(
+            craft.motion.pushed(self.pushes[0]), *craft.added(craft.plant.thruster_error(craft.plant.u_max))
+        )
+
+    def end(self, share: int) -> arb_mat:
+        """Size of the error at the next node, affine in the share, (n, 1)."""
+        craft = self.flight.tracker.craft
+        moved = magnitude(craft.free) * self.start(share) + magnitude(craft.held) * self.fed
+        return magnitude(moved + column(widths(self.added)))
+
+    @cached_property
+    def within(self) -> list[tuple[list[arb], list[arb]]]:
+        """Needs of the facets in the period under U at its start and its end, for both ends of the share.
+
+        Beside the estimate's error. Of both intersample bounds, which are affine, that of less at most counts.
+        """
+        craft, needs = self.flight.tracker.craft, self.flight.recovery.needs
+        plant, count = craft.plant, needs.given.nrows() - 2 * craft.plant.B.ncols()
+        if not count:
+            return [([], [])] * 2
+        rows = part(rows_of(needs.given, *range(count)), plant.A.nrows())
+        along, _ = craft.along(Directions(rows))
+        bows = []
+        for share in (0, 1):
+            rates = magnitude(craft.drifts) * self.start(share) + magnitude(plant.B) * self.fed
+            turned = (
+                magnitude(plant.A * craft.drifts) * self.start(share)
+                + magnitude(plant.A * plant.B) * self.fed
+            )
+            bows.append(((along.bends[0] * rates).entries(), (along.bends[1] * turned).entries()))
+        which = [0 if a <= b else 1 for a, b in zip(*bows[1], strict=True)]
+        bend, last = along.disturbance
+        for push in self.pushes:
+            bend = sums(bend, along.motion.push_bend(rows, push))
+            last = sums(last, along.motion.push_gain(rows, push))
+        known = [(magnitude(each) * self.half).entries() for each in (rows, rows * craft.free)]
+        firsts = [sums([both[i][row] for row, i in enumerate(which)], bend) for both in bows]
+        return [(sums(first, known[0]), sums(first, last, known[1])) for first in firsts]
+
+    def need(self, lag: int, share: int) -> list[arb]:
+        """Need of every row at a node so many after the decision, beside the estimate's error."""
+        craft, needs = self.flight.tracker.craft, self.flight.recovery.needs
+        if lag == 0:
+            return self.within[share][0]
+        carried = needs.carried[lag - 1]
+        known = magnitude(carried * craft.free) * self.half + needs.bend[lag - 1] * self.end(share)
+        found = sums(row_sums(carried * self.added), known.entries(), needs.disturbed[lag - 1])
+        if lag == 1:
+            facets = self.within[share][1]
+            found = [*maxima(found[: len(facets)], facets), *found[len(facets) :]]
+        return found
+
+    @cached_property
+    def stored(self) -> list[tuple[int, int, arb_mat]]:
+        """Stored row of every limit's row, the side on which it limits, and by how much it is off (1, n)."""
+        given, facets = self.flight.recovery.needs.given, len(self.within[0][0])
+        rows = [matrix([row]) for row in self.tables.rows]
+        found = list[tuple[int, int, arb_mat]]()
+        for i in range(given.nrows()):
+            exact = rows_of(given, i)
+            first, last = (0, self.tables.facets) if i < facets else (self.tables.facets, len(rows))
+            sides = ((k, side, sign) for k in range(first, last) for side, sign in ((0, 1), (2, -1)))
+            near = [(k, side, magnitude(exact + sign * rows[k])) for k, side, sign in sides]
+            best = min(near, key=lambda one: float(largest(one[2].entries())), default=None)
+            most = NEAR * UNIT[self.precision] * float(largest(absolute(exact).entries()))
+            if best is None or not float(largest(best[2].entries())) <= most:
+                raise Rejected(CLAIM, f"no row of the tables is that of limit {i}")
+            found.append(best)
+        return found
+
+    @cached_property
+    def lost(self) -> list[list[arb]]:
+        """Bound on what rounding changes of the value along every row, node by node."""
+        craft, needs, tables = self.flight.tracker.craft, self.flight.recovery.needs, self.tables
+        n, m, precision = craft.held.nrows(), craft.held.ncols(), self.precision
+        held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
+        apart, fed = self.apart, tops([column(u) for u in tables.feed])
+        pairs = zip(tables.feed, self.flight.document.inputs, strict=False)
+        wrong = tops([column(u) - column(v) for u, v in pairs])
+        start = magnitude(held) * apart + magnitude(force) * fed
+        rounded = start * several(n + m, precision) + least(n, n + m, precision)
+        off = magnitude(craft.free) * self.off + magnitude(held - craft.free) * apart
+        off += magnitude(force - craft.held) * fed + magnitude(craft.held) * wrong + rounded
+        powers = [magnitude(power) for power in needs.memory.powers]
+        size = above(*powers) * (start + rounded)
+        size = 2 * tops([rows_of(size, *range(i * n, i * n + n)) for i in range(len(powers))])
+        each = (magnitude(loop) * several(n, precision) + magnitude(loop - craft.F)) * size
+        each += least(n, n, precision)
+        for i, (most, more) in enumerate(
+            zip(size.entries(), (sum(powers[1:], powers[0]) * each).entries(), strict=True)
+        ):
+            require(CLAIM, most / 2 - more, f"state {i} of a prediction may be off by half its size")
+        stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
+        values = above(*(magnitude(row) for row in stored)) * size
+        wrong_rows = above(*(off_row for *_, off_row in self.stored)) * size
+        constant = sums(
+            wrong_rows.entries(),
+            (values * several(n, precision) + least(len(stored), n, precision)).entries(),
+            [x * (4 * UNIT[precision]) for x in values.entries()],
+        )
+        spread = [magnitude(carried) for carried in needs.carried[: len(tables.booked)]]
+        summed = accumulate(((one * each).entries() for one in spread), sums, initial=[arb(0)] * len(stored))
+        later = [
+            sums((one * off).entries(), more, constant) for one, more in zip(spread, summed, strict=False)
+        ]
+        return [sums((spread[0] * self.off).entries(), constant), *later]
+
+    def check(self) -> str:
+        """Confirm every number that is booked and every room, and all limits beyond; returns what holds."""
+        tables, u = self.tables, UNIT[self.precision]
+        for lag, (booked, sized) in enumerate(zip(tables.booked, tables.sized, strict=True)):
+            for share in (0, 1):
+                for row, need in enumerate(self.need(lag, share)):
+                    base, more = (arb(table[self.stored[row][0]]) for table in (booked, sized))
+                    most = base + more * share - (abs(base) + abs(more)) * (8 * u)
+                    where = f"row {row}, {lag} nodes on, errors of share {share}"
+                    spare = most - need - self.lost[lag][row]
+                    require(CLAIM, spare, f"{where}: needs {plain(need)}, {plain(most)} is booked")
+        return f"S can take over wherever U may fly, {len(tables.booked)} nodes ahead and beyond"
+
+
+def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
+    """Check the tables of an online monitor against the limits of a flight."""
+    doc, craft = flight.document, flight.tracker.craft
+    plain_loop = craft.free.nrows() == craft.plant.A.nrows()
+    if not plain_loop or doc.transients or doc.profile or flight.scheduled is not None:
+        raise Rejected(
+            CLAIM, "is for loops without memory, and errors that depend on neither time nor commands"
+        )
+    last = doc.steps * doc.q + len(tables.booked) - 2
+    if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
+        raise Rejected(CLAIM, f"looks {len(tables.booked)} nodes ahead")
+    if len(tables.room) <= last // doc.q:
+        raise Rejected(CLAIM, f"has limits for {len(tables.room)} steps, and looks at {last // doc.q + 1}")
+    decision = Decision(flight, tables, precision)
+    confirmed = decision.check()
+    _check_rooms(decision)
+    _check_later(decision)
+    return confirmed
+
+
+def _check_rooms(decision: Decision) -> None:
+    """Every room, as it is computed, is at most that of the limit."""
+    tables, u = decision.tables, UNIT[decision.precision]
+    for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.room)]):
+        for place, met in enumerate(nodes):
+            for target in met:
+                kind, side, _ = decision.stored[target.row]
+                first, slope = (arb(x) for x in tables.room[cell][kind][side : side + 2])
+                room = first + slope * place + (abs(first) + abs(slope) * place) * (4 * u)
+                where = f"{target.name} in step {cell}, period {place}"
+                require(CLAIM, target.room - room, f"{where}: room {plain(room)} of {plain(target.room)}")
+
+
+def _check_later(decision: Decision) -> None:
+    """Limits further ahead than a decision looks are met by every error for which U may fly."""
+    flight = decision.flight
+    doc, recovery, needs = flight.document, flight.recovery, flight.recovery.needs
+    least_of = [dict[int, Target]()]
+    for nodes in reversed(recovery.limits.targets):
+        rooms = dict(least_of[-1])
+        for target in (target for met in nodes for target in met):
+            if target.row not in rooms or not rooms[target.row].room <= target.room:
+                rooms[target.row] = target
+        least_of.append(rooms)
+    least_of.reverse()
+    periods, end = flight.tracker.memory.periods, decision.end(1)
+    for at in range(len(decision.tables.booked) - 1, periods + 2):
+        beyond = at > periods
+        most = needs.still(end) if beyond else needs.boxed(end, at)
+        need = sums(most, needs.disturbed[at])
+        cell = periods // doc.q if beyond else at // doc.q
+        cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)
+        for row, target in least_of[cell].items():
+            where = f"{target.name}, {at} periods after a hand-over"
+            require(
+                CLAIM, target.room - need[row], f"{where}: needs {plain(need[row])} of {plain(target.room)}"
+            )

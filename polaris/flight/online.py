@@ -1,0 +1,196 @@
+"""Tables of the online monitor: recoverable sets as rows that all decisions share, and room per step."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from reach.numerics.linear import discretize
+
+from ..certificate.code.text import FREE, Tables
+from ..certificate.files.document import Document
+from ..model.errors import NotCertified, ScenarioError
+from ..model.system import Array
+from ..rta.decision_grid import DecisionGrid
+from ..rta.methods.monitor import Monitor
+from ..rta.prospect import Prospect
+from ..synthesis.schedule.schedule import Schedule
+from .rounding import UNIT, gap_error
+
+SHRINKS = 12  # halvings of the errors for which U may fly, until limits beyond the memory are met
+SAME = 1e-15  # largest difference of rows that count as one
+MORE = 1.02  # of what is needed far ahead, where no decision looks
+NEAR = 1e-9  # of rooms, by which they are stored too low: rounding of the synthesis
+
+
+def with_monitor(tables: Tables, document: Document, schedule: Schedule, precision: str) -> Tables:
+    """Return the tables of a precision with those of the online monitor.
+
+    Raises
+    ------
+    ScenarioError
+        If the scene has what the monitor on board does not model, or its initial set is not recoverable.
+    """
+    grid = DecisionGrid.of(schedule)
+    modelled = not (document.profile or document.error_by_step or document.transients)
+    if not modelled or grid.clearance.limits.rows.shape[1] != grid.system.n:
+        rule = "must be off where errors depend on commands, phases or late isolation, or loops remember them"
+        raise ScenarioError("monitor", True, rule)
+    try:
+        prospect = Monitor(grid).prospects[0, 0]
+    except NotCertified as error:
+        raise ScenarioError("monitor", True, f"must be off: {error}") from error
+    gain, limit = np.array(document.laws[0].gain), np.array(document.u_max)
+    with np.errstate(divide="ignore"):
+        apart = np.minimum((2 * limit[:, None] / np.abs(gain)).min(axis=0), 1e6)
+    off = gap_error(document, tables, precision)
+    for _ in range(SHRINKS):
+        count = _lags(prospect, apart + off)
+        if count:
+            break
+        apart = apart / 2
+    else:
+        raise ScenarioError("monitor", True, "must be off: limits beyond the loop's memory leave no room")
+    return _laid_out(tables, document, prospect, precision, apart, off, count)
+
+
+def _size(prospect: Prospect, apart: Array) -> float:
+    """Bound on ``norm(W e)`` at every stage of a decision on errors in a box."""
+    stages = (slice(first, last) for first, last in prospect._norms)
+    ends = (
+        np.abs(prospect.stack[:, one]).T @ apart + np.abs(prospect.known[:, one]).max(axis=0)
+        for one in stages
+    )
+    return float(max(np.linalg.norm(each) for each in ends)) + prospect.radius
+
+
+def _needs(prospect: Prospect, apart: Array) -> Array:
+    """Return what is booked of every row so many nodes after the decision, shape (lags, r)."""
+    recovery, n = prospect.recovery, prospect.grid.system.n
+    size, facets = _size(prospect, apart), len(recovery.bow)
+    tall = prospect.demand.tall
+    later = (tall[:, n] * size + tall[:, n + 1]).reshape(-1, len(recovery.rows))
+    first = np.full(len(recovery.rows), -FREE)  # S commands nothing before the next node
+    known = np.abs(recovery.rows[:facets, :n]) @ prospect.grid.half_widths
+    first[:facets] = recovery.bow + recovery._bent * (size + recovery._radius) + known
+    return np.vstack([first, later])
+
+
+def _lags(prospect: Prospect, apart: Array) -> int:
+    """Number of nodes after which errors in a box meet all limits whatever they are; 0 if none is enough."""
+    recovery, grid, n = prospect.recovery, prospect.grid, prospect.grid.system.n
+    end = np.abs(prospect.end.M) @ apart + np.abs(prospect.end.offset).max(axis=0)
+    carried = prospect.demand.tall[:, :n].reshape(recovery.lags, -1, n)
+    need = np.abs(carried) @ end + _needs(prospect, apart)[1:]
+    least = np.minimum.accumulate(recovery.limits[::-1], axis=0)[::-1]
+    since = np.arange(recovery.lags) // grid.clearance.q * grid.clearance.q  # all of a step at once
+    met = (need * MORE <= least[since]).all(axis=1)
+    beyond = min(recovery.far(node) for node in range(1, grid.last + 1))
+    last = int(np.flatnonzero(~met).max(initial=0)) + 1
+    return 0 if last >= recovery.lags or _size(prospect, apart) > beyond else last + 1
+
+
+def _laid_out(
+    tables: Tables,
+    document: Document,
+    prospect: Prospect,
+    precision: str,
+    apart: Array,
+    off: Array,
+    count: int,
+) -> Tables:
+    grid, recovery, u = prospect.grid, prospect.recovery, float(UNIT[precision])
+    n, q, facets = grid.system.n, grid.clearance.q, len(recovery.bow)
+    gain = np.array(document.laws[0].gain)
+    held, force = discretize(np.array(document.A), np.array(document.B), grid.h)
+    rows, kind, sign = _kinds(-recovery.rows[:, :n], facets)
+    kinds = int(max(kind[:facets], default=-1)) + 1
+    made = replace(
+        tables,
+        rows=rows.tolist(),
+        facets=kinds,
+        held=held.tolist(),
+        force=force.tolist(),
+        loop=(held - force @ gain).tolist(),
+        apart=apart.tolist(),
+    ).rounded(precision)
+    none, largest = (_needs(prospect, share * apart + off)[:count] for share in (0, 1))
+    lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, count, u)
+    booked, most = np.full((2, count, len(rows)), -FREE)
+    np.maximum.at(booked, (slice(None), kind), none)
+    np.maximum.at(most, (slice(None), kind), largest)
+    sized = np.maximum(most - booked, 0.0)
+    booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
+    cells = (grid.last + count - 2) // q + 1
+    room = _rooms(grid, kind, sign, cells, u, document.horizon == "infinite")
+    return replace(made, booked=booked.tolist(), sized=sized.tolist(), room=room.tolist()).rounded(precision)
+
+
+def _kinds(rows: Array, facets: int) -> tuple[Array, Array, Array]:
+    """Rows of each kind, equal or opposite ones being of a kind, facets apart; kind and sign of every row."""
+    kept, kinds, signs, first = list[Array](), [], [], 0
+    for i, row in enumerate(rows):
+        first = len(kept) if i == facets else first
+        same = [
+            (j, s)
+            for j in range(first, len(kept))
+            for s in (1, -1)
+            if np.abs(kept[j] - s * row).max() <= SAME
+        ]
+        j, s = same[0] if same else (len(kept), 1)
+        kept += [] if same else [row]
+        kinds.append(j)
+        signs.append(s)
+    return np.array(kept) + 0.0, np.array(kinds), np.array(signs)
+
+
+def _rounding(
+    tables: Tables, exact: tuple[Array, Array, Array, Array], inputs: Array, off: Array, count: int, u: float
+) -> Array:
+    """Bound on what rounding changes of a value along a row, and of the sum with what is booked, (count, r)."""
+    (held, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
+    apart, fed = np.array(tables.apart), np.abs(inputs).max(axis=0)
+    given = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))
+    slack = 64 * 2.0**-53
+    wrong = [
+        np.abs(one - other) + slack * np.maximum(1, np.abs(other).max(axis=1, keepdims=True))
+        for one, other in zip(given, exact, strict=True)
+    ]
+    sums = u * (n + m + 4)
+    start = np.abs(held) @ apart + np.abs(force) @ fed
+    off1 = np.abs(held) @ off + sums * start + wrong[0] @ apart + wrong[1] @ fed + np.abs(force) @ fed * u
+    powers = [np.eye(n)]
+    for _ in range(count):
+        powers.append(powers[-1] @ loop)
+    size = 2 * np.abs(powers).max(axis=0) @ (start + off1)
+    each = sums * np.abs(loop) @ size + wrong[2] @ size
+    spread = np.abs(rows @ np.array(powers))  # (count + 1, r, n)
+    summed = np.cumsum(spread @ each, axis=0)
+    value = np.abs(rows) @ size
+    lost = spread[:count] @ off1 + summed[:count] + wrong[3] @ size + sums * value
+    lost[0] += np.abs(rows) @ off
+    return np.asarray(1.05 * lost + 8 * u * value)
+
+
+def _rooms(grid: DecisionGrid, kind: Array, sign: Array, cells: int, u: float, repeats: bool) -> Array:
+    """Room along every row and against it: at the start of every cell, and more by the period, (cells, r, 4)."""
+    (begin, end), q = grid.clearance.limits.room, grid.clearance.q
+    planned, known = grid.clearance.planned, grid.clearance.cells
+    room = np.full((cells, kind.max() + 1, 4), 0.0)
+    room[..., ::2] = FREE
+    for cell in range(cells):
+        if cell >= known and not (repeats and known > planned):
+            break
+        at = cell if cell < known else planned + (cell - planned) % (known - planned)
+        here = slice(at * q, at * q + q)
+        nodes = np.vstack([begin[here], np.full((1, begin.shape[1]), np.inf)])
+        nodes[1:] = np.minimum(nodes[1:], end[here])
+        for j, s in set(zip(kind.tolist(), sign.tolist(), strict=True)):
+            along = nodes[:, (kind == j) & (sign == s)].min(axis=1)
+            places = np.flatnonzero(np.isfinite(along))
+            if len(places):
+                along, side = along[places], 0 if s > 0 else 2
+                slope = (along[-1] - along[0]) / max(places[-1] - places[0], 1)
+                large = np.abs(along).max() + np.abs(slope) * q
+                first = (along - slope * places).min() - (NEAR + 8 * u) * large
+                room[cell, j, side : side + 2] = first, slope
+    return room
