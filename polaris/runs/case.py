@@ -143,15 +143,15 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         runs, known = attack.fly(flight), Failure(**data["violation"])
-        found = violation(claims, attained(claims, runs, attack.failing))
-        if found is None and known.kind == "velocity change":
-            found, _ = overspent(runs)
-        elif found is None and known.kind == "drift" and whole.passive is not None:
+        failure = violation(claims, attained(claims, runs, attack.failing))
+        if failure is None and known.kind == "velocity change":
+            failure, _ = overspent(runs)
+        elif failure is None and known.kind == "drift" and whole.passive is not None:
             node = np.array([round(known.time_s / runs.times[1])])
-            found, _ = drifted(whole.passive, runs, 0 * node, node)
-        elif found is None and known.kind == "abort":
-            found, _ = exceeded(whole, int(data["abort"]), runs)
-        return found if found and found.broken else None, scenario
+            failure, _ = drifted(whole.passive, runs, 0 * node, node)
+        elif failure is None and known.kind == "abort":
+            failure, _ = exceeded(whole, int(data["abort"]), runs)
+        return failure if failure and failure.broken else None, scenario
     except (ValueError, TypeError, LookupError, OverflowError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
 
@@ -182,7 +182,7 @@ def _unpacked(packed: list[list[Any]]) -> Array:
 
 
 def _finite(values: Any) -> Array:
-    found = np.array(values, dtype=float)
-    if not np.isfinite(found).all():
+    array = np.array(values, dtype=float)
+    if not np.isfinite(array).all():
         raise ValueError("numbers that are not finite")
-    return found
+    return array

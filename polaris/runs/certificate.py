@@ -131,10 +131,10 @@ def _samples(schedule: Schedule) -> dict[str, Any]:
 
 def _choices(schedule: Schedule) -> dict[str, Any]:
     """Return what was found besides: a share of thrust, and other references with the modes along them."""
-    tracking, found = schedule.safety.tracking, dict[str, Any]()
+    tracking, data = schedule.safety.tracking, dict[str, Any]()
     if tracking.profile is not None:
-        found["thrust_share"] = tracking.level
+        data["thrust_share"] = tracking.level
     if schedule.worth is not None:
-        found["delta_v_unit"] = schedule.worth.unit
-        found["library"] = [{"inputs": each.safety.plan.nu, "modes": each.modes} for each in schedule.library]
-    return {"choices": found} if found else {}
+        data["delta_v_unit"] = schedule.worth.unit
+        data["library"] = [{"inputs": each.safety.plan.nu, "modes": each.modes} for each in schedule.library]
+    return {"choices": data} if data else {}

@@ -23,9 +23,9 @@ def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> Syn
     if not bounds or not _found(scenario, bounds, SHARES[-1]):
         return error
     ways = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
-    told = [way for way in ways if way] or [_lowered(scenario, bounds)]
+    texts = [way for way in ways if way] or [_lowered(scenario, bounds)]
     relax = (
-        f"{error.relax.rstrip('.')}; or declare {', or '.join(told)}: with that a safe reference is found."
+        f"{error.relax.rstrip('.')}; or declare {', or '.join(texts)}: with that a safe reference is found."
     )
     return SynthesisInfeasible(error.condition, error.shortfall, relax)
 
@@ -67,5 +67,5 @@ def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
     if not _found(scenario, bounds, SHARES[-1]):
         return ""
     last = len(SHARES) - 1
-    most = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
-    return " and ".join(f"{key} = {_less(value, most)} (not {value})" for key, value in bounds.items())
+    part = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
+    return " and ".join(f"{key} = {_less(value, part)} (not {value})" for key, value in bounds.items())

@@ -176,15 +176,15 @@ class Picture:
     def approach(self, obstacle: Obstacle) -> Approach:
         """Return the closest approach to an unsafe set (of another satellite: to its nominal place)."""
         times, path = self.safe_path()
-        found = obstacle.signed_distance(times, path, self.system)
-        least = int(np.argmin(found))
-        return Approach(float(times[least]), float(found[least]), path[least])
+        distances = obstacle.signed_distance(times, path, self.system)
+        least = int(np.argmin(distances))
+        return Approach(float(times[least]), float(distances[least]), path[least])
 
     @property
     def closest(self) -> float:
         """Time at which the safe path is closest to any unsafe set [s]; the horizon if that is the start."""
-        found = [self.approach(obstacle) for obstacle in self.obstacles]
-        least = min(found, key=lambda one: one.distance).time if found else 0.0
+        approaches = [self.approach(obstacle) for obstacle in self.obstacles]
+        least = min(approaches, key=lambda one: one.distance).time if approaches else 0.0
         return least or self.duration
 
     @property

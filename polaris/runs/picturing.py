@@ -86,10 +86,10 @@ def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
 
 def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array) -> Array:
     """Outlines (R, M, e) about the positions of errors (R, n); nan where one is not recoverable."""
-    found = np.full((len(errors), *circle.shape), np.nan)
+    outlines = np.full((len(errors), *circle.shape), np.nan)
     inside = np.flatnonzero(safety.recoverable.contains(node, errors))
     if not len(inside):
-        return found
+        return outlines
     errors = errors[inside]
     rays = np.broadcast_to(circle, (len(errors), *circle.shape))
     shift = np.zeros((len(errors), circle.shape[1]))
@@ -105,8 +105,8 @@ def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array)
     least = np.zeros(rays.shape[:2])
     least[:, 0] = np.linalg.norm(shift, axis=1)
     size = _reach(safety, node, errors + shift @ lift, rays @ lift, 4, least)
-    found[inside] = shift[:, None] + size[..., None] * rays
-    return found
+    outlines[inside] = shift[:, None] + size[..., None] * rays
+    return outlines
 
 
 def _reach(
@@ -120,9 +120,9 @@ def _reach(
     for _ in range(times):
         scales, high = np.maximum(scales, low[..., None]), np.maximum(high, low)
         known = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
-        count, most = np.zeros((*low.shape, 1), dtype=int), scales.shape[2]
-        for step in 2 ** np.arange(most.bit_length())[::-1]:  # a convex set holds the first so many of them
-            more = np.minimum(count + step, most)
+        count, last = np.zeros((*low.shape, 1), dtype=int), scales.shape[2]
+        for step in 2 ** np.arange(last.bit_length())[::-1]:  # a convex set holds the first so many of them
+            more = np.minimum(count + step, last)
             tried = errors[:, None] + np.take_along_axis(known, more, axis=2) * rays
             inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1]))
             count = np.where(inside.reshape(count.shape), more, count)

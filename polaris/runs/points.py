@@ -44,7 +44,7 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
     """Return the row of a point from its run folder; `ScenarioError` if a file is missing or damaged."""
     summary, scenario = folder.summary, folder.scenario
     with readable(folder.path):
-        found, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
+        synthesis, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
         goal, modes = claim["goal"], np.array(folder.json("schedule.json")["modes"], dtype=int)
         flights = read_flights(folder.path / "trajectories.npz")["polaris"]
         thrust = np.abs(flights.inputs[flights.labels.index("nominal")]).sum(axis=1)
@@ -53,9 +53,9 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
             "folder": name,
             "field": field,
             "value": value,
-            "share": found["experimental_share"],
+            "share": synthesis["experimental_share"],
             "weighted_share": float(weights[modes].mean()),
-            "switches": found["switches"],
+            "switches": synthesis["switches"],
             "delta_v_undisturbed_m_s": float(thrust @ np.diff(flights.times)) / scenario.system().mass,
             "delta_v_most_m_s": goal["delta_v_max_m_s"],
             "delta_v_m_s": flown["delta_v_m_s"],
@@ -66,7 +66,7 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
             "guarantee": claim["kind"],
             "horizon": claim["horizon"],
             "until_s": claim["until_s"],
-            "cut_by_clock": bool(found["planner"]["cut_by_clock"]),
+            "cut_by_clock": bool(synthesis["planner"]["cut_by_clock"]),
             "reason": None,
         }
 
@@ -79,9 +79,9 @@ EMPTY = (  # columns that a point without a schedule leaves empty
 
 def infeasible_row(folder: Path, field: str, value: float | None) -> Row:
     """Return the row of a point that has no schedule."""
-    told = {"folder": folder.name, "field": field, "value": value, **dict.fromkeys(EMPTY)}
-    told |= {"guarantee": "infeasible", "horizon": None, "until_s": None, "cut_by_clock": False}
-    return told | {"reason": read_json(folder / INFEASIBLE.summary)["reason"]}
+    row = {"folder": folder.name, "field": field, "value": value, **dict.fromkeys(EMPTY)}
+    row |= {"guarantee": "infeasible", "horizon": None, "until_s": None, "cut_by_clock": False}
+    return row | {"reason": read_json(folder / INFEASIBLE.summary)["reason"]}
 
 
 def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
@@ -91,20 +91,20 @@ def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
     falls = shares[0] >= shares[-1]
     values = [row["value"] for row in mine][:: 1 if falls else -1]
     shares = shares[:: 1 if falls else -1]
-    told = {"field": field, "share": share, "bound": "at most" if falls else "at least"}
-    told |= dict.fromkeys(("last_proven", "share_there", "next", "share_next", "interpolated"))
+    answer = {"field": field, "share": share, "bound": "at most" if falls else "at least"}
+    answer |= dict.fromkeys(("last_proven", "share_there", "next", "share_next", "interpolated"))
     good = [i for i, one in enumerate(shares) if one >= share]
     if not good:
-        return told
+        return answer
     last, after = good[-1], good[-1] + 1
-    told |= {"last_proven": values[last], "share_there": shares[last]}
+    answer |= {"last_proven": values[last], "share_there": shares[last]}
     if after < len(values):
-        told["next"] = values[after]
+        answer["next"] = values[after]
         if shares[after] >= 0:
             part = (shares[last] - share) / (shares[last] - shares[after])
-            told["share_next"] = shares[after]
-            told["interpolated"] = values[last] + part * (values[after] - values[last])
-    return told
+            answer["share_next"] = shares[after]
+            answer["interpolated"] = values[last] + part * (values[after] - values[last])
+    return answer
 
 
 def non_dominated(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
@@ -123,9 +123,9 @@ def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
 Points = tuple[Sequence[Row], float]  # rows of all points, and the share asked
 
 
-def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _tell_points(scenario: ScheduleScenario, points: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``tradeoff.json``."""
-    rows, share = found
+    rows, share = points
     fields = dict.fromkeys(row["field"] for row in rows if row["non_dominated"] is None)
     asked = [needed(rows, field, share) for field in fields]
     return {"points": list(rows), "needed": asked, "definitions": COLUMNS}
@@ -134,7 +134,7 @@ def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str
 TRADEOFF = RunKind(  # run folder of a trade-off
     "tradeoff",
     (SCENARIO, "tradeoff.csv"),
-    lambda folder, scenario, found: write_csv(folder / "tradeoff.csv", found[0]),
+    lambda folder, scenario, points: write_csv(folder / "tradeoff.csv", points[0]),
     _tell_points,
     lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",

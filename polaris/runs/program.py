@@ -50,17 +50,17 @@ class _Program:
         if not early:
             threading.Thread(target=self._write, args=(question.encode(),), daemon=True).start()
         try:
-            found = self.lines.get(timeout=self.seconds)
+            line = self.lines.get(timeout=self.seconds)
         except Empty:
             raise self._refused(f"must answer within {self.seconds:g} s") from None
-        if not found.endswith(b"\n"):
+        if not line.endswith(b"\n"):
             raise self._refused("must answer each line; it ended, or wrote too much")
         if early:
             raise self._refused("must answer each line by one; it wrote more")
         try:
-            return json.loads(found)["u"]
+            return json.loads(line)["u"]
         except (ValueError, TypeError, KeyError, RecursionError):
-            raise self._refused(f'must answer {{"u": [[...], ...]}}; answered {found[:60]!r}') from None
+            raise self._refused(f'must answer {{"u": [[...], ...]}}; answered {line[:60]!r}') from None
 
     def end(self) -> None:
         """End it, and what it has started."""
@@ -75,8 +75,8 @@ class _Program:
         self.end()
         self.listening.join(PATIENCE)
         words = self.heard.decode(errors="replace").strip().splitlines()[-1:]
-        told = "".join(f" (its last words: {word[:100]!r})" for word in words)
-        return NoAnswer("black box", self.shown, rule + told)
+        said = "".join(f" (its last words: {word[:100]!r})" for word in words)
+        return NoAnswer("black box", self.shown, rule + said)
 
     def _listen(self) -> None:
         with self.process.stderr as stream:

@@ -91,9 +91,9 @@ def run(
     assert kind.fly is not None
     if black_boxes and not isinstance(scenario, ScheduleScenario):
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
-    found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
+    result = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, result, draw=draw, stages=stages)
 
 
 def read_run(path: str | Path) -> RunFolder:
@@ -128,10 +128,10 @@ def _kind_of(folder: Path) -> RunKind:
         if (folder / kind.summary).is_file():
             return kind
     try:
-        told = parse_toml(read_text(folder / SCENARIO)).get("kind")
+        name = parse_toml(read_text(folder / SCENARIO)).get("kind")
     except (OSError, ValueError):
         return SCHEDULE
-    return KINDS.get(told, SCHEDULE) if isinstance(told, str) else SCHEDULE
+    return KINDS.get(name, SCHEDULE) if isinstance(name, str) else SCHEDULE
 
 
 def _hashes(path: Path) -> dict[str, Any]:

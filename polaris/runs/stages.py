@@ -35,9 +35,9 @@ class Stages:
 
     def beside(self) -> Stages:
         """Return stages that show nothing and go on from here, to time parts of a stage that is under way."""
-        found = Stages()
-        found.seconds, found.begun = dict(self.seconds), self.begun
-        return found
+        stages = Stages()
+        stages.seconds, stages.begun = dict(self.seconds), self.begun
+        return stages
 
     def to_dict(self) -> dict[str, float]:
         """Return the seconds of every stage, those outside of all (``other``) and the sum (``total``)."""

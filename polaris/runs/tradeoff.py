@@ -98,8 +98,8 @@ def tradeoff(
         rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
-        told: list[Row] = [row | {"non_dominated": one} for row, one in zip(rows, chosen, strict=True)]
-        return write_folder(target, TRADEOFF, scenario, (told, share), draw=draw, stages=stages)
+        table: list[Row] = [row | {"non_dominated": one} for row, one in zip(rows, chosen, strict=True)]
+        return write_folder(target, TRADEOFF, scenario, (table, share), draw=draw, stages=stages)
 
 
 def _points(
@@ -123,13 +123,13 @@ def _named(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
     out: dict[str, tuple[str, float | None]] = {}
     for field, given in (values if isinstance(values, Mapping) else {PRICE: values}).items():
         said = "prices" if field == PRICE else field
-        found = [number(said, value) + 0.0 for value in given]  # -0 is 0
+        numbers = [number(said, value) + 0.0 for value in given]  # -0 is 0
         if field == PRICE:
-            found = [non_negative(said, value, "-") for value in found]
-        if not found or len(set(found)) < len(found):
-            raise ScenarioError(said, found, "must be at least one, each once")
+            numbers = [non_negative(said, value, "-") for value in numbers]
+        if not numbers or len(set(numbers)) < len(numbers):
+            raise ScenarioError(said, numbers, "must be at least one, each once")
         folder = "price" if field == PRICE else re.sub(r"\W+", ".", field).strip(".")
-        out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(found)}
+        out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(numbers)}
     if not out:
         raise ScenarioError("fields", [], "must be at least one")
     return out if isinstance(values, Mapping) else {**out, "printed": (PRICE, None)}
@@ -160,10 +160,10 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
         same = (folder / SCENARIO).read_bytes() == scenario.copy_text().encode()
         if (folder / INFEASIBLE.summary).is_file():
             return same and read_json(folder / INFEASIBLE.summary)["versions"] == versions()
-        found = read_run(folder)
-        row_of(found, folder.name, PRICE, None)
-        known = set(found.json("certificate.json")["artefacts"]) >= set(SCHEDULE.files)
-        return same and known and found.kind is SCHEDULE and found.summary["versions"] == versions()
+        point = read_run(folder)
+        row_of(point, folder.name, PRICE, None)
+        known = set(point.json("certificate.json")["artefacts"]) >= set(SCHEDULE.files)
+        return same and known and point.kind is SCHEDULE and point.summary["versions"] == versions()
     except (PolarisError, OSError, KeyError, TypeError):
         return False
 

@@ -92,10 +92,10 @@ class FlightsVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         moving, u = ~self.over, np.asarray(actions, dtype=float)
         u = np.where(np.isfinite(u), np.clip(u, -1.0, 1.0), np.nan) * self.flights.limit
         self.flights.restart(self.over, self.np_random)
-        told = self.flights.advance(u, moving)
-        reward, failed, ended = told.pop("reward"), told[self.flights.failed], told.pop("ended")
+        data = self.flights.advance(u, moving)
+        reward, failed, ended = data.pop("reward"), data[self.flights.failed], data.pop("ended")
         self.over = failed | ended
-        info = told | {f"_{name}": moving for name in told}
+        info = data | {f"_{name}": moving for name in data}
         return _shown(self.flights.observe()), reward, failed, ended & ~failed, info
 
 
@@ -135,8 +135,8 @@ class InspectionVectorEnv(FlightsVectorEnv):
     """
 
     def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
-        found = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        super().__init__(InspectionFlights(found, num_envs, **given))
+        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        super().__init__(InspectionFlights(loaded, num_envs, **given))
 
 
 class SwitchingEnv(gym.Env[Numbers, Numbers]):
@@ -163,8 +163,8 @@ class SwitchingEnv(gym.Env[Numbers, Numbers]):
         if self.many.over[0]:
             raise ResetNeeded(RESET)
         seen, reward, failed, ended, info = self.many.step(np.asarray(action)[None])
-        told = {name: values[0].item() for name, values in info.items() if not name.startswith("_")}
-        return seen[0], float(reward[0]), bool(failed[0]), bool(ended[0]), told
+        data = {name: values[0].item() for name, values in info.items() if not name.startswith("_")}
+        return seen[0], float(reward[0]), bool(failed[0]), bool(ended[0]), data
 
 
 class InspectionEnv(SwitchingEnv):

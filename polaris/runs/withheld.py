@@ -16,7 +16,7 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     One alone is in the way; where errors of thrusters grow with commands, it is the one that leaves least.
     """
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
-    told = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
+    rows = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
     starts = [safety.start, *(step.tube.end for step in schedule.steps)]
     ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
@@ -27,15 +27,15 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
             if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):
                 margins = [sets.margin(step.k, tube.nodes, tube.bow) for sets in alone]
                 worst = min(margin.value for margin in margins)
-                for each, margin in zip(told, margins, strict=True):
+                for each, margin in zip(rows, margins, strict=True):
                     if not margin.inside or margin.value == worst:
                         each["steps"].append(_row(margin, step.k, safety.problem.delta, law.name))
             break
-    return told
+    return rows
 
 
 def _row(margin: Margin, k: int, delta: float, name: str) -> dict[str, Any]:
-    """What is told of step k, which this controller would fly; steps of delta [s]."""
+    """Return the data of step k, which this controller would fly; steps of delta [s]."""
     at = {"limit": margin.limit, "limit_time_s": margin.time, "limit_step": int(margin.time / delta + 1e-9)}
     size = {"need": margin.need, "room": margin.room, "short": margin.need - margin.room}
     return {"step": k, "t_s": k * delta, "controller": name, **at, **size}

@@ -113,9 +113,9 @@ def test_a_component_answers_as_the_code(run, tmp_path, precision, compiler):
     for allow, lost, every in ((1, 0, 1), (0, 0, 7), (1, 1, 0)):
         options = [program, *map(str, (allow, lost, 1, every))]
         done = subprocess.run(options, input=asked(given), capture_output=True, text=True, check=True)
-        *lines, told = done.stdout.splitlines()
+        *lines, summary = done.stdout.splitlines()
         as_the_step(tables, precision, given, lines, bool(allow and not lost))
-        verdicts, written, faults, modes = map(int, told.split())
+        verdicts, written, faults, modes = map(int, summary.split())
         assert (verdicts, written) == (len(given), -(-len(given) // max(every, 1)))
         assert faults > 0 and (modes > 0) == bool(allow and not lost)
     silent = subprocess.run([program, "1", "0", "0", "1"], input=asked(given), capture_output=True, text=True)
@@ -134,10 +134,10 @@ def test_an_application_answers_as_the_code(run, tmp_path, precision, compiler):
     kept = [call for call in given if call.period not in (-7, -8)]
     odd = f"-7 0 {'0 ' * len(tables.range + tables.limit)}\n-8 0 {'0 ' * len(tables.range + tables.limit)}\n"
     done = subprocess.run([program], input=asked(kept) + odd * 2, capture_output=True, text=True, check=True)
-    *lines, one, two, told = done.stdout.splitlines()
+    *lines, one, two, summary = done.stdout.splitlines()
     as_the_step(tables, precision, kept, lines)
     assert [line.split()[:3] for line in (one, two)] == [["hk", str(len(kept)), str(i)] for i in (0, 1)]
-    loaded, subscribed, events, status = map(int, told.split())
+    loaded, subscribed, events, status = map(int, summary.split())
     assert (loaded, subscribed, status) == (1, 2, 3) and events == 0b1101110
 
 
@@ -155,9 +155,9 @@ def test_without_its_own_table_the_safety_controller_flies(run, tmp_path):
         scratch.mkdir()
         program = application(tmp_path / "code", "guard", scratch)
         done = subprocess.run([program], input=asked(given), capture_output=True, text=True, check=True)
-        *lines, told = done.stdout.splitlines()
+        *lines, summary = done.stdout.splitlines()
         as_the_step(tables, precision, given, lines, allowed=False)
-        assert told.split()[0] == str(int(place == 1))
+        assert summary.split()[0] == str(int(place == 1))
         assert {mode for _, mode, *_ in answers(lines)} == {0}
         assert any(fault & COMMAND and fault & LATCHED for _, _, fault, _ in answers(lines))
 

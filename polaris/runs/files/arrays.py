@@ -66,9 +66,9 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     system, final = safety.problem.system, safety.tracking.error(schedule.final)
     away = safety.tracking.left_out
-    single, most = nodes.G.astype(np.float32), np.float32(np.inf)
+    single, infinity = nodes.G.astype(np.float32), np.float32(np.inf)
     off = (np.abs(nodes.G - single).sum(axis=-1) + away).astype(np.float32)
-    box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)
+    box = np.nextafter(off, infinity)[..., None] * np.eye(nodes.dim, dtype=np.float32)
     q = safety.tracking.feedback.nodes_per_cell
     return {
         "t_s": schedule.times[:-1, None] + np.arange(q + 1) * safety.tracking.flow.h,
@@ -166,8 +166,8 @@ def read_flights(path: Path) -> dict[str, Flights]:
     """Read what `flight_arrays` gave, by key."""
     arrays, out = read_arrays(path), {}
     for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
-        found: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
-        found["controller"] = str(arrays.get(f"{key}_controller", key))
-        found["labels"] = tuple(found["labels"].tolist())
-        out[key] = Flights(**found)
+        fields: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
+        fields["controller"] = str(arrays.get(f"{key}_controller", key))
+        fields["labels"] = tuple(fields["labels"].tolist())
+        out[key] = Flights(**fields)
     return out

@@ -40,8 +40,8 @@ class CannotWrite(ScenarioError):
     """A place turned out not to take what was to be written there."""
 
     def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
-        told = " ".join((error.strerror or str(error)).split())
-        rule = f"cannot be written: {told}"
+        cause = " ".join((error.strerror or str(error)).split())
+        rule = f"cannot be written: {cause}"
         rule += "; what was there before is unchanged" if before else "; nothing is left there"
         if error.errno in (*FULL, None):
             rule += ". Free some space, or give another place, and run the same command again"

@@ -80,12 +80,12 @@ def _tracks(path: Path, scenario: ScheduleScenario) -> Iterator[Track]:
         inputs = np.array([[float(u) for u in row] for row in branch.inputs]).reshape(-1, system.m)
         left = Reference.propagate(system, delta, reference.chi[branch.step], inputs)
         left = left.extend(max(len(branch.facets) - branch.step - len(inputs), 0))
-        told = f"Reference of an abort from step {branch.step} on."
-        yield Track(f"branch-{branch.step}", *_fine(left, branch.step), told)
+        comment = f"Reference of an abort from step {branch.step} on."
+        yield Track(f"branch-{branch.step}", *_fine(left, branch.step), comment)
     for pilot, flown in read_flights(path / "trajectories.npz").items():
         for label, states in zip(flown.labels, flown.states, strict=True):
-            told = f"Simulated flight {label} of {pilot} by the linear model."
-            yield Track(f"{pilot}-{label.replace(' ', '-')}", flown.times, states, told)
+            comment = f"Simulated flight {label} of {pilot} by the linear model."
+            yield Track(f"{pilot}-{label.replace(' ', '-')}", flown.times, states, comment)
 
 
 def _fine(reference: Reference, first: int) -> tuple[Array, Array]:

@@ -131,11 +131,11 @@ def write_folder(
 
 
 def _summarise(
-    folder: Path, kind: RunKind, scenario: Scenario, found: Any, seconds: Mapping[str, float]
+    folder: Path, kind: RunKind, scenario: Scenario, result: Any, seconds: Mapping[str, float]
 ) -> None:
     assert kind.tell is not None
-    told = summary_of(scenario, kind.name, kind.tell(scenario, found, seconds))
-    write_text(folder / kind.summary, json_text(told))
+    summary = summary_of(scenario, kind.name, kind.tell(scenario, result, seconds))
+    write_text(folder / kind.summary, json_text(summary))
 
 
 def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,6 +172,6 @@ def readable(path: Path) -> Iterator[None]:
     except (OSError, ValueError, LookupError, TypeError, RecursionError, csv.Error, BadZipFile) as error:
         if isinstance(error, ScenarioError):
             raise
-        told = " ".join(str(error).split()) or type(error).__name__
-        rule = f"a file in it is damaged ({told}); run the scenario again"
+        detail = " ".join(str(error).split()) or type(error).__name__
+        rule = f"a file in it is damaged ({detail}); run the scenario again"
         raise ScenarioError("run folder", str(path), rule) from error

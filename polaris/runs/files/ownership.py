@@ -160,13 +160,13 @@ def _same(one: Path, other: Path) -> bool:
 
 def _others(folder: Path) -> list[tuple[str, Path]]:
     """List everything in a folder that is not Polaris's, and empty folders; links are not followed."""
-    owned, found = Owned(folder), list[tuple[str, Path]]()
+    owned, others = Owned(folder), list[tuple[str, Path]]()
     for here, folders, names in os.walk(folder):
         for path in sorted(Path(here) / name for name in (*names, *folders)):
             name = path.relative_to(folder).as_posix()
             if not (name in owned.folders if _is_folder(path) else name == MANIFEST or name in owned):
-                found.append((name, path))
-    return found
+                others.append((name, path))
+    return others
 
 
 def keep(old: Path, new: Path) -> None:
@@ -241,10 +241,10 @@ def tidy(folder: Path, name: str = "") -> None:
     """
     form = re.compile(rf"\.({re.escape(name) or '.+'})\.(new|old)-(\w+)-(\d+)-[0-9a-f]{{8}}")
     try:
-        found = [(path, form.fullmatch(path.name)) for path in sorted(folder.iterdir())]
+        matches = [(path, form.fullmatch(path.name)) for path in sorted(folder.iterdir())]
     except OSError:
         return
-    for path, match in found:
+    for path, match in matches:
         if match is None or not _is_folder(path) or not _abandoned(path, match[3], int(match[4])):
             continue
         target = folder / match[1]

@@ -158,12 +158,12 @@ def errors_of(system: Craft) -> dict[str, Any]:
 
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A heading and a sentence for everything that a guarantee claims besides."""
-    found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
-    found += [("Estimate", _estimate(claim["estimate"]))] if claim.get("estimate") else []
-    found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    rows = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    rows += [("Estimate", _estimate(claim["estimate"]))] if claim.get("estimate") else []
+    rows += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
     powered = claim.get("powered_abort")
-    found += [("Powered abort", abort_told(powered))] if powered else []
-    return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+    rows += [("Powered abort", abort_told(powered))] if powered else []
+    return rows + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
 
 
 def _withheld(claim: Mapping[str, Any]) -> str:
@@ -183,11 +183,11 @@ def _withheld(claim: Mapping[str, Any]) -> str:
 def abort_told(claim: Mapping[str, Any]) -> str:
     """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
     steps = claim["steps"]
-    found, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
-    told = f"from {len(found)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
-    if found:
-        told += f", for at most {directed(max(each['delta_v_m_s'] for each in found), '.4g', up=True)} m/s"
-    return f"{told}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{told}."
+    reached, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    text = f"from {len(reached)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    if reached:
+        text += f", for at most {directed(max(each['delta_v_m_s'] for each in reached), '.4g', up=True)} m/s"
+    return f"{text}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{text}."
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:
@@ -195,12 +195,12 @@ def _upkeep(claim: Mapping[str, Any]) -> str:
     orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
     rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
     cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
-    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    text = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
     if tank is None:
-        return f"{told}."
+        return f"{text}."
     if lasts is None:
-        return f"{told}: the tank of {tank:g} m/s lasts for ever."
-    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+        return f"{text}: the tank of {tank:g} m/s lasts for ever."
+    return f"{text}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
 
 
 def _estimate(claim: Mapping[str, Any]) -> str:
@@ -209,20 +209,20 @@ def _estimate(claim: Mapping[str, Any]) -> str:
         "once S has settled": claim["settled"],
         "while experimental controllers fly": claim["experimental"],
     }
-    told = (
+    texts = (
         f"within {', '.join(directed(x, '.3g', up=True) for x in bounds)} {when}"
         for when, bounds in each.items()
         if bounds is not None
     )
-    return f"of the states, in their order and SI units, estimates are {'; '.join(told) or 'not bounded'}."
+    return f"of the states, in their order and SI units, estimates are {'; '.join(texts) or 'not bounded'}."
 
 
 def drift_told(claim: Mapping[str, Any]) -> str:
     """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
     spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
-    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
-    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
-    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    margin = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    stays = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    text = f"{stays} from {spans}{margin}" if spans else f"{stays} from no step"
     if claim["witness"] is None:
-        return f"{found}, all of the flight."
-    return f"{found}. Witness: {in_words(claim['witness'])}."
+        return f"{text}, all of the flight."
+    return f"{text}. Witness: {in_words(claim['witness'])}."

@@ -60,12 +60,12 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
         return judge(run, scenario.families(), flight.between)
 
 
-def _write(folder: Path, scenario: FlightScenario, found: JudgedRun) -> None:
-    rows = least_rows(found.constraints | found.barriers)
+def _write(folder: Path, scenario: FlightScenario, judged: JudgedRun) -> None:
+    rows = least_rows(judged.constraints | judged.barriers)
     for row in rows:
         row["deputies"] = " ".join(map(str, row["deputies"]))
     write_csv(folder / "constraints.csv", rows)
-    np.savez(folder / "flight.npz", **held_by(found.run, ARRAYS))
+    np.savez(folder / "flight.npz", **held_by(judged.run, ARRAYS))
 
 
 def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
@@ -111,8 +111,8 @@ def assumptions(scenario: FlightScenario) -> list[str]:
     how = f"as predicted over {delay:g} s" if delay else "without delay"
     state, push, thrust = f"exactly and {how}", "without disturbance", "exactly"
     if known.estimate.any():
-        most = known.estimate.reshape(2, 3).max(axis=1)
-        state = f"{how}, to {most[0]:g} m and {most[1]:g} m/s per axis"
+        largest = known.estimate.reshape(2, 3).max(axis=1)
+        state = f"{how}, to {largest[0]:g} m and {largest[1]:g} m/s per axis"
     if known.disturbance:
         push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
     if not (errors := known.thrusters).exact:

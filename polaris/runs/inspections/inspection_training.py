@@ -129,7 +129,7 @@ class InspectionFlights:
             ``status`` of the answer; ``delta_v_m_s`` (spent).
         """
         q, moving = self.inspection, np.ones(self.runs, dtype=bool) if moving is None else moving
-        u, told = self._shielded(u.reshape(self.runs, -1, 3), moving)
+        u, columns = self._shielded(u.reshape(self.runs, -1, 3), moving)
         u = np.clip(np.where(np.isfinite(u), u, 0.0), -q.thrust_max, q.thrust_max)
         acting = u if self._errors is None else self._errors.acting(u)
         least, t, x = np.full(self.runs, np.inf), self.k * self.period, self.x
@@ -142,7 +142,7 @@ class InspectionFlights:
         off = np.abs(np.linalg.norm(self.x[..., :3], axis=2) - self.wanted) / self.wanted
         near = (1 / (1 + off)).mean(axis=1) - self.effort * np.abs(u).mean(axis=(1, 2)) / q.thrust_max
         violated = (least < 0) & moving
-        return told | {
+        return columns | {
             "reward": np.where(moving, near / self.count - violated, 0.0),
             "violated": violated,
             "ended": moving & (self.k == self.count),
@@ -156,9 +156,9 @@ class InspectionFlights:
         status = np.full(self.runs, "desired", dtype="U8")
         if self._batch is not None:
             finite, sun = np.isfinite(u), self.inspection.sun_angle(t, self.sun)
-            found = self._batch.batch(self.seen, sun, np.where(finite, u, 0.0))
-            changed = (found.status > DESIRED) | ~finite.all(axis=2)
-            u, share, status = found.u, changed.mean(axis=1) * moving, STATUSES[found.status.max(axis=1)]
+            answer = self._batch.batch(self.seen, sun, np.where(finite, u, 0.0))
+            changed = (answer.status > DESIRED) | ~finite.all(axis=2)
+            u, share, status = answer.u, changed.mean(axis=1) * moving, STATUSES[answer.status.max(axis=1)]
         for run in np.flatnonzero(moving & bool(self._each)).tolist():
             decision = self._each[run].filter(float(t[run]), self.seen[run], u[run])
             u[run], status[run] = decision.u, decision.status

@@ -68,17 +68,17 @@ class CampaignPicture:
 def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
     folder = read_campaign(path, same_version=False)
     columns = folder.read(0)
-    found, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
-    failures = [outcome.failures() for outcome in found.values()]
+    results, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
+    failures = [outcome.failures() for outcome in results.values()]
     whats = sorted({one["what"] for rows in failures for one in rows})
-    failed = np.zeros((len(found), *x.shape[:2]), dtype=bool)
-    counts = np.zeros((len(found), len(whats)), dtype=np.intp)
+    failed = np.zeros((len(results), *x.shape[:2]), dtype=bool)
+    counts = np.zeros((len(results), len(whats)), dtype=np.intp)
     for s, rows in enumerate(failures):
         for one in rows:
             failed[s, one["run"], list(one["deputies"])] = True
             counts[s, whats.index(one["what"])] += 1
-    success = np.array([outcome.success for outcome in found.values()])
-    return CampaignPicture(x, tuple(found), success, failed, tuple(whats), counts)
+    success = np.array([outcome.success for outcome in results.values()])
+    return CampaignPicture(x, tuple(results), success, failed, tuple(whats), counts)
 
 
 MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)

@@ -16,11 +16,11 @@ def falsify_mission(folder: RunFolder, runs: int, seed: int) -> dict[str, Any]:
     Every leg has its share of the runs. A joint is attacked at the ends of the spans in which GO is given,
     from the corners of the leg's own start set, along every coordinate.
     """
-    picture, told = folder.picture(), list[dict[str, Any]]()
+    picture, legs = folder.picture(), list[dict[str, Any]]()
     rng, joints = np.random.default_rng(seed), picture.certificate["joints"]
     for i, leg in enumerate(picture.legs):
         schedule, share, count = read_schedule(leg), None, 0
-        found = falsify(schedule, max(runs // len(picture.legs), 1), seed)
+        search = falsify(schedule, max(runs // len(picture.legs), 1), seed)
         if i < len(joints):
             q, n = schedule.safety.clearance.q, schedule.safety.problem.system.n
             nodes = sorted({node for span in joints[i]["first"] for node in span})
@@ -30,8 +30,8 @@ def falsify_mission(folder: RunFolder, runs: int, seed: int) -> dict[str, Any]:
             flown = [attack(schedule, end, 2 * n, rng) for end in ends]
             used = [used_share(x.states[:, end], *start) for x, end in zip(flown, ends, strict=True)]
             share, count = max(used, default=0.0), 2 * n * len(ends)
-        failure = None if found.failure is None else str(found.failure)
-        known = {"name": folder.scenario.model.legs[i].name, "runs": found.runs, "failure": failure}
-        told.append(known | {"attacks": count, "share_of_start_set": share})
-    missed = any((leg["share_of_start_set"] or 0.0) > 1 for leg in told)
-    return {"legs": told, "violated": missed or any(leg["failure"] for leg in told)}
+        failure = None if search.failure is None else str(search.failure)
+        known = {"name": folder.scenario.model.legs[i].name, "runs": search.runs, "failure": failure}
+        legs.append(known | {"attacks": count, "share_of_start_set": share})
+    missed = any((leg["share_of_start_set"] or 0.0) > 1 for leg in legs)
+    return {"legs": legs, "violated": missed or any(leg["failure"] for leg in legs)}

@@ -76,15 +76,15 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
         box = mission.model.legs[i + 1].initial_set
         assert isinstance(box, InitialBox)  # checked on construction
         only = since if mission.fixed(i) else None
-        found = joint(schedule, np.array(box.center), np.array(box.half_widths), only)
+        go = joint(schedule, np.array(box.center), np.array(box.half_widths), only)
         end = (schedule.safety.reference.cells - scenario.steps) * schedule.safety.clearance.q
-        node = found.nodes(turn_of(schedule), end, since)
+        node = go.nodes(turn_of(schedule), end, since)
         where = f"from leg {scenario.name} to {scenarios[i + 1].name}"
         if node is None:
-            raise SynthesisInfeasible(f"{where}: {missing(found, schedule)}")
-        if not np.all(found.half_widths > 0):
+            raise SynthesisInfeasible(f"{where}: {missing(go, schedule)}")
+        if not np.all(go.half_widths > 0):
             raise SynthesisInfeasible(f"{where}: errors of estimates are larger than the GO box")
-        joints.append(found)
+        joints.append(go)
         leaves.append(T + node * h)
     with stages.stage("mission"):
         plan = mission.model.legs[0].simulation
@@ -110,10 +110,10 @@ def _check_craft(systems: Sequence[Mapping[str, Any]]) -> None:
 MOST_RUNS = 20  # flights from end to end that are kept
 
 
-def _claims(mission: MissionScenario, found: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return what is claimed of the mission, and of each leg but for its digest."""
     legs, total = list[dict[str, Any]](), 0.0
-    for i, (flown, leaves) in enumerate(zip(found.legs, found.leaves, strict=True)):
+    for i, (flown, leaves) in enumerate(zip(whole.legs, whole.leaves, strict=True)):
         claim, schedule, passive = guarantee(flown.schedule), flown.schedule, flown.schedule.passive
         goal, upkeep, system = claim["goal"], claim["upkeep"], schedule.safety.problem.system
         spent = np.inf
@@ -138,10 +138,10 @@ def _claims(mission: MissionScenario, found: FlownMission) -> tuple[dict[str, An
     joints = [
         {"center": each.center, "half_widths": each.half_widths, "first": each.first, "later": each.later}
         | {"assured": each.assured}
-        for each in found.joints
+        for each in whole.joints
     ]
     moving = any(map(moves, mission.model.legs))
-    faulty = any(each.schedule.safety.problem.allocation is not None for each in found.legs)
+    faulty = any(each.schedule.safety.problem.allocation is not None for each in whole.legs)
     rest = {"joints": joints, "delta_v_max_m_s": total * (1 + MARGIN)}
     return rest | {"assumptions": list(hand_over(moving, faulty))}, legs
 
@@ -151,29 +151,29 @@ def folders(mission: MissionScenario) -> list[str]:
     return [f"{i}-{leg.name}" for i, leg in enumerate(mission.model.legs, 1)]
 
 
-def _write(folder: Path, mission: MissionScenario, found: FlownMission) -> None:
-    claims, legs = _claims(mission, found)
-    for name, scenario, flown, known in zip(folders(mission), mission.legs(), found.legs, legs, strict=True):
+def _write(folder: Path, mission: MissionScenario, made: FlownMission) -> None:
+    claims, legs = _claims(mission, made)
+    for name, scenario, flown, known in zip(folders(mission), mission.legs(), made.legs, legs, strict=True):
         write_folder(folder / name, SCHEDULE, scenario, flown)
         known["digest"] = read_json(folder / name / "certificate.json")["digest"]
-    np.savez_compressed(folder / "trace.npz", **vars(found.flown))
+    np.savez_compressed(folder / "trace.npz", **vars(made.flown))
     artefacts = {name: sha256(folder / name) for name in (SCENARIO, "trace.npz")}
     data = strict({"format": FORMAT, "schema_version": 1, "artefacts": artefacts, "legs": legs, **claims})
     data["digest"] = digest_of(data)
     write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
-def _tell(mission: MissionScenario, found: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _tell(mission: MissionScenario, made: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``, whose claims are compared with the certificate's."""
-    claims, legs = _claims(mission, found)
+    claims, legs = _claims(mission, made)
     clocks = list[dict[str, float | None]]()
-    for schedule in (each.schedule for each in found.legs):
+    for schedule in (each.schedule for each in made.legs):
         problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
         turn = finite(turn_of(schedule) * h)
         clocks.append({"horizon_s": problem.K * problem.delta, "period_s": h, "turn_s": turn})
-    names = list(found.legs[0].schedule.safety.problem.system.state_names)
-    told = {"legs": legs, **claims, "states": names, "clocks": clocks}
-    return {"mission": told, "flown": found.flown.summary(), "seconds": dict(seconds)}
+    names = list(made.legs[0].schedule.safety.problem.system.state_names)
+    data = {"legs": legs, **claims, "states": names, "clocks": clocks}
+    return {"mission": data, "flown": made.flown.summary(), "seconds": dict(seconds)}
 
 
 def _read(folder: Path, mission: MissionScenario) -> MissionPicture:
@@ -194,5 +194,5 @@ def missing(found: Joint, schedule: Schedule) -> str:
     share, row, node = found.nearest
     names = schedule.safety.problem.system.state_names
     name, when = names[row % len(names)], f"at its best, {node} periods after the horizon"
-    told = f"{when}, {name} needs {share:.0%} of the half-width: widen it, or let S fly on (stay_s)"
-    return f"S is not proven to be in the next leg's start set at any node of GO; {told}"
+    detail = f"{when}, {name} needs {share:.0%} of the half-width: widen it, or let S fly on (stay_s)"
+    return f"S is not proven to be in the next leg's start set at any node of GO; {detail}"
