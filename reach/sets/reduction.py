@@ -196,15 +196,15 @@ def _merged(G: Array, budget: int) -> Array:
     return np.pad(np.hstack([G, np.diag(box * (1 + terms))]), ((0, 0), (0, -surplus)))
 
 
-def _least(costs: Array, first: Order, second: Order, most: int) -> Order:
-    """Choose at most so many pairs of least cost without a common member, shape (2, pairs)."""
+def _least(costs: Array, first: Order, second: Order, count: int) -> Order:
+    """Choose at most `count` pairs of least cost without a common member, shape (2, pairs)."""
     chosen, taken = list[tuple[int, int]](), set[int]()
     for at in np.argsort(_ranks(np.where(costs > 2.0**-40, costs, 0.0)), kind="stable"):
         i, j = int(first[at]), int(second[at])
         if i not in taken and j not in taken:
             chosen.append((i, j))
             taken |= {i, j}
-            if len(chosen) == most:
+            if len(chosen) == count:
                 break
     return np.array(chosen).T
 

@@ -191,8 +191,8 @@ def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
 
 def test_limits_hold_at_every_hand_over(limited):
     """Worst cases of another integrator, in the midst of periods, too."""
-    found = attack(limited[1], 80, 0)
-    assert found.left.min() > 0 and found.thrust >= 0 and found.over <= 1e-6
+    worst = attack(limited[1], 80, 0)
+    assert worst.left.min() > 0 and worst.thrust >= 0 and worst.over <= 1e-6
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_limits_hold_at_every_hand_over(limited):
 )
 def test_limits_hold_under_an_online_monitor(limits, trust):
     schedule = synthesize(load_scenario(TINY, [SOFT, limits]))
-    found, share = attack_monitor(Monitor(DecisionGrid.of(schedule), trust), 40, 0)
-    assert found.left.min() > 0 and found.thrust >= 0
+    worst, share = attack_monitor(Monitor(DecisionGrid.of(schedule), trust), 40, 0)
+    assert worst.left.min() > 0 and worst.thrust >= 0
     assert share > 0
 
 
