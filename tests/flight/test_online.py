@@ -167,7 +167,7 @@ def test_u_flies_only_where_the_online_monitor_lets_it(flown, tmp_path, monitor,
         agreed += bold == expected
         both[bold] += 1
     assert agreed >= 0.97 * 6000 and min(both) > 600
-    assert KEEP == pytest.approx(1 - REENTRY)
+    assert pytest.approx(1 - REENTRY) == KEEP
 
 
 def test_each_fault_has_its_answer(flown):
