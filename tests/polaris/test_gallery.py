@@ -1,13 +1,17 @@
 """The gallery of published missions: files, page and benchmark agree; runs give what the page says."""
 
+import json
 import re
+import time
 import tomllib
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import polaris
 from benchmarks import missions
+from polaris.certificate.checker import verify
 from polaris.simulation.simulate import simulate
 
 from ..test_docs import DOCS
@@ -114,6 +118,30 @@ def test_rendezvous_drifts_clear_of_the_target_wherever_thrust_stops_after_the_f
     assert np.array_equal(passive.clear, np.arange(60) > 0)
     assert passive.flight.abort.horizon == 300 * 60
     assert passive.least == pytest.approx(0.8, abs=0.02)
+
+
+@pytest.mark.slow
+def test_the_chain_of_sroc_is_verified_within_its_published_cost_and_drifts_clear_of_the_target(tmp_path):
+    polaris.run(polaris.load_scenario(missions.FOLDER / "sroc.toml"), tmp_path / "run")
+    assert verify(tmp_path / "run").outcome == "VERIFIED"
+    told = json.loads((tmp_path / "run" / "summary.json").read_text())["mission"]
+    section = TEXT.split("\n## sroc\n")[1]
+    proven = float(re.search(r"at most\s+\*\*([\d.]+) m/s\*\*", section)[1])
+    assert told["delta_v_max_m_s"] <= proven <= 1.02 * told["delta_v_max_m_s"] and proven <= 1.31
+    inspection = next(leg for leg in told["legs"] if leg["name"] == "inspection")
+    assert inspection["drift_s"] >= 2 * np.pi / 0.0011313 - 12.0
+
+
+@pytest.mark.slow
+def test_a_leg_of_twelve_hours_is_proved_within_two_minutes():
+    """The ellipse of SROC for 12 h instead of 8."""
+    path, begun = missions.FOLDER / "sroc.toml", time.process_time()
+    leg = polaris.load_scenario(path).legs()[2]
+    end = expm(leg.system().A * 43200.0) @ np.array(leg.model.initial_set.center)
+    overrides = ["legs.2.horizon.duration_s=43200.0", f"legs.2.goal.center={end.tolist()}"]
+    schedule = polaris.synthesize(polaris.load_scenario(path, overrides).legs()[2])
+    assert schedule.guarantee == "proved" and schedule.arrival.reached is True
+    assert time.process_time() - begun <= 120
 
 
 @pytest.mark.slow
