@@ -166,6 +166,10 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
         if reach > HILL_RANGE_M:
             rule = f"must start within {HILL_RANGE_M:g} m of the target, where Hill's linear equations hold"
             raise ScenarioError("initial_set.center", f"{reach:.4g} m away", rule)
+        speed = float(np.linalg.norm(system.velocity @ np.array(model.initial_set.center)))
+        if speed > MAX_SPEED_M_S:
+            rule = f"must start at {MAX_SPEED_M_S:g} m/s past the target at most: a chaser on another orbit?"
+            raise ScenarioError("initial_set.center", f"{speed:.4g} m/s", rule)
 
 
 def check_start_and_goal(

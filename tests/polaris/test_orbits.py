@@ -284,6 +284,13 @@ CHANGES = {
     "cut covariance": ("0 0 0 0 0 9.0e-12\n", "", "must have 6 numbers, has 1"),
     "cut file": (r"(?s)2026-01-31T12:05.*", "", "ends too early"),
     "no message": (r"^CCSDS_OEM_VERS.*\n", "", "must begin with CCSDS_OEM_VERS"),
+    "other message": ("CCSDS_OEM_VERS", "CCSDS_OPM_VERS", "must begin with CCSDS_OEM_VERS"),
+    "date with a space": (
+        r"(2026-01-31)T(\d\d:05:00 )",
+        r"\1 \2",
+        "must be of the form 2026-01-31T12:00:00.000",
+    ),
+    "no end of metadata": (r"META_STOP\n", "", "META_STOP is missing before it"),
     "XML": (r"^", "<?xml version='1.0'?>\n", "is XML"),
 }
 
@@ -315,6 +322,21 @@ def test_two_ephemerides_that_do_not_fit_end_in_one_sentence(tmp_path, pattern, 
     (tmp_path / "chaser.oem").write_text(re.sub(pattern, put, (DATA / "chaser.oem").read_text()))
     with pytest.raises(ScenarioError, match=rule):
         load_scenario(tmp_path / "client.toml")
+
+
+def test_a_chaser_that_flies_the_other_way_round_is_refused(tmp_path):
+    for name in ("target.oem", "client.toml"):
+        (tmp_path / name).write_text((DATA / name).read_text())
+    back = re.sub(
+        r"(00 \S+ \S+ \S+) (\S+) (\S+) (\S+)$", _reversed, (DATA / "chaser.oem").read_text(), flags=re.M
+    )
+    (tmp_path / "chaser.oem").write_text("\ufeff" + back)  # a mark of the byte order is read over
+    with pytest.raises(ScenarioError, match=r"initial_set\.center.* m/s'; must start at"):
+        load_scenario(tmp_path / "client.toml")
+
+
+def _reversed(row):
+    return " ".join([row[1], *(f"{-float(row[i]):.9f}" for i in (2, 3, 4))])
 
 
 def test_a_gap_is_not_interpolated_across(tmp_path):

@@ -142,7 +142,7 @@ def read_oem(path: Path) -> Ephemeris:
     """
     shown = printable(path.name)
     try:
-        lines = read_text(path, LARGEST_FILE).splitlines()
+        lines = read_text(path, LARGEST_FILE).removeprefix("\ufeff").splitlines()
     except FileNotFoundError:
         raise ScenarioError("ephemeris", shown, "there is no such file") from None
     except (OSError, ValueError) as error:
@@ -177,6 +177,8 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
                 block = "data"
             elif "=" in line and block != "data":
                 key, _, value = (part.strip() for part in line.partition("="))
+                if not head and key != "CCSDS_OEM_VERS":
+                    raise _Fault("must begin with CCSDS_OEM_VERS: it is no orbit ephemeris message")
                 if key not in _KEYS[block].split():
                     raise _Fault(f"unknown key {key}")
                 (head if block == "header" else meta)[key] = value
@@ -184,11 +186,11 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
                     parse_epoch(value)
             elif block == "data":
                 epoch, *values = line.split()
-                row = _numbers(values, (6, 9))
+                moment, row = parse_epoch(epoch), _numbers(values, (6, 9))
                 _check_state(row)
-                if len(epochs) > breaks[-1] and parse_epoch(epoch) <= epochs[-1]:
+                if len(epochs) > breaks[-1] and moment <= epochs[-1]:
                     raise _Fault("epochs must increase")
-                epochs.append(parse_epoch(epoch))
+                epochs.append(moment)
                 rows.append(row[:6])
             elif block == "covariance" and "EPOCH" in meta:
                 triangle.append(_numbers(line.split(), (len(triangle) + 1,)))
@@ -198,7 +200,8 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
                     triangle = []
                     del meta["EPOCH"]
             else:
-                raise _Fault("is out of place")
+                missing = ": META_STOP is missing before it" if block == "meta" else ""
+                raise _Fault(f"is out of place{missing}")
         except ValueError as error:
             raise _Fault(f"line {number} ({line[:60]!r}): {error}") from None
     if "CCSDS_OEM_VERS" not in head:
