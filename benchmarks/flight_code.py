@@ -2,8 +2,8 @@
 
     python -m benchmarks.flight_code RUN                a run folder whose schedule is proved
 
-A flight of S and one of U are called period by period; the best of several blocks counts, as the machine may
-be busy with other things.
+A flight of S is called period by period, and one in which U asks the online monitor in every period; the best
+of several blocks counts, as the machine may be busy with other things.
 """
 
 from __future__ import annotations
@@ -47,14 +47,27 @@ int main(void)
 }
 """
 
+DECIDED = (
+    ("bench_memory", "bench_online"),
+    ("bench_start", "bench_online_start"),
+    ("bench_step", "bench_online_step"),
+    ("{0}", "{.controller = 1}"),
+    ("BENCH_CELLS", "BENCH_STEPS"),
+    ("CALLS", "(CALLS / 50)"),
+)
+"""What the timer calls instead for decisions, whose loops are as long for every state."""
 
-def in_c(run: str, precision: str) -> float:
+
+def in_c(run: str, precision: str, monitor: bool) -> float:
     """Time of a call [s] by the processor's clock."""
+    text = TIMER
+    for old, new in DECIDED if monitor else ():
+        text = text.replace(old, new)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "code"
-        export_c(run, folder, precision, "bench")
+        export_c(run, folder, precision, "bench", monitor=monitor)
         timer = Path(place) / "timer.c"
-        timer.write_text(TIMER.replace("BLOCKS", str(BLOCKS)).replace("CALLS", str(CALLS)))
+        timer.write_text(text.replace("BLOCKS", str(BLOCKS)).replace("CALLS", str(CALLS)))
         command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", f"-I{folder}", folder / "bench.c", timer]
         subprocess.run([*command, "-o", Path(place) / "timer"], check=True)
         return float(subprocess.run([Path(place) / "timer"], check=True, capture_output=True).stdout)
@@ -78,7 +91,9 @@ def main() -> None:
     parser.add_argument("run", help="a run folder")
     run = parser.parse_args().run
     for precision in PRECISIONS:
-        print(f"{precision:8} {in_c(run, precision) * 1e9:9.1f} ns a call in C")
+        for monitor in (False, True):
+            what = "decision" if monitor else "call"
+            print(f"{precision:8} {in_c(run, precision, monitor) * 1e9:9.1f} ns a {what} in C")
     print(f"{'double':8} {in_python(run) * 1e9:9.1f} ns a call in Python")
 
 

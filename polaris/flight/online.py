@@ -31,8 +31,8 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
         If the scene has what the monitor on board does not model, or its initial set is not recoverable.
     """
     grid = DecisionGrid.of(schedule)
-    modelled = not (document.profile or document.error_by_step or document.transients)
-    if not modelled or grid.clearance.limits.rows.shape[1] != grid.system.n:
+    other = document.profile, document.error_by_step, document.transients, np.any(document.displaced)
+    if any(other) or grid.clearance.limits.rows.shape[1] != grid.system.n:
         rule = "must be off where errors depend on commands, phases or late isolation, or loops remember them"
         raise ScenarioError("monitor", True, rule)
     try:
@@ -96,8 +96,9 @@ def _laid_out(
     precision: str,
     apart: Array,
     off: Array,
-    count: int,
+    lags: int,
 ) -> Tables:
+    """Return the tables for errors up to `apart`, rounded by up to `off`, and so many nodes a decision."""
     grid, recovery, u = prospect.grid, prospect.recovery, float(UNIT[precision])
     n, q, facets = grid.system.n, grid.clearance.q, len(recovery.bow)
     gain = np.array(document.laws[0].gain)
@@ -113,14 +114,14 @@ def _laid_out(
         loop=(held - force @ gain).tolist(),
         apart=apart.tolist(),
     ).rounded(precision)
-    none, largest = (_needs(prospect, share * apart + off)[:count] for share in (0, 1))
-    lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, count, u)
-    booked, most = np.full((2, count, len(rows)), -FREE)
+    none, largest = (_needs(prospect, share * apart + off)[:lags] for share in (0, 1))
+    lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, lags, u)
+    booked, most = np.full((2, lags, len(rows)), -FREE)
     np.maximum.at(booked, (slice(None), kind), none)
     np.maximum.at(most, (slice(None), kind), largest)
     sized = np.maximum(most - booked, 0.0)
     booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
-    cells = (grid.last + count - 2) // q + 1
+    cells = (grid.last + lags - 2) // q + 1
     room = _rooms(grid, kind, sign, cells, u, document.horizon == "infinite")
     return replace(made, booked=booked.tolist(), sized=sized.tolist(), room=room.tolist()).rounded(precision)
 
@@ -130,12 +131,8 @@ def _kinds(rows: Array, facets: int) -> tuple[Array, Array, Array]:
     kept, kinds, signs, first = list[Array](), [], [], 0
     for i, row in enumerate(rows):
         first = len(kept) if i == facets else first
-        same = [
-            (j, s)
-            for j in range(first, len(kept))
-            for s in (1, -1)
-            if np.abs(kept[j] - s * row).max() <= SAME
-        ]
+        others = ((j, s) for j in range(first, len(kept)) for s in (1, -1))
+        same = [(j, s) for j, s in others if np.abs(kept[j] - s * row).max() <= SAME]
         j, s = same[0] if same else (len(kept), 1)
         kept += [] if same else [row]
         kinds.append(j)
@@ -146,7 +143,7 @@ def _kinds(rows: Array, facets: int) -> tuple[Array, Array, Array]:
 def _rounding(
     tables: Tables, exact: tuple[Array, Array, Array, Array], inputs: Array, off: Array, count: int, u: float
 ) -> Array:
-    """Bound on what rounding changes of a value along a row, and of the sum with what is booked, (count, r)."""
+    """Bound on what rounding changes of a value along a row, and of its sum with a need, (count, r)."""
     (held, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
     apart, fed = np.array(tables.apart), np.abs(inputs).max(axis=0)
     given = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))
@@ -156,7 +153,7 @@ def _rounding(
         for one, other in zip(given, exact, strict=True)
     ]
     sums = u * (n + m + 4)
-    start = np.abs(held) @ apart + np.abs(force) @ fed
+    start = np.maximum(apart, np.abs(held) @ apart + np.abs(force) @ fed)
     off1 = np.abs(held) @ off + sums * start + wrong[0] @ apart + wrong[1] @ fed + np.abs(force) @ fed * u
     powers = [np.eye(n)]
     for _ in range(count):
@@ -172,7 +169,7 @@ def _rounding(
 
 
 def _rooms(grid: DecisionGrid, kind: Array, sign: Array, cells: int, u: float, repeats: bool) -> Array:
-    """Room along every row and against it: at the start of every cell, and more by the period, (cells, r, 4)."""
+    """Room along every row and against it: at the start of cells, and more by the period, (cells, r, 4)."""
     (begin, end), q = grid.clearance.limits.room, grid.clearance.q
     planned, known = grid.clearance.planned, grid.clearance.cells
     room = np.full((cells, kind.max() + 1, 4), 0.0)

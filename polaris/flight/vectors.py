@@ -36,7 +36,8 @@ def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
             spread = rng.uniform(-1, 1, len(reach)) * 10.0 ** rng.uniform(-6, 0.3)
             state = waypoints[cell] + spread * reach
             if start == 2:  # about the reference at the node
-                state = np.array(known.gap(cell, period % q, 0 * reach)) + spread * apart * (1 + place % 3)
+                state = np.array(known.gap(cell, period % q, [0.0] * len(reach)))
+                state += spread * apart * (1 + place % 3)
             command = rng.uniform(-1.2, 1.2, len(limit)) * limit
             mode = tables.modes[cell] if cell < len(tables.modes) else 0
             mode = int(place % 5 < 4) if start == 2 else mode  # S may fly in between

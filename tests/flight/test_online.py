@@ -1,4 +1,4 @@
-"""Online monitor in the flight code: as Python to the last bit, never bolder than `OnlineMonitor`, checked."""
+"""Online monitor in the flight code: as Python to the last bit, and never bolder than `OnlineMonitor`."""
 
 import math
 import os
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from polaris.certificate.checker import verify
 from polaris.certificate.code.answers import (
@@ -26,6 +27,7 @@ from polaris.certificate.code.answers import (
 )
 from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
+from polaris.cli.app import app
 from polaris.flight.export import export_c
 from polaris.flight.vectors import calls
 from polaris.model.errors import ScenarioError
@@ -100,7 +102,11 @@ def test_the_self_test_takes_every_branch(flown, tmp_path, precision):
     assert f"{prefix}.c'" in ours and re.search(r"Taken at least once:100\.00% of \d\d\d", ours), ours
 
 
-def test_no_required_rule_of_misra_is_broken_and_functions_are_simple(flown):
+def test_no_required_rule_of_misra_is_broken_and_functions_are_simple(flown, tmp_path):
+    prefix, *_ = read_code(flown / "double")
+    built(flown / "double", "gcc", [f"{prefix}.c"], tmp_path / "code.o", "-O1", "-fstack-usage", "-c")
+    used = [line.split("\t") for line in (tmp_path / "code.su").read_text().splitlines()]
+    assert all(kind == "static" for *_, kind in used) and sum(int(size) for _, size, _ in used) <= 700
     (source,) = [path for path in (flown / "float").glob("*.c") if "selftest" not in path.name]
     done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
     assert max(int(line.split()[0]) for line in done.stdout.splitlines()) <= 15
@@ -334,6 +340,14 @@ def test_monitors_of_random_scenes_are_confirmed(tmp_path, seed):
         export_c(made.path, tmp_path / precision, precision, monitor=True)
         verdict = verify(made.path, tmp_path / precision)
         assert verdict.outcome == "VERIFIED" and "monitor" in dict(verdict.checked), verdict.witness
+
+
+def test_the_verbs_export_and_verify(flown, tmp_path):
+    folder, out = str(flown / "run"), str(tmp_path / "code")
+    done = CliRunner().invoke(app, ["export", "c", folder, "--out", out, "--prefix", "demo", "--monitor"])
+    assert done.exit_code == 0, done.output
+    done = CliRunner().invoke(app, ["verify", folder, "--code", out])
+    assert done.exit_code == 0 and "S can take over wherever U may fly" in done.stdout
 
 
 def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path):

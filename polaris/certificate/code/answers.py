@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
 
-from .text import FARTHEST, KEEP, Tables, literal, rounded, template
+from .text import FARTHEST, KEEP, Table, Tables, literal, rounded, template
 
 STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED, REFUSED = (1 << i for i in range(10))
 """Faults, as in the header."""
@@ -95,9 +95,8 @@ class FlightStep:
 
     def finite(self, command: Sequence[float]) -> bool:
         """Return True if every entry is a number of the precision."""
-        return all(
-            -LARGEST[self.precision] <= rounded(u, self.precision) <= LARGEST[self.precision] for u in command
-        )
+        most = LARGEST[self.precision]
+        return all(-most <= rounded(float(u), self.precision) <= most for u in command)
 
     def gap(self, cell: int, part: int, state: Sequence[float]) -> list[float]:
         """Return the reference at a node less a state; the order of operations is that of the C."""
@@ -156,9 +155,8 @@ class OnlineStep:
         if controller > 0 and not self.safe.finite(command):
             fault |= COMMAND
         elif controller > 0 and not fault & ~CLIPPED:
-            if node < len(tables.modes) * len(tables.moved) and self.recoverable(
-                node, self.safe.state, share
-            ):
+            planned = node < len(tables.modes) * len(tables.moved)
+            if planned and self.recoverable(node, self.safe.state, share):
                 self.flown, fault = controller, 0
                 given = [rounded(float(u), self.precision) for u in command]
                 answer = self.safe.clipped(given, controller, fault)
@@ -180,9 +178,7 @@ class OnlineStep:
         if size > 1.0:
             return False
         for lag, rows in enumerate(zip(tables.booked, tables.sized, strict=True)):
-            booked = [
-                rounded(a + rounded(b * size, precision), precision) for a, b in zip(*rows, strict=True)
-            ]
+            booked = [summed(a, [b], [size], precision) for a, b in zip(*rows, strict=True)]
             cell, part = divmod(node + lag, q)
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
             if not self._kept(tables.room[cell], part, booked, values, share):
@@ -200,17 +196,12 @@ class OnlineStep:
         return True
 
     def _kept(
-        self,
-        room: Sequence[Sequence[float]],
-        part: int,
-        booked: Sequence[float],
-        values: Sequence[float],
-        share: float,
+        self, room: Table, part: int, booked: Sequence[float], values: Sequence[float], share: float
     ) -> bool:
         precision = self.precision
         for sides, more, value in zip(room, booked, values, strict=False):
             for at, by, sign in ((0, 1, 1.0), (2, 3, -1.0)):
-                limit = rounded(sides[at] + rounded(sides[by] * part, precision), precision)
+                limit = summed(sides[at], [sides[by]], [part], precision)
                 need = rounded(more + sign * value, precision)
                 if not (need <= limit and need <= rounded(share * limit, precision)):
                     return False

@@ -43,7 +43,10 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
 
 
 def read_code(folder: Path) -> tuple[str, Tables, str, str]:
-    """Return prefix, tables, precision and digest of the code in a folder; `Rejected` if it has another text."""
+    """Return prefix, tables, precision and digest of the code in a folder.
+
+    `Rejected` if it has another text than that of its numbers.
+    """
     prefix, texts = _texts(folder)
     try:
         tables, precision, digest = parsed(texts[f"{prefix}.h"], texts[f"{prefix}.c"], prefix)

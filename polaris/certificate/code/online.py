@@ -16,6 +16,7 @@ from ..kernel.balls import (
     absolute,
     beside,
     column,
+    identity,
     largest,
     magnitude,
     matrix,
@@ -84,9 +85,8 @@ class Decision:
     def added(self) -> arb_mat:
         """Generators of what thrust, disturbances and errors add in a period."""
         craft = self.flight.tracker.craft
-        return beside(
-            craft.motion.pushed(self.pushes[0]), *craft.added(craft.plant.thruster_error(craft.plant.u_max))
-        )
+        error = craft.plant.thruster_error(craft.plant.u_max)
+        return beside(craft.motion.pushed(self.pushes[0]), *craft.added(error))
 
     def end(self, share: int) -> arb_mat:
         """Size of the error at the next node, affine in the share, (n, 1)."""
@@ -98,7 +98,7 @@ class Decision:
     def within(self) -> list[tuple[list[arb], list[arb]]]:
         """Needs of the facets in the period under U at its start and its end, for both ends of the share.
 
-        Beside the estimate's error. Of both intersample bounds, which are affine, that of less at most counts.
+        Of both intersample bounds, which are affine in the share, the one that is less at its end counts.
         """
         craft, needs = self.flight.tracker.craft, self.flight.recovery.needs
         plant, count = craft.plant, needs.given.nrows() - 2 * craft.plant.B.ncols()
@@ -108,10 +108,9 @@ class Decision:
         along, _ = craft.along(Directions(rows))
         bows = []
         for share in (0, 1):
-            rates = magnitude(craft.drifts) * self.start(share) + magnitude(plant.B) * self.fed
-            turned = (
-                magnitude(plant.A * craft.drifts) * self.start(share)
-                + magnitude(plant.A * plant.B) * self.fed
+            rates, turned = (
+                magnitude(M * craft.drifts) * self.start(share) + magnitude(M * plant.B) * self.fed
+                for M in (identity(plant.A.nrows()), plant.A)
             )
             bows.append(((along.bends[0] * rates).entries(), (along.bends[1] * turned).entries()))
         which = [0 if a <= b else 1 for a, b in zip(*bows[1], strict=True)]
@@ -161,9 +160,9 @@ class Decision:
         n, m, precision = craft.held.nrows(), craft.held.ncols(), self.precision
         held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
         apart, fed = self.apart, tops([column(u) for u in tables.feed])
-        pairs = zip(tables.feed, self.flight.document.inputs, strict=False)
-        wrong = tops([column(u) - column(v) for u, v in pairs])
-        start = magnitude(held) * apart + magnitude(force) * fed
+        inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
+        wrong = tops([column(u) - column(v) for u, v in inputs])
+        start = tops([apart, magnitude(held) * apart + magnitude(force) * fed])
         rounded = start * several(n + m, precision) + least(n, n + m, precision)
         off = magnitude(craft.free) * self.off + magnitude(held - craft.free) * apart
         off += magnitude(force - craft.held) * fed + magnitude(craft.held) * wrong + rounded
@@ -172,10 +171,9 @@ class Decision:
         size = 2 * tops([rows_of(size, *range(i * n, i * n + n)) for i in range(len(powers))])
         each = (magnitude(loop) * several(n, precision) + magnitude(loop - craft.F)) * size
         each += least(n, n, precision)
-        for i, (most, more) in enumerate(
-            zip(size.entries(), (sum(powers[1:], powers[0]) * each).entries(), strict=True)
-        ):
-            require(CLAIM, most / 2 - more, f"state {i} of a prediction may be off by half its size")
+        spare = size * arb(0.5) - sum(powers[1:], powers[0]) * each
+        for i, left in enumerate(spare.entries()):
+            require(CLAIM, left, f"state {i} of a prediction may be off by half its size")
         stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
         values = above(*(magnitude(row) for row in stored)) * size
         wrong_rows = above(*(off_row for *_, off_row in self.stored)) * size
@@ -186,9 +184,8 @@ class Decision:
         )
         spread = [magnitude(carried) for carried in needs.carried[: len(tables.booked)]]
         summed = accumulate(((one * each).entries() for one in spread), sums, initial=[arb(0)] * len(stored))
-        later = [
-            sums((one * off).entries(), more, constant) for one, more in zip(spread, summed, strict=False)
-        ]
+        pairs = zip(spread, summed, strict=False)
+        later = [sums((one * off).entries(), more, constant) for one, more in pairs]
         return [sums((spread[0] * self.off).entries(), constant), *later]
 
     def check(self) -> str:
@@ -208,11 +205,10 @@ class Decision:
 def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     """Check the tables of an online monitor against the limits of a flight."""
     doc, craft = flight.document, flight.tracker.craft
-    plain_loop = craft.free.nrows() == craft.plant.A.nrows()
-    if not plain_loop or doc.transients or doc.profile or flight.scheduled is not None:
-        raise Rejected(
-            CLAIM, "is for loops without memory, and errors that depend on neither time nor commands"
-        )
+    other = doc.transients or doc.profile or flight.scheduled is not None or any(doc.displaced)
+    if other or craft.free.nrows() != craft.plant.A.nrows():
+        rule = "is for loops without memory, and errors that depend on neither time nor commands"
+        raise Rejected(CLAIM, rule)
     last = doc.steps * doc.q + len(tables.booked) - 2
     if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
         raise Rejected(CLAIM, f"looks {len(tables.booked)} nodes ahead")
@@ -258,7 +254,5 @@ def _check_later(decision: Decision) -> None:
         cell = periods // doc.q if beyond else at // doc.q
         cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)
         for row, target in least_of[cell].items():
-            where = f"{target.name}, {at} periods after a hand-over"
-            require(
-                CLAIM, target.room - need[row], f"{where}: needs {plain(need[row])} of {plain(target.room)}"
-            )
+            where = f"{target.name}, {at} periods after a hand-over: needs {plain(need[row])}"
+            require(CLAIM, target.room - need[row], f"{where} of {plain(target.room)}")
