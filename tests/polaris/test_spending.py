@@ -114,3 +114,18 @@ def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
     row = next(row for row in page.splitlines() if row.startswith(f"| {scene} |"))
     known = [float(cell) for cell in row.split("|")[2:-1]]
     assert [*found.until_goal, *found.per_orbit] == pytest.approx([known[i] for i in (0, 1, 3, 4)], abs=0.02)
+
+
+@pytest.mark.slow
+def test_the_parts_of_what_is_booked_are_those_of_the_page():
+    """Deviation at the tightest place with all errors at once: the figures of docs/guarantees.md."""
+    from benchmarks import booked
+
+    page = booked.PLACE.read_text(encoding="utf-8").split(booked.BEGIN)[1].split(booked.END)[0]
+    known, measured = (
+        [row.split("|")[2:] for row in rows] for rows in (page.splitlines()[2:], booked.rows("static"))
+    )
+    assert [cells[0] for cells in measured] == [cells[0] for cells in known]
+    sizes, stated = ([float(cells[1]) for cells in rows] for rows in (measured, known))
+    assert sizes == pytest.approx(stated, abs=0.05) and sum(sizes[:-1]) == pytest.approx(sizes[-1], abs=0.05)
+    assert 0.55 <= float(measured[-1][3].strip(" %")) / 100 <= 1

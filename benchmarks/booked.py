@@ -1,0 +1,121 @@
+"""Parts of the deviation booked at the tightest place with all errors, and what of each a flight takes.
+
+    python -m benchmarks.booked [SCENE ...] [--write]
+
+Booked: what every channel of the loop adds along the facet by then, under the bounds on commands of each
+step, without any merging of generators. Flown: by how much the worst flight of an ascent is nearer than the
+same flight without that source. `--write` puts the table into docs/guarantees.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from unittest.mock import patch
+
+import numpy as np
+
+from polaris.model.system import Array
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.attacks import Attack, Attacker
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.schedule.schedule import Schedule
+from polaris.synthesis.schedule.synthesize import synthesize
+
+from . import tenfold
+from .tightness import PLACE, Place, tightest
+
+SCENES = ("static",)
+ROUNDS = 4
+BEGIN, END = "<!-- booked -->\n", "<!-- /booked -->"
+HEAD = "| Scene | booked for | booked [m] | flown [m] | flown / booked |"
+NAMES = {"start": "first errors", "disturbance": "disturbance", "estimate": "errors of estimates"}
+NAMES |= {"thrusters": "errors of thrusters", "carried impulse": "carried bit", "pulses": "pulses"}
+
+
+def laws_flown(schedule: Schedule, steps: int) -> list[AffineController]:
+    """Return the law of each of the first steps, with the bounds on its commands that its tube rests on."""
+    laws, flown = list[AffineController](), AffineController._flown
+    with patch.object(AffineController, "_flown", lambda law, *given: laws.append(law) or flown(law, *given)):
+        last, start = list[AffineController](), schedule.safety.tracking.whole_state(schedule.safety.start)
+        for step in schedule.steps[:steps]:
+            start = schedule.controllers[step.mode].fly(start, step.k).end
+            last.append(laws[-1])
+    return last
+
+
+def booked_by(schedule: Schedule, place: Place, end: int) -> dict[str, float]:
+    """Return what each channel adds along the row at an end of a place, 0 or 1 [m], without merging."""
+    k, i = divmod(place.period, schedule.safety.clearance.q)
+    laws = laws_flown(schedule, k + 1)
+    row, booked = np.pad(place.row, (0, len(laws[0].closed.F) - len(place.row))), dict[str, float]()
+    for number, law in reversed(list(enumerate(laws))):
+        for _ in range(i + end if number == k else schedule.safety.clearance.q):
+            for channel, size in law.channels():
+                gains = law.closed.gains(channel, row)
+                booked[channel.name] = booked.get(channel.name, 0.0) + float(np.sum(gains @ size))
+            row = row @ law.closed.F
+    first = schedule.safety.tracking.whole_state(schedule.safety.start)
+    return booked | {"start": float(np.abs(row @ first.G).sum())}
+
+
+def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[str, float]]:
+    """Return how far the worst flight of an ascent goes by then, and how much less without each source."""
+    flight, node, undisturbed = attacker.flight, place.nodes[end], place.undisturbed[end]
+    target, about = np.array([max(node * flight.substeps, 1)]), None
+
+    def reached(attack: Attack) -> float:
+        return float(((attack.fly(flight).states[:, node] - undisturbed) @ place.row).max())
+
+    far, worst = -np.inf, None
+    for _ in range(ROUNDS):
+        attack = attacker._towards(place.row[None], target, about)
+        about = attack.fly(flight)
+        if (now := reached(attack)) > far:
+            far, worst = now, attack
+    assert worst is not None
+    middle = attacker.claims.schedule.safety.problem.initial_set.c[None]
+    less = {"start": far - reached(Attack(middle, worst.w, worst.free))}
+    for name, part in zip(("disturbance", "estimate", "thrusters"), flight.columns, strict=False):
+        w: Array = worst.w.copy()
+        w[..., part] = 0
+        less[name] = far - reached(Attack(worst.x0, w, worst.free))
+    return far, less
+
+
+def rows(scene: str) -> Iterator[str]:
+    """Return rows of the table for a scene, of its place with the least left."""
+    schedule = synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP]))
+    attacker = Attacker.of(schedule, False, np.random.default_rng(0))
+    place = next(tightest(attacker))
+    flights = [flown_by(attacker, place, end) for end in (0, 1)]
+    end = int(np.argmax([far / booked for (far, _), booked in zip(flights, place.booked, strict=True)]))
+    booked, (far, flown), whole = booked_by(schedule, place, end), flights[end], place.booked[end]
+    for name, size in booked.items():
+        took = flown.get(name)
+        cells = ("-", "-") if took is None else (f"{took:.2f}", f"{took / size:.0%}")
+        yield f"| {scene} | {NAMES[name]} | {size:.2f} | {' | '.join(cells)} |"
+    yield f"| {scene} | merged generators, between nodes | {whole - sum(booked.values()):.2f} | - | - |"
+    yield f"| {scene} | all | {whole:.2f} | {far:.2f} | {far / whole:.0%} |"
+
+
+def main() -> None:
+    """Print the table, or write it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=SCENES)
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    lines = [
+        HEAD,
+        "|---" * (HEAD.count("|") - 1) + "|",
+        *(row for scene in given.scenes for row in rows(scene)),
+    ]
+    print(*lines, sep="\n")
+    if given.write:
+        before, rest = PLACE.read_text(encoding="utf-8").split(BEGIN)
+        page = before + BEGIN + "\n".join(lines) + "\n" + END + rest.split(END)[1]
+        PLACE.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
