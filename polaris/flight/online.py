@@ -116,10 +116,10 @@ def _laid_out(
     ).rounded(precision)
     none, largest = (_needs(prospect, share * apart + off)[:lags] for share in (0, 1))
     lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, lags, u)
-    booked, most = np.full((2, lags, len(rows)), -FREE)
+    booked, full = np.full((2, lags, len(rows)), -FREE)
     np.maximum.at(booked, (slice(None), kind), none)
-    np.maximum.at(most, (slice(None), kind), largest)
-    sized = np.maximum(most - booked, 0.0)
+    np.maximum.at(full, (slice(None), kind), largest)
+    sized = np.maximum(full - booked, 0.0)
     booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
     cells = (grid.last + lags - 2) // q + 1
     room = _rooms(grid, kind, sign, cells, u, document.horizon == "infinite")

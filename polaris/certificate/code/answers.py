@@ -173,7 +173,7 @@ class OnlineStep:
         """
         tables, precision, q = self.tables, self.precision, len(self.tables.moved)
         gap = self.safe.gap(*divmod(node, q), state)
-        shares = [rounded(abs(x) / most, precision) for x, most in zip(gap, tables.apart, strict=True)]
+        shares = [rounded(abs(x) / limit, precision) for x, limit in zip(gap, tables.apart, strict=True)]
         size = max(0.0, *shares)
         if size > 1.0:
             return False

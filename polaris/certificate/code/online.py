@@ -42,7 +42,7 @@ NEAR = 64  # roundings by which stored rows may be off, relative to the largest 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What a decision for U rests on: bounds along the rows of all limits, node by node."""
+    """Bounds that a decision for U rests on, along the rows of all limits, node by node."""
 
     flight: Continuation
     tables: Tables
@@ -129,29 +129,29 @@ class Decision:
             return self.within[share][0]
         carried = needs.carried[lag - 1]
         known = magnitude(carried * craft.free) * self.half + needs.bend[lag - 1] * self.end(share)
-        found = sums(row_sums(carried * self.added), known.entries(), needs.disturbed[lag - 1])
+        total = sums(row_sums(carried * self.added), known.entries(), needs.disturbed[lag - 1])
         if lag == 1:
             facets = self.within[share][1]
-            found = [*maxima(found[: len(facets)], facets), *found[len(facets) :]]
-        return found
+            total = [*maxima(total[: len(facets)], facets), *total[len(facets) :]]
+        return total
 
     @cached_property
     def stored(self) -> list[tuple[int, int, arb_mat]]:
         """Stored row of every limit's row, the side on which it limits, and by how much it is off (1, n)."""
         given, facets = self.flight.recovery.needs.given, len(self.within[0][0])
         rows = [matrix([row]) for row in self.tables.rows]
-        found = list[tuple[int, int, arb_mat]]()
+        nearest = list[tuple[int, int, arb_mat]]()
         for i in range(given.nrows()):
             exact = rows_of(given, i)
             first, last = (0, self.tables.facets) if i < facets else (self.tables.facets, len(rows))
             sides = ((k, side, sign) for k in range(first, last) for side, sign in ((0, 1), (2, -1)))
             near = [(k, side, magnitude(exact + sign * rows[k])) for k, side, sign in sides]
             best = min(near, key=lambda one: float(largest(one[2].entries())), default=None)
-            most = NEAR * UNIT[self.precision] * float(largest(absolute(exact).entries()))
-            if best is None or not float(largest(best[2].entries())) <= most:
+            allowed = NEAR * UNIT[self.precision] * float(largest(absolute(exact).entries()))
+            if best is None or not float(largest(best[2].entries())) <= allowed:
                 raise Rejected(CLAIM, f"no row of the tables is that of limit {i}")
-            found.append(best)
-        return found
+            nearest.append(best)
+        return nearest
 
     @cached_property
     def lost(self) -> list[list[arb]]:
@@ -195,10 +195,10 @@ class Decision:
             for share in (0, 1):
                 for row, need in enumerate(self.need(lag, share)):
                     base, more = (arb(table[self.stored[row][0]]) for table in (booked, sized))
-                    most = base + more * share - (abs(base) + abs(more)) * (8 * u)
+                    stated = base + more * share - (abs(base) + abs(more)) * (8 * u)
                     where = f"row {row}, {lag} nodes on, errors of share {share}"
-                    spare = most - need - self.lost[lag][row]
-                    require(CLAIM, spare, f"{where}: needs {plain(need)}, {plain(most)} is booked")
+                    spare = stated - need - self.lost[lag][row]
+                    require(CLAIM, spare, f"{where}: needs {plain(need)}, {plain(stated)} is booked")
         return f"S can take over wherever U may fly, {len(tables.booked)} nodes ahead and beyond"
 
 
@@ -249,8 +249,8 @@ def _check_later(decision: Decision) -> None:
     periods, end = flight.tracker.memory.periods, decision.end(1)
     for at in range(len(decision.tables.booked) - 1, periods + 2):
         beyond = at > periods
-        most = needs.still(end) if beyond else needs.boxed(end, at)
-        need = sums(most, needs.disturbed[at])
+        grown = needs.still(end) if beyond else needs.boxed(end, at)
+        need = sums(grown, needs.disturbed[at])
         cell = periods // doc.q if beyond else at // doc.q
         cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)
         for row, target in least_of[cell].items():
