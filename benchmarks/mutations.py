@@ -103,7 +103,7 @@ certificate/claims/drift.py
 + column(bow) + bent
 ! test_certificate_math.py::test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft
 certificate/claims/argument.py
-- flown[k].nodes if mode > 0 and (doc.transients or self.code) else []
+- flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
 + []
 ! test_recovery.py::test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step
 certificate/claims/continuation.py
