@@ -124,11 +124,11 @@ def test_rendezvous_drifts_clear_of_the_target_wherever_thrust_stops_after_the_f
 def test_the_chain_of_sroc_is_verified_within_its_published_cost_and_drifts_clear_of_the_target(tmp_path):
     polaris.run(polaris.load_scenario(missions.FOLDER / "sroc.toml"), tmp_path / "run")
     assert verify(tmp_path / "run").outcome == "VERIFIED"
-    told = json.loads((tmp_path / "run" / "summary.json").read_text())["mission"]
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())["mission"]
     section = TEXT.split("\n## sroc\n")[1]
     proven = float(re.search(r"at most\s+\*\*([\d.]+) m/s\*\*", section)[1])
-    assert told["delta_v_max_m_s"] <= proven <= 1.02 * told["delta_v_max_m_s"] and proven <= 1.31
-    inspection = next(leg for leg in told["legs"] if leg["name"] == "inspection")
+    assert summary["delta_v_max_m_s"] <= proven <= 1.02 * summary["delta_v_max_m_s"] and proven <= 1.31
+    inspection = next(leg for leg in summary["legs"] if leg["name"] == "inspection")
     assert inspection["drift_s"] >= 2 * np.pi / 0.0011313 - 12.0
 
 

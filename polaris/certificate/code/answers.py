@@ -95,8 +95,8 @@ class FlightStep:
 
     def finite(self, command: Sequence[float]) -> bool:
         """Return True if every entry is a number of the precision."""
-        most = LARGEST[self.precision]
-        return all(-most <= rounded(float(u), self.precision) <= most for u in command)
+        limit = LARGEST[self.precision]
+        return all(-limit <= rounded(float(u), self.precision) <= limit for u in command)
 
     def gap(self, cell: int, part: int, state: Sequence[float]) -> list[float]:
         """Return the reference at a node less a state; the order of operations is that of the C."""
