@@ -72,7 +72,7 @@ def export_c(
     texts = files(tables, prefix, precision, document.digest)
     given = calls(tables, FLIGHTS * (1 + monitor), 0)
     texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, given)
-    texts |= {} if glue is None else glue_files(tables, prefix, precision, glue, name, module)
+    texts |= {} if glue is None else glue_files(tables, prefix, precision, glue, name, module, monitor)
     target = check_target(out, texts)
     with replacing(target) as place:
         for path, text in texts.items():

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from polaris.certificate.code.answers import CLIPPED, COMMAND, LATCHED, FlightStep
+from polaris.certificate.code.answers import CLIPPED, COMMAND, LATCHED, REFUSED, FlightStep
 from polaris.certificate.code.text import PRECISIONS
 from polaris.cli.app import app
 from polaris.flight.export import export_c
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.rta.arena import compare_methods
+from polaris.runs.read_schedule import read_schedule
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.on_board import FlightCode, code_of
@@ -156,6 +157,20 @@ def test_a_command_of_s_that_the_code_clips_counts_as_too_much():
     u = code.step(0, x, 0, np.zeros((2, 2)))
     limit = np.array(code.tables.limit)
     assert np.all(np.abs(u[0]) <= limit) and np.max(np.abs(u[1]) / limit) > 1
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_online_monitor_in_the_code_lets_u_fly_safely(tmp_path, precision):
+    """U wants to fly all along; who decides is the code."""
+    run = make([COARSE], tmp_path)
+    export_c(run, tmp_path / "code", precision, monitor=True)
+    schedule, code = read_schedule(run), FlightCode(tmp_path / "code")
+    runs = simulate(schedule, fewer(2000, 60), 1, mode=1, code=code)
+    assert code.online and not runs.metrics().collided.any()
+    assert {(mode, fault & ~CLIPPED) for mode, fault in code.answers} == {(0, REFUSED), (1, 0)}
+    assert not any(fault & CLIPPED for mode, fault in code.answers if not mode)
+    with pytest.raises(ScenarioError, match="must be a controller"):
+        simulate(schedule, 1, code=code)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
