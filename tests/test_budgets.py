@@ -23,10 +23,10 @@ LINES = {
     ("polaris/model", "polaris/simulation"): (9416, 5200),
     ("polaris/rta",): (4903, 4300),
     ("polaris/inspection",): (5412, 4500),
-    ("polaris/scenario", "polaris/runs"): (10009, 7500),
-    ("polaris/report", "polaris/cli", "polaris/traces"): (8326, 6400),
+    ("polaris/scenario", "polaris/runs"): (10011, 7500),
+    ("polaris/report", "polaris/cli", "polaris/traces"): (8329, 6400),
     ("polaris/planning",): (2526, 2200),
-    ("polaris", "reach"): (71325, 48000),
+    ("polaris", "reach"): (71334, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reach.numerics.linear import discretize
 
@@ -117,8 +118,9 @@ def _laid_out(
     none, largest = (_needs(prospect, share * apart + off)[:lags] for share in (0, 1))
     lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, lags, u)
     booked, full = np.full((2, lags, len(rows)), -FREE)
-    np.maximum.at(booked, (slice(None), kind), none)
-    np.maximum.at(full, (slice(None), kind), largest)
+    for lag in range(lags):
+        np.maximum.at(booked[lag], kind, none[lag])
+        np.maximum.at(full[lag], kind, largest[lag])
     sized = np.maximum(full - booked, 0.0)
     booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
     cells = (grid.last + lags - 2) // q + 1
@@ -126,7 +128,7 @@ def _laid_out(
     return replace(made, booked=booked.tolist(), sized=sized.tolist(), room=room.tolist()).rounded(precision)
 
 
-def _kinds(rows: Array, facets: int) -> tuple[Array, Array, Array]:
+def _kinds(rows: Array, facets: int) -> tuple[Array, NDArray[np.intp], Array]:
     """Rows of each kind, equal or opposite ones being of a kind, facets apart; kind and sign of every row."""
     kept, kinds, signs, first = list[Array](), [], [], 0
     for i, row in enumerate(rows):
@@ -168,7 +170,9 @@ def _rounding(
     return np.asarray(1.05 * lost + 8 * u * value)
 
 
-def _rooms(grid: DecisionGrid, kind: Array, sign: Array, cells: int, u: float, repeats: bool) -> Array:
+def _rooms(
+    grid: DecisionGrid, kind: NDArray[np.intp], sign: Array, cells: int, u: float, repeats: bool
+) -> Array:
     """Room along every row and against it: at the start of cells, and more by the period, (cells, r, 4)."""
     (begin, end), q = grid.clearance.limits.room, grid.clearance.q
     planned, known = grid.clearance.planned, grid.clearance.cells

@@ -167,9 +167,9 @@ class Dossier:
                 rest.setdefault(one, {})[leg.name] = None
         for one in own:
             yield from _wrapped(f"- {_plain(one)}")
-        for one, names in rest.items():
-            of = "" if len(names) == len(self.legs) else f" [{', '.join(names)}]"
-            yield from _wrapped(f"- {_plain(one)}{of}")
+        for one, legs in rest.items():
+            where = "" if len(legs) == len(self.legs) else f" [{', '.join(legs)}]"
+            yield from _wrapped(f"- {_plain(one)}{where}")
 
     def _clause(self, clause: Clause) -> Iterator[Line]:
         yield Line(clause.title, True, with_next=True)
@@ -234,7 +234,9 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
     dossier = Dossier.of(run)
     texts, pictures = dossier.pages(), [leg.run.picture() for leg in dossier.legs[:MOST_SCENES]]
     of = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
-    drawn = [(f"Scene{name}", scene_figure, one) for name, one in zip(of, pictures, strict=False)]
+    drawn: list[tuple[str, Callable[..., Any], Any]] = [
+        (f"Scene{name}", scene_figure, one) for name, one in zip(of, pictures, strict=False)
+    ]
     drawn.append((f"Flights{of[0]} over time", distance_figure, pictures[0]))
     count = len(texts) + len(drawn)
     with printing(), PdfPages(path, metadata={"CreationDate": None, "Title": "Dossier"}) as pdf:

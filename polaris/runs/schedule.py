@@ -275,6 +275,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
     told, system = read_json(folder / "schedule.json"), scenario.system()
     steps, claim = told["steps"], told["guarantee"]
     goal = claim["goal"] if claim["kind"] == "proved" else {}
+    tubes = arrays.tube_pictures(arrays.read_arrays(folder / "tubes.npz"), system.position)
     return Picture(
         scenario.title,
         system,
@@ -291,7 +292,8 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         slices=SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
         reached=goal.get("by_s"),
         delta_v_max=goal.get("delta_v_max_m_s"),
-        **arrays.tube_pictures(arrays.read_arrays(folder / "tubes.npz"), system.position),
+        tube=tubes["tube"],
+        state_tube=tubes["state_tube"],
     )
 
 

@@ -127,7 +127,7 @@ class FlightCode:
         self._memory[rows], self.modes[rows] = memory, answer["mode"]
         self.answers.update(zip(answer["mode"].tolist(), answer["fault"].tolist(), strict=True))
         clipped = (answer["mode"] == 0) & (answer["fault"] & CLIPPED > 0)
-        return answer["command"].astype(float) * (1 + PAST * clipped[:, None])
+        return np.asarray(answer["command"].astype(float) * (1 + PAST * clipped[:, None]))
 
 
 def _compiled(prefix: str, source: Path, scratch: Path, online: bool) -> ctypes.CDLL:

@@ -174,8 +174,9 @@ def _limit_panel(
     What is proven may be far from what was flown: rows of states stand for the limit, and the reachable set
     for the flight.
     """
-    system, of_speed = picture.system, isinstance(limit, SpeedLimit | SpeedPolygon)
-    top, more = (np.min(limit.top), getattr(limit, "per_distance", 0.0)) if of_speed else (0.0, 0.0)
+    system, of_speed, top, more = picture.system, False, 0.0, 0.0
+    if isinstance(limit, SpeedLimit | SpeedPolygon):
+        of_speed, top, more = True, float(np.min(limit.top)), getattr(limit, "per_distance", 0.0)
 
     def shown(slack: Array, distance: Array) -> Array:
         return np.where(slack < FAR**2, top + more * distance - slack * RATE if of_speed else slack, np.nan)

@@ -202,12 +202,12 @@ def _look_closer(
     """Note margins within some periods, along held inputs from node to node, and pulses about them."""
     system, h, u = claims.system, claims.h, claims.unsafe[o]
     s, rows = np.linspace(0, 1, PARTS + 1)[1:-1], u.rows(system)
-    ends = [runs.states[run, period + side] for side in (0, 1)]
-    x = held_path(system, h, *ends, s)
+    before, after = runs.states[run, period], runs.states[run, period + 1]
+    x = held_path(system, h, before, after, s)
     late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter bends by no more
     grown = np.abs(rows) @ late
     if system.timing.fired:  # not, then, what the polytopes are grown by because of them
-        x = x + _pulsed(system, *(end[:, None] for end in ends), h, s[:, None])
+        x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
         sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
         grown += np.diff([claims.grown(u, size) for size in sizes], axis=0)[0]
     s = s[:, None]
