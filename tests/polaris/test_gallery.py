@@ -138,7 +138,7 @@ def test_a_leg_of_twelve_hours_is_proved_within_two_minutes():
     path, begun = missions.FOLDER / "sroc.toml", time.process_time()
     leg = polaris.load_scenario(path).legs()[2]
     end = expm(leg.system().A * 43200.0) @ np.array(leg.model.initial_set.center)
-    overrides = ["legs.2.horizon.duration_s=43200.0", f"legs.2.goal.center={end.tolist()}"]
+    overrides = ["legs[2].horizon.duration_s=43200.0", f"legs[2].goal.center={end.tolist()}"]
     schedule = polaris.synthesize(polaris.load_scenario(path, overrides).legs()[2])
     assert schedule.guarantee == "proved" and schedule.arrival.reached is True
     assert time.process_time() - begun <= 120
