@@ -35,12 +35,14 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import REENTRY, Monitor
 from polaris.runs.read_schedule import read_schedule
 from polaris.runs.run import run
+from polaris.simulation.on_board import FlightCode
+from polaris.simulation.simulate import simulate
 
 from ..polaris.forging import QUARTER, make
 from ..polaris.random_scenarios import random_scenario
 from .library import FlightLibrary, built, read_code, tool
 
-FLIGHTS = 20_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
+FLIGHTS = 95_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
 ADVISORY = {"misra-c2012-2.5", "misra-c2012-8.7", "misra-c2012-8.9"}
 """Rules with a reason in docs/flight-code.md."""
 
@@ -239,6 +241,16 @@ def test_no_thrust_within_the_limits_breaks_a_flight(flown, tmp_path, monitor, p
             assert room > 0, (flight, node, room)
             by_u, switches, before = by_u + answer.mode, switches + (answer.mode != before), answer.mode
     assert by_u > 100 and switches > 30
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_monitor_of_the_code_decides_in_simulation(flown, precision):
+    """U asks in every period, under random and the worst disturbances: no set is entered, S never clips."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
+    runs = simulate(schedule, n=2000 if FLIGHTS > 1000 else 60, seed=4, tail=True, mode=1, code=code)
+    assert runs.metrics().summary()["collided_runs"] == 0
+    answers = {(0, 0), (0, REFUSED), (1, 0)}
+    assert answers <= code.answers.keys() <= answers | {(1, CLIPPED)}
 
 
 # -- the checker ------------------------------------------------------------------------------------
