@@ -248,9 +248,10 @@ class _Resolved:
         if not isinstance(system, dict) or not isinstance(eta, float) or not 0 < eta <= 0.01:
             raise ScenarioError("orbit.within_m", reach, "needs system.mean_motion_rad_s, or what gives it")
         if "disturbance_max_m_s2" not in system:
-            bound = residual_bound(self._environment(eta)[0], reach, reach, 2 * eta * reach)
+            speed = 2 * reach * max(eta, 1 / self.duration if self.duration else 0.0)
+            bound = residual_bound(self._environment(eta)[0], reach, reach, speed)
             system["disturbance_max_m_s2"] = allowed = two_digits(float(bound.total))
-            text = f"covers the model error within {reach:g} m at up to {2 * eta * reach:.2g} m/s"
+            text = f"covers the model error within {reach:g} m at up to {speed:.2g} m/s"
             self.notes.append(f"system.disturbance_max_m_s2: {allowed:g} m/s^2 {text}")
 
     def _start(self, target: Ephemeris, chaser: Ephemeris, epoch: int, asked: StartSource) -> None:

@@ -463,6 +463,10 @@ def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
     numbers_alone["orbit"]["within_m"] = 420.0
     assert ScheduleScenario.from_dict(numbers_alone, "here").system().w_max == declared
     assert document(source, disturbance_max_m_s2=1e-6).system().w_max == 1e-6
+    numbers_alone["horizon"] = {"duration_s": 60.0, "step_s": 2.0}
+    numbers_alone["orbit"]["within_m"] = 420.0
+    short = ScheduleScenario.from_dict(numbers_alone, "here")  # a flight that covers it in a minute is faster
+    assert short.system().w_max >= float(residual_bound(Environment.of(short), 420.0, 420.0, 14.0).total)
     del numbers_alone["system"]["mean_motion_rad_s"]
     with pytest.raises(ScenarioError, match=r"orbit\.within_m"):
         ScheduleScenario.from_dict(numbers_alone, "here")

@@ -59,7 +59,7 @@ class OrbitSource(ScenarioPart):
 
     within_m: f.Positive | None = unit("m", default=None)
     """Distance up to which `system.disturbance_max_m_s2`, if it is not given, covers what the linear model
-    leaves out, at speeds up to twice the mean motion times it."""
+    leaves out, at speeds up to twice the mean motion, or twice in the horizon if that is more, times it."""
 
 
 class StartSource(ScenarioPart):
