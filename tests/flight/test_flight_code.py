@@ -308,7 +308,7 @@ def forgeries(folder):
         ("value > limit[i]", "value > 2 * limit[i]"),
         ("memory->latched = 1", "memory->latched = 0"),
         ("memory->latched != 0) ? 0", "memory->latched > 1) ? 0"),
-        ("(reference - state[j])", "(state[j] - reference)"),
+        ("= reference - state[j]", "= state[j] - reference"),
         ("+= gain", "-= gain"),
         ("node % ", "0 * "),
         ("fault |= " + prefix.upper() + "_STATE;", ";"),
