@@ -19,7 +19,7 @@ from .rounding import UNIT, gap_error
 
 SHRINKS = 12  # halvings of the errors for which U may fly, until limits beyond the memory are met
 SAME = 1e-15  # largest difference of rows that count as one
-MORE = 1.02  # of what is needed far ahead, where no decision looks
+MORE = 1.1  # of what is needed far ahead, where no decision looks: the checker may need more than synthesis
 NEAR = 1e-9  # of rooms, by which they are stored too low: rounding of the synthesis
 
 
