@@ -105,7 +105,7 @@ certificate/claims/drift.py
 certificate/claims/argument.py
 - flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
 + []
-! test_recovery.py::test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step
+! test_recovery.py::test_s_takes_over_at_any_node_where_a_fault_is_isolated_late
 certificate/claims/continuation.py
 - parts.append((magnitude(needs.rows) * column(self.document.at_nodes)).entries())
 + pass

@@ -199,11 +199,11 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
 
 
 def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
-    """Seed 11: twice as far from the set at T, which encloses what S alone keeps smaller."""
+    """Seed 11: half as far again from the set at T, which encloses what S alone keeps smaller."""
     _, schedule = random_scene(11, tmp_path)
     both, last = schedule.approach, at_end(schedule, schedule.final).approach()
     assert both.reached is last.reached is True
-    assert both.distance < 0.6 * last.distance
+    assert both.distance < 0.7 * last.distance
 
 
 def cut(safety, after):

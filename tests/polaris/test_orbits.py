@@ -539,9 +539,9 @@ def test_exported_targets_move_as_the_model_error_has_them(client):
 
 
 def test_what_a_reader_writes_is_read(client, tmp_path):
-    NdmIo = pytest.importorskip("ccsds_ndm.ndm_io").NdmIo
-    path, io = client / "oem" / "reference.oem", NdmIo()
-    io.to_file(io.from_path(path), "kvn", tmp_path / "again.oem")
+    ndm = pytest.importorskip("ccsds_ndm.ndm_io")
+    path, io = client / "oem" / "reference.oem", ndm.NdmIo()
+    io.to_file(io.from_path(path), ndm.NDMFileFormats.KVN, tmp_path / "again.oem")
     first, again = read_oem(path), read_oem(tmp_path / "again.oem")
     assert first.epochs == again.epochs and np.abs(first.states - again.states).max() < 1e-6
 

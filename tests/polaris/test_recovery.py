@@ -2,6 +2,7 @@
 
 import math
 from contextlib import nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -127,9 +128,13 @@ def test_what_is_over_is_over():
 
 
 @pytest.mark.parametrize(("late", "code"), [(False, False), (True, False), (False, True)])
-def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(late, code):
+def test_where_faults_are_isolated_late_s_takes_over_at_any_node_of_a_step(late, code, monkeypatch):
+    read = ("", SimpleNamespace(rows=[]), "double", "")  # code without the online monitor
+    monkeypatch.setattr("polaris.certificate.claims.argument.read_code", lambda folder: read)
     asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
-    argument = SimpleNamespace(document=doc, stated=Stated(), K=3, record=Record(), code=code)
+    argument = SimpleNamespace(
+        document=doc, stated=Stated(), K=3, record=Record(), code=Path() if code else None
+    )
     flight = SimpleNamespace(
         keeps=lambda reached, claimed: asked.update(reached) or 1.0,
         recovery=SimpleNamespace(nodes=9),

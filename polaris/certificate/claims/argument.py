@@ -148,9 +148,10 @@ class Argument:
         self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
         claims = sum(margin > 0 for margin in claimed.values())
         self.record.holds("margins", f"{claims} instants next to experimental steps")
-        tables, precision = read_code(self.code)[1:3] if self.code is not None else (None, "")
-        if tables is not None and tables.rows:
-            self.record.holds("monitor", check_online(flight, tables, precision))
+        if self.code is not None:
+            _, tables, precision, _ = read_code(self.code)
+            if tables.rows:
+                self.record.holds("monitor", check_online(flight, tables, precision))
 
 
 def check_statement(said: dict[str, Any]) -> str:
