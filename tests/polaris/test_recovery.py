@@ -128,7 +128,7 @@ def test_what_is_over_is_over():
 
 
 @pytest.mark.parametrize(("late", "code"), [(False, False), (True, False), (False, True)])
-def test_where_faults_are_isolated_late_s_takes_over_at_any_node_of_a_step(late, code, monkeypatch):
+def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, monkeypatch):
     read = ("", SimpleNamespace(rows=[]), "double", "")  # code without the online monitor
     monkeypatch.setattr("polaris.certificate.claims.argument.read_code", lambda folder: read)
     asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
