@@ -19,14 +19,14 @@ LINES = {
     ("reach",): (9230, 8400),
     ("polaris/certificate",): (11608, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
-    ("polaris/synthesis",): (9332, 5000),
+    ("polaris/synthesis",): (9335, 5000),
     ("polaris/model", "polaris/simulation"): (9416, 5200),
     ("polaris/rta",): (4903, 4300),
     ("polaris/inspection",): (5412, 4500),
     ("polaris/scenario", "polaris/runs"): (10012, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8329, 6400),
     ("polaris/planning",): (2526, 2200),
-    ("polaris", "reach"): (71335, 48000),
+    ("polaris", "reach"): (71338, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

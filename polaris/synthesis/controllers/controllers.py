@@ -22,9 +22,10 @@ from ..tracker.affine_law import LOOP_ALONE, AffineLaw, clipped_step, raised
 from ..tracker.intersample import affine_bow, at_nodes, clipped_bow
 from ..tracker.tracking import Tracking
 
-ORDER, WIDE, WHOLE = 25.0, 60.0, 50.0
-"""Generators per dimension of the error kept at the end of a step: without errors, with, and of whole loop
-states per state of the plant. The checker keeps 64: with more here, it would not confirm some claims."""
+ORDER, WIDE, WHOLE, FILTERED = 25.0, 60.0, 50.0, 80.0
+"""Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop
+states per state of the plant, and of those with an observer, whose noise is fresh in every period. The
+checker keeps 64: with more here, it would not confirm some claims."""
 
 
 @brief
@@ -169,7 +170,8 @@ class AffineController(AffineLaw):
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         states = nodes + zeta
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
-        order = ORDER if self.system.ideal else WIDE if states.dim == n else WHOLE * n / states.dim
+        whole = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
+        order = ORDER if self.system.ideal else WIDE if states.dim == n else whole
         segment = TubeSegment(states, bow + rounding, end.reduce(order, "parallel"), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
@@ -287,7 +289,8 @@ def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> Tu
         G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
         return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)
 
-    end = joined(tube.end, others[-1]).reduce(WHOLE * n / start.dim, "parallel")
+    whole = (WHOLE if s.system.observer is None else FILTERED) * n / start.dim
+    end = joined(tube.end, others[-1]).reduce(whole, "parallel")
     return replace(tube, states=joined(tube.states, others), end=end)
 
 
