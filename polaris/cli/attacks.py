@@ -79,12 +79,12 @@ def falsify_command(
     scenario = loaded.scenario
     check_file(out or f"{scenario.name}.case.json", force=force)
     compiled = None if code is None else FlightCode(code)
-    found = falsify(loaded.schedule(), runs, seed, code=compiled)
-    print_result(found.summary(), as_json, partial(_show_falsification, scenario.name, found))
-    if found.failure is not None:
-        path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)
+    attack = falsify(loaded.schedule(), runs, seed, code=compiled)
+    print_result(attack.summary(), as_json, partial(_show_falsification, scenario.name, attack))
+    if attack.failure is not None:
+        path = write_case(out or f"{scenario.name}.case.json", scenario, attack, force=force)
         echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
-    return REFUTED if found.failure is not None else None
+    return REFUTED if attack.failure is not None else None
 
 
 def _mission(target: str) -> RunFolder | None:

@@ -107,3 +107,8 @@ class FlightLibrary:
         given.state[:], given.command[:] = state, command
         (called or self._step)(ctypes.byref(memory or self._own), *self._at)
         return FlightAnswer(out.mode, out.fault, tuple(out.command), out.margin)
+
+
+def sources(folder):
+    """Return the names of the C files of a folder."""
+    return sorted(path.name for path in folder.glob("*.c"))

@@ -45,7 +45,7 @@ from polaris.runs.run import run
 
 from ..polaris.forging import COARSE, make
 from ..polaris.random_scenarios import random_scenario
-from .library import FlightLibrary, built, read_code, tool
+from .library import FlightLibrary, built, read_code, sources, tool
 
 FLIGHTS = 80_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
 
@@ -69,10 +69,6 @@ def flown(tmp_path_factory):
 @pytest.fixture(scope="module")
 def document(flown):
     return read(flown / "run" / "certificate.json")
-
-
-def sources(folder):
-    return sorted(path.name for path in folder.glob("*.c"))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -40,7 +40,7 @@ from polaris.simulation.simulate import simulate
 
 from ..polaris.forging import QUARTER, make
 from ..polaris.random_scenarios import random_scenario
-from .library import FlightLibrary, built, read_code, tool
+from .library import FlightLibrary, built, read_code, sources, tool
 
 FLIGHTS = 95_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
 ADVISORY = {"misra-c2012-2.5", "misra-c2012-8.7", "misra-c2012-8.9"}
@@ -60,10 +60,6 @@ def flown(tmp_path_factory):
 @pytest.fixture(scope="module")
 def monitor(flown):
     return Monitor(DecisionGrid.of(read_schedule(flown / "run")))
-
-
-def sources(folder):
-    return sorted(path.name for path in folder.glob("*.c"))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -117,7 +117,7 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     schedule = synthesize(scenario) if schedule is None else schedule
     region = visited(schedule)
     residual = residual_bound(env, *region.extent)
-    found = sample_residual(env, region, samples, np.random.default_rng(0)) if samples else math.nan
+    sampled = sample_residual(env, region, samples, np.random.default_rng(0)) if samples else math.nan
     others = {}
     safety, delta = schedule.safety, schedule.safety.problem.delta
     for satellite in (o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle)):
@@ -125,7 +125,7 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
         need = residual_bound(replace(env, other=0.0), *box.extent).total
         short = np.flatnonzero(need > satellite.thrust_accel_max + safety.problem.system.w_max)
         others[satellite.name] = float(box.start[short[0]]) if len(short) else math.inf
-    return ModelError(scenario, schedule, region, residual, found, others)
+    return ModelError(scenario, schedule, region, residual, sampled, others)
 
 
 def left_out(scenario: Any, schedule: Schedule) -> dict[str, Any]:
@@ -156,14 +156,14 @@ def justify(scenario: Any) -> ModelError:
     `ScenarioError` if none is found, `SynthesisInfeasible` or `NotCertified` without a safe synthesis under
     it.
     """
-    found = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=0)
+    error = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=0)
     for _ in range(MOST_ROUNDS):
-        wanted = two_digits(max(found.bound, found.declared))
-        found = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
-        if found.covered:
-            return found
+        wanted = two_digits(max(error.bound, error.declared))
+        error = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
+        if error.covered:
+            return error
     rule = f"no bound covers the model error after {MOST_ROUNDS} rounds: tubes grow as fast as it does"
-    raise ScenarioError("system.disturbance_max_m_s2", found.declared, rule)
+    raise ScenarioError("system.disturbance_max_m_s2", error.declared, rule)
 
 
 def sample_residual(env: Environment, region: Region, count: int, rng: np.random.Generator) -> float:
