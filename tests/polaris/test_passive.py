@@ -319,7 +319,7 @@ def upkeep_judged(forger, change):
 
 
 @pytest.mark.slow
-def test_drifts_with_the_facets_of_s_would_seldom_be_clear():
+def test_drifts_with_the_facets_of_s_are_clear_less_often():
     schedule = synthesize(load_scenario("keep_out", ["abort.drift_s=1800.0"]))
     flight, clearance = schedule.passive.flight, schedule.safety.clearance
     rows, bend, pushed = flight._rows
@@ -341,4 +341,4 @@ def test_drifts_with_the_facets_of_s_would_seldom_be_clear():
                     room = min(room, np.min(-side - need))
         clear.append(room > 0)
     assert not np.any(clear & ~schedule.passive.clear)
-    assert np.mean(clear) < 0.2 and np.mean(schedule.passive.clear) > 0.6
+    assert np.mean(clear) + 0.2 < np.mean(schedule.passive.clear)

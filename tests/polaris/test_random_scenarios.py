@@ -137,7 +137,7 @@ def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest(
         def change(copy):
             copy["reference"]["states"] = copy["reference"]["states"][: K + tail + 1]
             copy["reference"]["inputs"] = copy["reference"]["inputs"][: K + tail]
-            copy["facets"] = copy["facets"][: K + tail]
+            copy["facets"], copy["weights"] = copy["facets"][: K + tail], copy["weights"][: K + tail]
             for item in copy["unsafe_sets"]:
                 item["offsets"] = item["offsets"][: K + tail]
 

@@ -15,7 +15,7 @@ from ..kernel.balls import above, beside, diagonal, magnitude, maxima, rows_of, 
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Zonotope
 from .flights import Flown
-from .mean_commands import FLOOR, MeanCommands, Period, TurnedCommands, carried_across, pivots
+from .mean_commands import MeanCommands, Period, TurnedCommands, carried_across, pivots
 
 GROWN, APART = 1e-7, 1e-4
 """Share by which a storage grows in every period, to hold what its numbers are rounded by; and at a jump of
@@ -93,7 +93,8 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     """Return a storage of exact numbers that is at least as large."""
     P = (P + P.transpose()) * 0.5
     size = [float(P[i, i].mid()) for i in range(P.nrows())]
-    more = [GROWN * (x + FLOOR * max(size)) or TINY for x in size]  # of no storage too
+    unsure = [4 * float(sum((x.rad() for x in row), arb(0)).upper()) for row in P.tolist()]
+    more = [GROWN * x + y or TINY for x, y in zip(size, unsure, strict=True)]  # of no storage too
     exact, middle = (P + diagonal(more)).mid(), p.mid()
     if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
         raise Undecided("goal", "a storage is not bounded by rounded numbers")

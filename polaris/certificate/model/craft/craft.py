@@ -17,7 +17,7 @@ from ...kernel.balls import above, absolute, beside, column, diagonal, exponenti
 from ...kernel.motion import Along, Motion, Plant, Push
 from ...kernel.zonotopes import Directions, Zonotope
 
-LAGS = 0, 8, 64  # periods after which extents of sets count in the choice of what to merge
+LAGS = 0, 1, 8, 64  # periods after which extents of sets count in the choice of what to merge
 
 
 @dataclass(frozen=True)
