@@ -92,9 +92,8 @@ def _part(M: arb_mat, top: int, bottom: int, left: int, right: int) -> arb_mat:
 def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     """Return a storage of exact numbers that is at least as large."""
     P = (P + P.transpose()) * 0.5
-    size = [float(P[i, i].mid()) for i in range(P.nrows())]
-    unsure = [4 * float(sum((x.rad() for x in row), arb(0)).upper()) for row in P.tolist()]
-    more = [GROWN * x + y or TINY for x, y in zip(size, unsure, strict=True)]  # of no storage too
+    unsure = [4 * sum(float(x.rad()) for x in row) for row in P.tolist()]
+    more = [GROWN * float(P[i, i].mid()) + x or TINY for i, x in enumerate(unsure)]  # of no storage too
     exact, middle = (P + diagonal(more)).mid(), p.mid()
     if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
         raise Undecided("goal", "a storage is not bounded by rounded numbers")
