@@ -107,7 +107,7 @@ def weights(steps: Sequence[LinearStep], start: Zonotope, clipped: bool = False)
 
     Some commands may be `clipped`.
     """
-    worst = _Relaxed(steps, start).ascend()
+    worst = RelaxedFlight(steps, start).ascend()
     for number in range(1, FACTORS):
         tried = [each * LOOSER**number for each in worst]
         *_, first = storage(steps, tried)
@@ -116,8 +116,8 @@ def weights(steps: Sequence[LinearStep], start: Zonotope, clipped: bool = False)
     return []
 
 
-class _Relaxed:
-    """Flights in which loop states, commands and values are vectors; 1 is the first unit vector."""
+class RelaxedFlight:
+    """Flight in which loop states, commands and values are vectors; 1 is the first unit vector."""
 
     def __init__(self, steps: Sequence[LinearStep], start: Zonotope) -> None:
         self.steps, self.G = steps, start.G
@@ -131,14 +131,14 @@ class _Relaxed:
         self.values = [self._unit(len(inputs.group)) for _, inputs, _ in self.periods]
 
     def _unit(self, count: int) -> Array:
-        found = self.rng.normal(size=(count, VECTOR))
-        return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+        vectors = self.rng.normal(size=(count, VECTOR))
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
     def ascend(self) -> list[Weights]:
         """Return the weights of the flight that spends most: the sizes of what its values are worth."""
         spent, weights = -np.inf, list[Weights]()
         for _ in range(ASCENTS):
-            commands = self._fly()
+            commands = self.fly()
             sizes = [np.linalg.norm(u, axis=1) for u in commands]
             total = sum(float(p[1].spends @ size) for p, size in zip(self.periods, sizes, strict=True))
             weights = self._turn(commands, sizes)
@@ -147,8 +147,8 @@ class _Relaxed:
             spent = total
         return weights
 
-    def _fly(self) -> list[Array]:
-        """Return the commands (m, VECTOR) of every period."""
+    def fly(self) -> list[Array]:
+        """Return the commands (m, VECTOR) of every period [N]."""
         z, commands = self.G @ self.first, []
         for (_, inputs, middle), v in zip(self.periods, self.values, strict=True):
             u = inputs.own @ v - inputs.K @ z
