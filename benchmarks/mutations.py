@@ -74,8 +74,8 @@ synthesis/schedule/takeover.py
 + at_nodes(tube.bow), until[k - 1] if k else 0.0))
 ! test_powered_abort.py::test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before
 synthesis/schedule/spending.py
-- most.sum(axis=-1).max(axis=0).sum()
-+ most.sum(axis=-1)[1].sum()
+- spent.sum(axis=-1).max(axis=0).sum()
++ spent.sum(axis=-1)[1].sum()
 ! test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/safety/carried_rows.py
 - self.tracking.settled(self.rows) + self._upset[-1]

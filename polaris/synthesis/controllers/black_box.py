@@ -51,14 +51,14 @@ class FittedSegment(TubeSegment):
     the error there; shape (q, m, n + 2)."""
 
     def outside(self, errors: Array, inputs: Array, moved: Array) -> Array:
-        """How far inputs (R, q, m) at errors (R, q, n), known up to `moved` (n,), may be off, shape (R,).
+        """Return how far inputs (R, q, m) are from the fit at errors (R, q, n) within `moved` (n,): (R,).
 
         In units of their bands.
         """
         assert self.fit is not None
         n = errors.shape[-1]
-        told = np.einsum("iab,rib->ria", self.fit[..., :n], errors) + self.fit[..., n]
-        off = np.abs(inputs - told) + np.abs(self.fit[..., :n]) @ moved
+        fitted = np.einsum("iab,rib->ria", self.fit[..., :n], errors) + self.fit[..., n]
+        off = np.abs(inputs - fitted) + np.abs(self.fit[..., :n]) @ moved
         return np.asarray((off / self.fit[..., n + 1]).max(axis=(1, 2)))
 
 
@@ -105,7 +105,7 @@ class BlackBox:
 
     @property
     def anything(self) -> AnyThrust:
-        """What is left of it where nobody asks: its thrust limits."""
+        """Return the controller that covers this one unasked: any command within its thrust limits."""
         return AnyThrust(self.name, self.system, self.reference, self.tracking)
 
     def command(self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0) -> Array:
@@ -123,13 +123,13 @@ class BlackBox:
             raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
         cause = None
         try:
-            found = np.array(answer)
+            commands = np.array(answer)
         except Exception as error:  # whatever it is: a tensor that is part of a graph, rows of other lengths
-            found, cause = np.zeros(0), error
-        if found.shape != shape or found.dtype.kind not in "fiu" or not np.all(np.isfinite(found)):
+            commands, cause = np.zeros(0), error
+        if commands.shape != shape or commands.dtype.kind not in "fiu" or not np.all(np.isfinite(commands)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
             raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule) from cause
-        return found.astype(float).reshape(*x.shape[:-1], self.system.m)
+        return commands.astype(float).reshape(*x.shape[:-1], self.system.m)
 
     @cached_property
     def flow(self) -> LinearFlow:
@@ -150,8 +150,8 @@ class BlackBox:
             e, K, c, r = nodes[-1], row[:, :n], row[:, n], row[:, n + 1]
             G = np.hstack([K @ e.G, np.diag(r)])
             after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
-            most = np.abs(K @ e.c + c) + np.abs(G).sum(axis=1) * (1 + WIDER)
-            push, within = misapplied(system, self.flow, np.minimum(most, system.u_max))
+            commanded = np.abs(K @ e.c + c) + np.abs(G).sum(axis=1) * (1 + WIDER)
+            push, within = misapplied(system, self.flow, np.minimum(commanded, system.u_max))
             nodes.append(reduced(after + push))
             bows.append(bow + rounding + within)
             if not np.all(nodes[-1].extent < FARTHEST):

@@ -66,7 +66,7 @@ class TubeSegment:
 
 
 class Controller(Protocol):
-    """What the synthesis asks of a controller. Mode numbers follow section II: 0 is S."""
+    """Interface of a controller to the synthesis. Mode numbers follow section II: 0 is S."""
 
     @property
     def name(self) -> str:
@@ -119,24 +119,24 @@ class AffineController(AffineLaw):
         here, start = self.in_step(k), self.tracking.whole_state(start)
         if not self.system.proportional:
             return here._flown(start, k)[0]
-        most = here.foreseen(start - self.whole_offset(k)[0], k)
+        bound = here.foreseen(start - self.whole_offset(k)[0], k)
         while True:
-            tube, commanded = here._like(most, here.off)._flown(start, k)
-            if np.all(commanded <= most):
+            tube, commanded = here._like(bound, here.off)._flown(start, k)
+            if np.all(commanded <= bound):
                 return tube
-            most = raised(most, commanded, self.system.u_max)
+            bound = raised(bound, commanded, self.system.u_max)
 
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
         more = self.tracking.step_errors
         return self._like(self.most, more[min(k, len(more) - 1)]) if np.any(more) else self
 
-    def _like(self, most: Array | None, off: Array | None) -> "AffineController":
+    def _like(self, commands: Array | None, off: Array | None) -> "AffineController":
         """Return the law, made once, with bounds on commands (m,) and on further estimate errors (n,)."""
-        key = tuple(b"" if bound is None else bound.tobytes() for bound in (most, off))
+        key = tuple(b"" if bound is None else bound.tobytes() for bound in (commands, off))
         law = self._levels.get(key)
         if law is None:
-            law = self._levels[key] = replace(self, most=most, off=off, _levels={})
+            law = self._levels[key] = replace(self, most=commands, off=off, _levels={})
             if off is self.off:
                 vars(law).update(flow=self.flow, closed=self.closed, powers=self.powers)
                 vars(law).update(offset=self.offset, _whole_offsets=self._whole_offsets)
@@ -228,7 +228,7 @@ class AnyThrust:
         object.__setattr__(self, "system", Craft.of(self.system))
 
     def along(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
-        """The same beside another safe reference."""
+        """Return the controller beside another safe reference."""
         return replace(self, reference=reference, tracking=tracking)
 
     @cached_property
@@ -240,7 +240,7 @@ class AnyThrust:
 
     @cached_property
     def _push(self) -> Zonotope:
-        """What the inputs, about zero, add per period."""
+        """Return the set that the inputs, centred at zero, add to the state per period."""
         B, u_max = self.system.B, self.system.u_max + self.system.thrusters.error(self.system.u_max)
         return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 

@@ -76,18 +76,18 @@ class NeuralController:
         return self.tracking.feedback
 
     def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
-        """The same beside another safe reference; one that shares the safe reference shares that one."""
+        """Return it beside another safe reference, which is its own too if it shares the present one."""
         own = reference if self.own is self.reference else self.own
         return replace(self, reference=reference, own=own, tracking=tracking)
 
     @cached_property
     def senses(self) -> Senses:
-        """What there is to read."""
+        """Return the quantities that the network can read."""
         return Senses.of(self.system, self.policy.inputs, self.unsafe, f"{self.name}.inputs")
 
     @cached_property
     def told(self) -> tuple[Array, Array]:
-        """What it may be told of bodies at every node: middle and half-widths, (K, q+1, 2d per body)."""
+        """Return the motion of bodies at every node: middle and half-widths, (K, q+1, 2d per body)."""
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         at = q * np.arange(cells)[:, None] + np.arange(q + 1)
         middle, half = self.senses.whereabouts(self.tracking.flow.h, cells * q + 1)
@@ -95,14 +95,14 @@ class NeuralController:
 
     @cached_property
     def sight(self) -> Array:
-        """How what it reads depends on what it is told, shape (r, 2d per body)."""
-        told = np.eye(self.told[0].shape[-1])
-        return self._slopes(np.zeros((len(told), self.system.n)), told)
+        """Return the derivative of what is read by the motion of bodies, shape (r, 2d per body)."""
+        unit = np.eye(self.told[0].shape[-1])
+        return self._slopes(np.zeros((len(unit), self.system.n)), unit)
 
-    def _slopes(self, x: Array, told: Array) -> Array:
-        """What rows of states and of what is told add to what is read, shape (r, rows)."""
+    def _slopes(self, x: Array, bodies: Array) -> Array:
+        """Return what rows of states and of motion of bodies add to what is read, shape (r, rows)."""
         other = (np.zeros((len(x), size)) for size in (1, self.system.m))
-        return self._stack(0 * x, x, *other, told).T
+        return self._stack(0 * x, x, *other, bodies).T
 
     def _stack(self, *given: Array) -> Array:
         return self.policy.stack(self.senses.parts(*given))
@@ -130,15 +130,15 @@ class NeuralController:
 
     @cached_property
     def known(self) -> tuple[Array, Array]:
-        """What is read where the error is 0, at every node, and by how much it may be off: (K, q+1, r)."""
+        """Return what is read where the error is 0, at every node, and how far it may be off: (K, q+1, r)."""
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
         nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
         own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
-        told, C = self.told[0], np.abs(self.loop.C)
-        read = self._stack(own, safe, times, nu, told)
+        bodies, C = self.told[0], np.abs(self.loop.C)
+        read = self._stack(own, safe, times, nu, bodies)
         # The two references are stored states: what is made of them is known up to their round-off.
-        off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * told)
+        off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * bodies)
         off = np.abs(off) + self.reference.rounding[:cells, None] @ C.T
         return read, off + gamma(self.system.n + 4) * (np.abs(read) + np.abs(safe) @ C.T)
 
@@ -152,7 +152,7 @@ class NeuralController:
 
     @cached_property
     def booked(self) -> Array:
-        """What scaling the output rounds to, as part of the state at the next node, shape (n,)."""
+        """Return the round-off of scaling the output, as part of the state at the next node, shape (n,)."""
         return np.asarray(ROUNDING * np.abs(self.loop.flow.input_map(self.system.B)) @ self.system.u_max)
 
     def command(
@@ -169,9 +169,9 @@ class NeuralController:
         read = self._read(k, own, x, later)
         return self.policy.network.pullback(read, weights * self.policy.output_scale)
 
-    def _read(self, k: int, own: Array, x: Array, later: float, told: Array | None = None) -> Array:
-        told = self.told[0][k, self.node(later)] if told is None else told
-        read = self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], told)
+    def _read(self, k: int, own: Array, x: Array, later: float, bodies: Array | None = None) -> Array:
+        bodies = self.told[0][k, self.node(later)] if bodies is None else bodies
+        read = self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], bodies)
         return np.broadcast_to(read, (*x.shape[:-1], read.shape[-1]))
 
     def node(self, later: float) -> int:
@@ -188,8 +188,8 @@ class NeuralController:
                 after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
-                most = np.abs(command.c) + command.half_widths * (1 + WIDER)
-                push, within = misapplied(self.system, self.loop.flow, most)
+                commanded = np.abs(command.c) + command.half_widths * (1 + WIDER)
+                push, within = misapplied(self.system, self.loop.flow, commanded)
                 nodes.append(reduced(after.inflate(wider + self.booked) + push))
                 bows.append(bow + wider + within)
         except Unresolved as error:
@@ -210,7 +210,7 @@ class NeuralController:
 
 
 def misapplied(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
-    """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
+    """Return what thruster errors add by the next node, and until then, (n,), to commands up to `most`."""
     if system.thrusters.exact and not system.unknown.size:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
     error, drift = system.thrusters.error(most), system.unknown
@@ -223,7 +223,7 @@ def misapplied(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, 
 
 
 def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
-    """What stands in a refused `TubeSegment` of q parts: nodes, bow and end."""
+    """Return the nodes, bow and end of a refused `TubeSegment` of q parts."""
     return Zonotope.stack([start] * (q + 1)), np.zeros((q, start.dim)), start
 
 

@@ -1,4 +1,4 @@
-"""What a network reads, and what it commands: the part of it that knows nothing of sets."""
+"""Inputs and commands of a network: the part of it that knows nothing of sets."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -31,29 +31,29 @@ class Senses:
         """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
-        found = cls(system, tuple(known[name] for name in named if name in known))
-        if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= found.sizes.keys():
-            plain = ", ".join(name for name in found.sizes if ":" not in name)
+        senses = cls(system, tuple(known[name] for name in named if name in known))
+        if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= senses.sizes.keys():
+            plain = ", ".join(name for name in senses.sizes if ":" not in name)
             rule = f"must name each once, of {plain}, or {', '.join(OF_BODY)} with a colon and an obstacle"
             raise ScenarioError(field, list(inputs), f"{rule} (here {', '.join(known) or 'there is none'})")
-        return found
+        return senses
 
     @property
     def sizes(self) -> dict[str, int]:
-        """How many numbers each input is."""
+        """Return the size of each input."""
         n, d = self.system.n, self.system.d
         plain = {"error": n, "state": n, "time": 1, "reference_input": self.system.m}
         return plain | {f"{kind}:{body.name}": d for body in self.bodies for kind in OF_BODY}
 
     def parts(self, own: Array, x: Array, time: Array, nu: Array, told: Array) -> dict[str, Array]:
         """Inputs by name: a reference's state and input, a time, and what is told (..., 2d per body)."""
-        found, d = {"error": own - x, "state": x, "time": time, "reference_input": nu}, self.system.d
+        inputs, d = {"error": own - x, "state": x, "time": time, "reference_input": nu}, self.system.d
         for j, body in enumerate(self.bodies):
             for i, rows in enumerate((self.system.position, self.system.velocity)):
                 at = told[..., (2 * j + i) * d : (2 * j + i + 1) * d]
-                found[f"{OF_BODY[i]}:{body.name}"] = at
-                found[f"{OF_BODY[i + 2]}:{body.name}"] = at - x @ rows.T
-        return found
+                inputs[f"{OF_BODY[i]}:{body.name}"] = at
+                inputs[f"{OF_BODY[i + 2]}:{body.name}"] = at - x @ rows.T
+        return inputs
 
     def whereabouts(self, h: float, count: int) -> tuple[Array, Array]:
         """Box of what may be told at times h [s] apart: middle and half-widths, (count, 2d per body)."""
@@ -62,9 +62,9 @@ class Senses:
         return np.hstack([none, *(c for c, _ in boxes)]), np.hstack([none, *(half for _, half in boxes)])
 
     def seen(self, t: float, states: Mapping[str, Array], runs: int) -> Array:
-        """What is told of bodies whose true states (R, n), of satellites, are known, (R, 2d per body)."""
-        found = [part for b in self.bodies for part in b.motion(t, self.system, states.get(b.name))]
-        return np.hstack([np.broadcast_to(part, (runs, self.system.d)) for part in found])
+        """Return the motion of bodies; states (R, n) of satellites are given by name; (R, 2d per body)."""
+        parts = [part for b in self.bodies for part in b.motion(t, self.system, states.get(b.name))]
+        return np.hstack([np.broadcast_to(part, (runs, self.system.d)) for part in parts])
 
 
 def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:

@@ -1,4 +1,4 @@
-"""What the planner is asked, which references Algorithm 1 tries, and what it proves of each after T."""
+"""The planner's problem, the references that Algorithm 1 tries, and the proof about each after T."""
 
 import time
 import warnings
@@ -78,16 +78,16 @@ class Attempts:
             return
         asked = plan_problem(self.problem, self.tracking, self.unsafe)
         self.clock.lap("bounds")
-        found = find_plan(asked, self.problem.planner)
-        self.cut_by_clock = found.cut_by_clock
+        plan = find_plan(asked, self.problem.planner)
+        self.cut_by_clock = plan.cut_by_clock
         self.clock.lap("plan")
-        yield from self._references(found)
+        yield from self._references(plan)
         for _ in range(AFRESH):
             if (more := self._allowing(asked)) is None:
                 break
-            asked, found = more, find_plan(more, self.problem.planner)
+            asked, plan = more, find_plan(more, self.problem.planner)
             self.clock.lap("plan")
-            yield from self._references(found)
+            yield from self._references(plan)
         if not self.margin.inside:
             return
         self.clock.lap("recoverable")
@@ -106,10 +106,10 @@ class Attempts:
             yield from self._references(again)
 
     def _allowing(self, asked: PlanProblem) -> PlanProblem | None:
-        """The same, with room for what the last plan was not asked for; None if that is not what is short.
+        """Return the problem with margins that the last plan lacked; None if it fails for other reasons.
 
-        That is errors by the time of the flight, as large as along that plan, and what the bounds here on the
-        reference's bow between nodes, which a checker shares, are larger than those of the planner.
+        They hold errors by the time of the flight, as large as along that plan, and how much the bounds here
+        on the reference's bow between nodes, which a checker shares, exceed those of the planner.
         """
         if self.margin.inside:
             return None
@@ -131,21 +131,21 @@ class Attempts:
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
         """The plan again, so that coasting after its end is safe; None if there is none to be had."""
         options = self.problem.planner
-        most = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
+        limit = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
         try:
-            found = plan(replace(asked, tail_cells=self.tail), replace(options, max_linear_programs=most))
+            again = plan(replace(asked, tail_cells=self.tail), replace(options, max_linear_programs=limit))
         except OutOfTime as error:
             self.cut_by_clock += ("plan with coasting",)
             warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=4)
             return None
         except (SynthesisInfeasible, NotCertified):
             return None
-        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in found.cut_by_clock)
-        return found
+        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in again.cut_by_clock)
+        return again
 
-    def _references(self, found: Plan) -> Iterator[tuple[Reference, Array]]:
-        self.plan, problem = found, self.problem
-        planned = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, found.nu)
+    def _references(self, plan: Plan) -> Iterator[tuple[Reference, Array]]:
+        self.plan, problem = plan, self.problem
+        planned = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, plan.nu)
         yield coast(planned, self.tail)
         yield planned, np.zeros(problem.system.n)
 
@@ -229,10 +229,10 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
 
 
 def errors_alone(tracking: Tracking, axis: int, other: Craft) -> float:
-    """What S demands of an input, once settled, beyond what it would in a system with fewer errors."""
+    """Return the command of S on an axis, once settled, beyond that in a system with fewer errors."""
     better = replace(tracking, system=other)
-    most = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, better))
-    return float(next(most) - next(most))
+    sums = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, better))
+    return float(next(sums) - next(sums))
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:

@@ -76,8 +76,8 @@ class BallSets(RecoverableSet):
         ) * (1 + ROUNDING)
         # A node belongs to the period before it too, as far as that lies in the cell.
         own = np.minimum(np.maximum(first + np.arange(len(norms)) - (len(norms) > 1), first), last)
-        found = [self._tightest(int(period), float(norm)) for period, norm in zip(own, norms, strict=True)]
-        return min(found, key=lambda margin: margin.value)
+        margins = [self._tightest(int(period), float(norm)) for period, norm in zip(own, norms, strict=True)]
+        return min(margins, key=lambda margin: margin.value)
 
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
@@ -93,7 +93,7 @@ class BallSets(RecoverableSet):
         return Margin(float(share[j, row]), name, time, float(need[j, row]), float(room[j, row]))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
-        """Whether each error (runs, n) at a node is recoverable."""
+        """Return True for each error (runs, n) at a node that is recoverable."""
         radius = self._radii[min(node, len(self._radii) - 1)]
         return np.asarray(np.linalg.norm(errors @ self.bounds.W.T, axis=-1) <= radius)
 

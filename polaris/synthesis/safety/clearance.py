@@ -87,8 +87,8 @@ class Clearance:
         """
         rooms, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
         for o, unsafe in enumerate(self.unsafe):
-            found = facet_room(self.tracking, self.reference, unsafe)
-            rooms.append(np.take_along_axis(found, self.facets[:, None, o : o + 1], axis=2))
+            distances = facet_room(self.tracking, self.reference, unsafe)
+            rooms.append(np.take_along_axis(distances, self.facets[:, None, o : o + 1], axis=2))
         jump = np.take_along_axis(self.jumped(rows), index, axis=1)
         return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
 
@@ -122,12 +122,12 @@ class Clearance:
         return sets.inflate(np.pad(self.jump, (0, sets.dim - len(self.jump))))
 
     def jump_need(self, rows: Array) -> Array:
-        """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""
+        """Return the tightening of rows (r, n) for the jump into the tail, at any later time, shape (r,)."""
         tracking = self.tracking
         return np.asarray(tracking.per_size(rows) * np.linalg.norm(np.abs(tracking.W) @ self.jump))
 
     def round_off(self, rows: Array) -> Array:
-        """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
+        """Return the tightening of rows for the round-off of the reference, new at every step, shape (r,)."""
         tracking, step = self.tracking, self.reference.rounding.max(axis=0)
         size = np.linalg.norm(np.abs(tracking.W) @ (tracking.accumulated * step))
         return np.asarray(tracking.per_size(rows) * size)
@@ -182,9 +182,9 @@ class Limits:
     @cached_property
     def _scheduled(self) -> Array:
         """Part of the room taken by errors that depend on the time of the flight."""
-        found = by_ends(self.clearance.scheduled(self.rows))
-        found[..., self.booked :] = 0.0  # they are booked apart
-        return found
+        taken = by_ends(self.clearance.scheduled(self.rows))
+        taken[..., self.booked :] = 0.0  # they are booked apart
+        return taken
 
     @cached_property
     def taken(self) -> Array:

@@ -64,12 +64,12 @@ class PathRows:
     def needs(self, handed: HandOver, first: int, last: int) -> Array:
         """Return the needs at both ends of the periods from a node until another, (2, last - first, r)."""
         ages = np.arange(first, last + 1)[:, None] - np.arange(handed.first, handed.last + 1)
-        found = self.table.tube(handed.states).at(ages).max(axis=1)
+        needs = self.table.tube(handed.states).at(ages).max(axis=1)
         if not self.between:
             far = ages[:, -1] > self.clearance.tracking.long
-            found[far] = np.minimum(found[far], self.table.long_after(handed.states))
+            needs[far] = np.minimum(needs[far], self.table.long_after(handed.states))
         period = np.minimum(np.arange(first, last), self.path.shape[1] - 1)
-        return np.stack([found[:-1], found[1:]]) + self.path[:, period]
+        return np.stack([needs[:-1], needs[1:]]) + self.path[:, period]
 
 
 @dataclass(eq=False)
@@ -188,14 +188,14 @@ class Continuation(RecoverableSet):
         least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
         handed, between = table.handed
         beside = handed @ others.max(axis=0, initial=0.0)
-        most = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
-        lag, row = np.nonzero(most > least)
+        upper = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
+        lag, row = np.nonzero(upper > least)
         size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
         near = np.multiply.outer(radius, size) + others @ handed[lag, row].T
 
         def exact(some: NDArray[np.int_]) -> Array:
-            found = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(radius, bend[some])
-            return np.asarray(found + others @ between[lag[some], row[some]].T)
+            need = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(radius, bend[some])
+            return np.asarray(need + others @ between[lag[some], row[some]].T)
 
         node, start = at[:, None] + lag, self._later(int(at[0]))
         end, rows = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
@@ -247,19 +247,19 @@ class Continuation(RecoverableSet):
         """Margin of sets at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
         sets = self.clearance.tracking.whole_state(sets)
         at, sizes = first + np.arange(len(bow)), self._sizes(sets, bow)
-        found = self._shares(at, sets, bow, sizes, COARSE)
-        if not found[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
-            spare = max((1 - float(found[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
-            found = self._shares(at, sets, bow, sizes, spare)
-        share, need, room, (end, period, row) = found
+        shares = self._shares(at, sets, bow, sizes, COARSE)
+        if not shares[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
+            spare = max((1 - float(shares[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
+            shares = self._shares(at, sets, bow, sizes, spare)
+        share, need, room, (end, period, row) = shares
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
         when, limit = int(period[tight]), int(row[entry])
         node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
         if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
             when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
-        value, most, least = (float(part[tight]) for part in (share, need, room))
+        value, needed, available = (float(part[tight]) for part in (share, need, room))
         time = node * self.clearance.tracking.flow.h
-        return Margin(value, limits.name(when // q, limit), time, most, least)
+        return Margin(value, limits.name(when // q, limit), time, needed, available)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
@@ -270,13 +270,13 @@ class Continuation(RecoverableSet):
         """Return True for each error (runs, n) at a node that is recoverable."""
         errors = np.atleast_2d(errors)
         radius = np.linalg.norm(errors @ self.clearance.tracking.W.T, axis=-1)
-        found = np.asarray(radius <= self._allowed(node))
-        if found.any():
-            points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
+        inside = np.asarray(radius <= self._allowed(node))
+        if inside.any():
+            points = Zonotope(errors[inside], np.zeros((int(inside.sum()), errors.shape[1], 0)))
             points = self.clearance.tracking.whole_state(points)
             sizes = self.table.sizes_of(points)
-            found[found] = self._met(np.array([node]), points, 0 * errors[found], sizes)
-        return found
+            inside[inside] = self._met(np.array([node]), points, 0 * errors[inside], sizes)
+        return inside
 
     def radius(self, node: int) -> float:
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""

@@ -105,12 +105,12 @@ class Corrections:
     def once(self, sets: Zonotope, count: int) -> float:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
         sets = self.tracking.whole_state(sets)
-        answers, most = self._answers.reshape(-1, sets.dim), 0.0
+        answers, largest = self._answers.reshape(-1, sets.dim), 0.0
         for c, G in zip(sets.c, sets.G, strict=True):
             each = (np.abs(answers @ c) + np.abs(answers @ G).sum(axis=-1)).reshape(len(self._answers), -1)
             later = self._later(np.abs(c) + np.abs(G).sum(axis=-1), count)
-            most = max(most, self._spent(each.sum(axis=0) + later))
-        return most
+            largest = max(largest, self._spent(each.sum(axis=0) + later))
+        return largest
 
     def moved(self, size: Array, count: int) -> float:
         """Bound the thrust that answers to errors up to some size, shape (n,) [N]."""
@@ -123,7 +123,7 @@ class Corrections:
         Until then every command answers to no more than what it has moved by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
         """
-        system, h, most = self.tracking.system, self.tracking.flow.h, 0.0
+        system, h, largest = self.tracking.system, self.tracking.flow.h, 0.0
         for fault, difference, wrong in self._faults():
             sums = difference.along(self._answers).sum(axis=0)
             sums = sums + self._later(difference.along(np.eye(self.tracking.loop.N)), count)
@@ -132,8 +132,8 @@ class Corrections:
             if not len(fault.thrust) and self.tracking.loop.settled is None:
                 meanwhile = 0 if system.observer is None else max(count, meanwhile)
             sums = sums + meanwhile * difference.along(self._answers[0])
-            most = max(most, self._spent(sums) + wrong * fault.lasts / h)
-        return most
+            largest = max(largest, self._spent(sums) + wrong * fault.lasts / h)
+        return largest
 
     def _faults(self) -> Iterator[tuple[Transient, Difference, float]]:
         """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""

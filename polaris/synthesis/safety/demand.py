@@ -79,9 +79,9 @@ class Scheduled:
             at += effect.at(sizes)
             bent += effect.between @ sizes.max(axis=0) * between
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
-                last, most = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
+                last, largest = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
                 later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
-                later += effect.ever(most - last, constant, len(later))
+                later += effect.ever(largest - last, constant, len(later))
         parts = at[: T + 1], np.maximum(at[T:], later)
         ends = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
         return np.asarray((np.array(ends) + bent) * (1 + ROUNDING))
@@ -122,8 +122,8 @@ def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:
     """Bound on the errors of what S applies along a reference, right after it takes over, shape (m,) [N]."""
-    system, told = tracking.system, tracking.system.u_max
+    system, commanded = tracking.system, tracking.system.u_max
     if tracking.profile is not None:
         scheduled = Scheduled(tracking, reference, reference.cells).commanded.max(axis=0)
-        told = np.minimum(told, scheduled + tracking.profile[0])
-    return system.input_error(tracking.gain, told)
+        commanded = np.minimum(commanded, scheduled + tracking.profile[0])
+    return system.input_error(tracking.gain, commanded)

@@ -38,7 +38,7 @@ class EndCondition:
 
     @property
     def proven(self) -> bool:
-        """Whether anything is proven after T."""
+        """Return True if anything is proven after T."""
         return self.horizon != "none"
 
 
@@ -82,13 +82,13 @@ def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
 
 
 def in_hills_frame(system: LinearSystem) -> bool:
-    """Whether the free motion is Clohessy-Wiltshire's (not merely said to be)."""
+    """Return True if the free motion is Clohessy-Wiltshire's (not merely said to be)."""
     eta = system.mean_motion
     return eta is not None and system.n == 6 and np.array_equal(system.A, cw_matrix(eta))
 
 
 def _stays(system: LinearSystem, x: Array) -> bool:
-    """Whether the natural motion from x repeats for ever: by the closed form, or because A x is zero.
+    """Return True if the natural motion from x repeats for ever: by the closed form, or as A x is zero.
 
     A state that rests only to rounding drifts, however slowly; nothing books that drift.
     """

@@ -83,7 +83,7 @@ class Safety:
 
     @cached_property
     def free_flight(self) -> FreeFlight | None:
-        """Where the chaser drifts if all thrust stops, if anything is asked of that."""
+        """Return the free motion after all thrust stops; None if nothing is asked of it."""
         problem, sets = self.problem, self.clearance.unsafe
         if problem.abort is None:
             return None
@@ -175,7 +175,7 @@ def _of_share(problem: Problem, along: Plan | None, like: Safety | None = None) 
 
 
 def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInfeasible:
-    """The error, told which faults cannot be survived, and what is short where with each of them alone."""
+    """Name in the error the faults that cannot be survived, and what is short where with each alone."""
 
     def under(*faults: Transient) -> Safety | None:
         try:
@@ -185,9 +185,9 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
 
     faults, free = problem.system.transients, under()
     if free is None:
-        told = f"{error.condition} No safe reference is found without faults isolated late, either."
-        return SynthesisInfeasible(told, error.shortfall, error.relax)
-    told = f"{error.condition} Without faults that are isolated late there is a safe reference."
+        text = f"{error.condition} No safe reference is found without faults isolated late, either."
+        return SynthesisInfeasible(text, error.shortfall, error.relax)
+    text = f"{error.condition} Without faults that are isolated late there is a safe reference."
     for fault in faults:
         sets, start = free.under((fault,)), free.start
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
@@ -195,10 +195,10 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         margin = sets.margin_at(0, start)
         short, step = missing(margin.limit, margin.need - margin.room), margin.time / problem.delta
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
-        told += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
+        text += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None
-        told += f" {'none is' if alone is None else 'one is'} found with this fault alone."
-    return SynthesisInfeasible(told, error.shortfall, f"{error.relax} Or isolate faults sooner.")
+        text += f" {'none is' if alone is None else 'one is'} found with this fault alone."
+    return SynthesisInfeasible(text, error.shortfall, f"{error.relax} Or isolate faults sooner.")
 
 
 def _proven(

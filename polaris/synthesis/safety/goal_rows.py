@@ -37,11 +37,11 @@ def velocity_times(problem: Problem, rows: Array) -> Array:
     """
     speed = speeds(problem.system.A, problem.system.position)
     moving = speed > 0
-    found = np.linalg.norm(rows[:, moving] / speed[moving], axis=1)
+    times = np.linalg.norm(rows[:, moving] / speed[moving], axis=1)
     counts = np.all(rows[:, ~moving] == 0, axis=1)
     if problem.goal_velocity_tolerance is not None:
         counts[: 2 * len(problem.goal.conditions.E)] = True
-    return np.where(counts, found, 0.0)
+    return np.where(counts, times, 0.0)
 
 
 def _weights(problem: Problem, rows: Array) -> Array:

@@ -31,7 +31,7 @@ FINE = 0.1  # largest angle [rad] by which the fastest mode turns in one part of
 
 @dataclass(frozen=True)
 class Abort:
-    """What is asked of the drift after all thrust stops."""
+    """Requirement on the drift after all thrust stops."""
 
     horizon: float  # for how long the drift must stay clear [s]
     required: bool = False  # whether only schedules are kept whose drift stays clear from all their steps
@@ -44,7 +44,7 @@ class Abort:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """What becomes of all flights whose thrust stops in some periods of one step.
+    """Drift of all flights whose thrust stops in some periods of one step.
 
     The start is a parallelotope around the states at the start of the step from which free motion leads to
     the states in which thrust stops (docs/theory.md, Proposition 15 (a)).
@@ -58,7 +58,7 @@ class Drift:
 
     @property
     def clear(self) -> bool:
-        """Whether the drift is proven to stay clear of every unsafe set."""
+        """Return True if the drift is proven to stay clear of every unsafe set."""
         return bool(np.all(self.room > 0))
 
 
@@ -84,7 +84,7 @@ class FreeFlight:
 
     @cached_property
     def sets(self) -> tuple[TimedPolytope, ...]:
-        """What the drift must stay clear of."""
+        """Return the unsafe sets that the drift must stay clear of."""
         return tuple(item for item in self.unsafe if self.abort.keep_in or not item.keep_in)
 
     @cached_property
@@ -117,20 +117,20 @@ class FreeFlight:
         return carried, bend, pushed
 
     def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
-        """What becomes of flights whose thrust stops in step k: of all, or by groups if not all are clear.
+        """Return the drifts of flights whose thrust stops in step k: one of all, or groups if not clear.
 
         `nodes` is a stack of q+1 sets of states, which lie on chords between them up to `bow`, shape (q, n).
         """
-        q, found = len(bow), []
+        q, drifts = len(bow), []
         for groups in (1, min(GROUPS, q)):
             ends = [round(q * i / groups) for i in range(groups + 1)]
-            found = [
+            drifts = [
                 self._drift(k, b - a, self._start(nodes[a : b + 1], bow[a:b], a, q))
                 for a, b in pairwise(ends)
             ]
-            if clear(found):
+            if clear(drifts):
                 break
-        return tuple(found)
+        return tuple(drifts)
 
     def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
         """Enclose the states in which thrust may stop, carried to the start of the step (Proposition 15 (a)).
@@ -142,9 +142,9 @@ class FreeFlight:
         back = powers(expm(-system.A * h), first + len(bow))[first:]
         centre, spread = np.einsum("qij,qj->qi", back, nodes.c), back @ nodes.G
         half, grown = nodes.half_widths, growth(system.A, h)
-        most = np.maximum((np.abs(nodes.c) + half)[:-1], (np.abs(nodes.c) + half)[1:])
+        largest = np.maximum((np.abs(nodes.c) + half)[:-1], (np.abs(nodes.c) + half)[1:])
         apart = np.abs(np.diff(nodes.c, axis=0)) + half[:-1] + half[1:]
-        bent = h / 8 * (h * most @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
+        bent = h / 8 * (h * largest @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
         beyond = (bow + bent) @ grown.T
         L, inverse = self._weight
         tall = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
@@ -158,21 +158,21 @@ class FreeFlight:
         return Zonotope(T @ ((low + high) / 2), T * half)
 
     def _drift(self, k: int, periods: int, start: Zonotope) -> Drift:
-        """What becomes of a set of starts at the beginning of step k."""
+        """Return the drift of a set of starts at the beginning of step k."""
         (rows, bend, pushed), shape = self._rows, (len(self.sets), self.cells * self.parts)
         fine = [item.fine(self.parts)[k : k + self.cells] for item in self.sets]
         offsets = np.concatenate([np.zeros((self.cells, self.parts + 1, 0)), *fine], axis=-1)
         ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, shape[1], len(rows[0]))
         size = np.abs(self._powers @ start.c) + np.abs(self._powers @ start.G).sum(-1)
         at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
-        chord, most, large = size[:-1] @ bend.T + pushed, at + reach, np.abs(at) + reach
+        chord, upper, large = size[:-1] @ bend.T + pushed, at + reach, np.abs(at) + reach
         rounded = ROUNDING * (np.abs(ends) + np.maximum(large[:-1], large[1:]) + chord)
-        room = (-ends - (np.stack([most[:-1], most[1:]]) + chord) - rounded).min(axis=0)
+        room = (-ends - (np.stack([upper[:-1], upper[1:]]) + chord) - rounded).min(axis=0)
         last = np.cumsum([len(item.normals) for item in self.sets])[:-1].astype(int)
         rooms, middles = (np.split(part, last, axis=1)[: shape[0]] for part in (room, -ends[1] - at[1:]))
         facets = [part.argmax(axis=1) for part in rooms]
-        found = facets, [part.max(axis=1) for part in rooms], [part.max(axis=1) for part in middles]
-        return Drift(periods, start, *(np.array(each).reshape(shape) for each in found))
+        by_set = facets, [part.max(axis=1) for part in rooms], [part.max(axis=1) for part in middles]
+        return Drift(periods, start, *(np.array(each).reshape(shape) for each in by_set))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,12 +184,12 @@ class PassiveSafety:
 
     @cached_property
     def clear(self) -> NDArray[np.bool_]:
-        """Whether the drift from a step is proven to stay clear, shape (K,)."""
+        """Return True for each step from which the drift is proven to stay clear, shape (K,)."""
         return np.array([clear(parts) for parts in self.drifts])
 
     @property
     def kept(self) -> bool:
-        """Whether the drift stays clear from all steps, if that is required."""
+        """Return True if the drift stays clear from all steps, or need not."""
         return not self.flight.abort.required or bool(np.all(self.clear))
 
     @property
@@ -237,5 +237,5 @@ class PassiveSafety:
 
 
 def clear(parts: Sequence[Drift]) -> bool:
-    """Whether the drift is proven to stay clear from all of a step."""
+    """Return True if the drift is proven to stay clear from all of a step."""
     return all(part.clear for part in parts)

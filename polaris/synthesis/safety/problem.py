@@ -1,4 +1,4 @@
-"""What the two algorithms are asked: the mathematical problem of section II, without a file."""
+"""The mathematical problem of section II that the two algorithms solve, without a file."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -29,7 +29,7 @@ RECOURSE = ("in_view", "none")
 
 @dataclass(frozen=True, eq=False)
 class PoweredAbort:
-    """What S must be able to do from whatever instant of the schedule: reach an orbit, safely."""
+    """Requirement on S from every instant of the schedule: reach an orbit, safely."""
 
     goal: Goal | None = None  # the orbit; None for the schedule's own goal
     tolerance: float | None = None  # what counts as reached [m], as `Problem.goal_tolerance`
@@ -202,7 +202,7 @@ ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # what a bare syste
 
 
 def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
-    """What `get_safety` is asked, in any of its forms, as a `Problem`.
+    """Return the argument of `get_safety`, in any of its forms, as a `Problem`.
 
     `arguments` are the positional ones but the first, by name, which only a bare system reads; `options`
     further fields of `Problem`.

@@ -23,7 +23,7 @@ THRUSTS = [f"{axis} thrust" for axis in HILL_AXES]  # inputs in newtons, as limi
 
 @dataclass(frozen=True)
 class Margin:
-    """How far a set of errors is inside a recoverable set, and what limits it.
+    """Margin of a set of errors inside a recoverable set, and the limit that is tightest.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Margin:
 
     @property
     def inside(self) -> bool:
-        """Whether the whole set is recoverable."""
+        """Return True if the whole set is recoverable."""
         return self.value >= 0
 
     def __str__(self) -> str:
@@ -78,7 +78,7 @@ class RecoverableSet(ABC):
         return self.margin(k, nodes, bow).inside
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
-        """How far a tube over cell k is inside: at least 0 where `holds`."""
+        """Return the margin of a tube over cell k: at least 0 where `holds`."""
         return self.tightest(k * self.clearance.q, nodes, at_nodes(bow))
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
@@ -95,7 +95,7 @@ class RecoverableSet(ABC):
 
     @abstractmethod
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
-        """Whether each error (runs, n) at a node is recoverable."""
+        """Return True for each error (runs, n) at a node that is recoverable."""
 
     @abstractmethod
     def radius(self, node: int) -> float:

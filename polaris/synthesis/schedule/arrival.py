@@ -205,8 +205,8 @@ class Tail(Nearness):
         row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
         both = PathRows(self.safety.clearance, np.vstack([row, -row]), failing=False, between=False)
         size = ROUNDING * (np.abs(both.rows) @ np.abs(x))
-        most = np.max(both.rows @ x + size + self.needs(both, node + 1)[-1])
-        return float(6 * np.pi * most * (1 + ROUNDING))
+        largest = np.max(both.rows @ x + size + self.needs(both, node + 1)[-1])
+        return float(6 * np.pi * largest * (1 + ROUNDING))
 
     def approach(self) -> Approach:
         """Return what is proven of the goal at the nodes from T on, until the end of the coasting tail."""
@@ -214,16 +214,16 @@ class Tail(Nearness):
         seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]
         states = np.concatenate([reference.chi[problem.K][None], *(cell[1:] for cell in cells)])
-        most = self.distance(states, self.needs(self.along, len(states)))
-        within = np.flatnonzero(most * (1 + CHECKED) <= self.tolerance)
-        best = int(within[0]) if len(within) else int(np.argmin(most))
+        distances = self.distance(states, self.needs(self.along, len(states)))
+        within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
+        best = int(within[0]) if len(within) else int(np.argmin(distances))
         middle = self.along.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
         return Approach(
             reached=True if len(within) else "not_proven" if near else False,
             by=problem.K * problem.delta + best * tracking.flow.h if len(within) else None,
-            distance=float(most[best]),
+            distance=float(distances[best]),
             tolerance=self.tolerance,
             drift=self.drift(states[best], best),
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
@@ -254,8 +254,8 @@ class Tail(Nearness):
         if lag >= nodes:
             return u_max
         first = self.T + nodes - lag - 1
-        most = commanded(self.commands, self.held, first, self.T + nodes).max(axis=(0, 1))
-        return np.asarray(np.minimum(most, u_max))
+        bound = commanded(self.commands, self.held, first, self.T + nodes).max(axis=(0, 1))
+        return np.asarray(np.minimum(bound, u_max))
 
     def estimate(self, nodes: int) -> Array:
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
@@ -281,19 +281,19 @@ class Tail(Nearness):
         end = self.T + self.settling
         if self.safety.reference.cells * self.safety.clearance.q < end:
             return None
-        most = commanded(self.commands, self.held, self.T, end)[1, -1]
-        return most if np.all(most <= self.safety.problem.system.u_max) else None
+        bound = commanded(self.commands, self.held, self.T, end)[1, -1]
+        return bound if np.all(bound <= self.safety.problem.system.u_max) else None
 
     def upkeep(self, spending: Spending) -> Upkeep | None:
         """Bound S's velocity change for all time (Proposition 14 (d)); None where `tops` is None."""
         problem, tracking, system = self.safety.problem, self.safety.tracking, self.safety.problem.system
-        most, nodes, taken = self.tops, self.settling, spending.schedule
-        if most is None or spending.settled is None:
+        tops, nodes, taken = self.tops, self.settling, spending.schedule
+        if tops is None or spending.settled is None:
             return None
-        thrust = self.long_flight(nodes, most)
+        thrust = self.long_flight(nodes, tops)
         rate, once = (part / system.mass * (1 + spare(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
-        ahead = float(system.spent(most).sum()) / system.mass * h * bool(system.timing.fired)
+        ahead = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.fired)
         ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does
         until = spending.settled + ahead
         before = system.owed / system.mass

@@ -44,9 +44,9 @@ class HandOvers:
         normals = [-body.rows(self.tracking.system) for body in self.unsafe]
         return CarriedRows.of(self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))]))
 
-    def _by_set(self, found: Array) -> list[Array]:
+    def _by_set(self, needs: Array) -> list[Array]:
         ends = np.cumsum([len(body.normals) for body in self.unsafe])
-        return np.split(found, ends[:-1], axis=-1) if self.unsafe else []
+        return np.split(needs, ends[:-1], axis=-1) if self.unsafe else []
 
     @cached_property
     def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
@@ -67,8 +67,8 @@ class HandOvers:
 
     def caused(self, reference: Reference) -> list[Array]:
         """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
-        found = Scheduled(self.tracking, reference, reference.cells).along(self._rows.rows)
-        return self._by_set(found.max(axis=1)[: self.K])
+        needs = Scheduled(self.tracking, reference, reference.cells).along(self._rows.rows)
+        return self._by_set(needs.max(axis=1)[: self.K])
 
     def along(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
         """Return what S needs along a reference, and how much the best facet of each cell lacks of it.
@@ -84,15 +84,15 @@ class HandOvers:
         list of tuple
             Per unsafe set the need (K, F) and the lack (K, 1) [m].
         """
-        found, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
+        pairs, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
         for i, (body, need) in enumerate(zip(self.unsafe, self.caused(reference), strict=True)):
-            most = np.zeros_like(need)
+            largest = np.zeros_like(need)
             for k, table in tables.items():
-                most[k:] = np.maximum(most[k:], table[i][: self.K - k])
+                largest[k:] = np.maximum(largest[k:], table[i][: self.K - k])
             room = facet_room(self.tracking, reference, body)
-            lack = (most + need - room.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
-            found.append((most + need, np.maximum(lack, 0.0)))
-        return found
+            lack = (largest + need - room.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
+            pairs.append((largest + need, np.maximum(lack, 0.0)))
+        return pairs
 
 
 def reached_sets(

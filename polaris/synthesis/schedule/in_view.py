@@ -162,15 +162,15 @@ class Windows:
             return np.inf, None
         if key not in self.known:
             self._priced(np.where(mask, 0.0, np.inf), mask)
-            found, cost = self.search.best({}), np.inf
-            if found is not None:
+            path, cost = self.search.best({}), np.inf
+            if path is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
-                cost = -self.worth.of({0: s, self.mode: 1.0 - s}, found.fuel, switches)
-            self.known[key] = cost, found
+                cost = -self.worth.of({0: s, self.mode: 1.0 - s}, path.fuel, switches)
+            self.known[key] = cost, path
         return self.known[key]
 
     def starts(self) -> list[tuple[Mask, Seen | None]]:
-        """Where to begin: the windows of paths near U's own, past what is in its way on every side."""
+        """Return windows to begin with, of paths near U's own past every side of what is in its way."""
         self._priced(np.full(self.K, STICKING[0] * self.unit))
         own = self.search.solve({})
         if own is None:
@@ -185,7 +185,7 @@ class Windows:
                 ways.append((cost, len(ways), {(i, k): f for k in cells}))
         nearest = sorted(sorted(ways, key=lambda way: way[:2])[:SIDES], key=lambda way: way[1])
         sides += [(way, None) for _, _, way in nearest]
-        found: list[tuple[float, int, Mask, Seen]] = []
+        candidates: list[tuple[float, int, Mask, Seen]] = []
         for choice, guide in sides:
             self.search.guide = guide
             for price in STICKING:
@@ -196,16 +196,16 @@ class Windows:
                 mask = (self.search.departures(path) > DEPARTS) & ~self.closing & ~self.limited
                 self.search.guide = self.search.look(path)
                 self.known = {}
-                found.append((self.path(mask)[0], len(found), mask, self.search.guide))
+                candidates.append((self.path(mask)[0], len(candidates), mask, self.search.guide))
                 self.search.guide = guide
-        found.sort(key=lambda item: item[:2])
-        found.reverse()
-        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in found}
+        candidates.sort(key=lambda item: item[:2])
+        candidates.reverse()
+        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in candidates}
         kept = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
         return [start for (_, cost), start in kept[:STARTS] if np.isfinite(cost)]
 
     def schedules(self, prove: Prove) -> Iterator[Schedule]:
-        """What is proven along the best path from every start.
+        """Yield the schedule that is proven along the best path from every start.
 
         Where the flight turns out to need more, it is planned again with that much more; where S had to fly
         all the same, with those steps free to it.
@@ -297,9 +297,9 @@ class Windows:
         while better and len(self.known) < PROGRAMS:
             better = False
             for other in neighbours(mask, APART if self.renewed else ()):
-                found = self.path(other)[0]
-                if found < cost - 1e-9:
-                    cost, mask, better = found, other, True
+                other_cost = self.path(other)[0]
+                if other_cost < cost - 1e-9:
+                    cost, mask, better = other_cost, other, True
                     break
                 if len(self.known) >= PROGRAMS:
                     break
@@ -307,7 +307,7 @@ class Windows:
 
     @property
     def late(self) -> bool:
-        """Whether the wall clock has ended the search early: another machine may find something else."""
+        """Return True if the wall clock ended the search early: another machine may find another path."""
         return perf_counter() > self.search.deadline
 
     def _certified(self, path: Candidate | None) -> Plan | None:
@@ -336,8 +336,8 @@ def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
 
 def views(printed: Schedule, worth: Worth) -> list[Windows]:
     """The searches for windows along the paths of all laws that a reference can follow."""
-    found = []
+    searches = []
     for mode, law in followable(printed):
         with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
-            found.append(Windows(printed, law, mode, worth))
-    return found
+            searches.append(Windows(printed, law, mode, worth))
+    return searches

@@ -22,7 +22,7 @@ Prove = Callable[[Zonotope, int, int], Zonotope | None]
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """What a sequence of modes leads to, whatever the rules; what follows is worked out once."""
+    """Place that a sequence of modes leads to, whatever the rules; what follows is worked out once."""
 
     k: int
     reached: Zonotope
@@ -66,7 +66,7 @@ class LookAhead:
         root, tried = _Place(0, self.start), rungs(dwell, self.K)
         highest = self.K if cap is None else cap
         bars = [0.0] * (self.K + 2)  # worth found with so many switches or fewer, under stricter dwell times
-        found, done, searched = _Path(root), 0, 0
+        best, done, searched = _Path(root), 0, 0
         for d in sorted({dwell, *tried, *range(dwell, min(EACH, self.K) + 1)}, reverse=True):
             uncapped = self._greedy(root, d, self.K)
             paths = [uncapped]
@@ -74,19 +74,19 @@ class LookAhead:
                 # With one controller a lower cap cuts the end off; with several it may change the beginning.
                 least = 0 if len(self.worth) > 2 else highest
                 paths += [self._greedy(root, d, c) for c in range(least, min(highest, uncapped.spent) + 1)]
-            found = max([found, *(path for path in paths if path.spent <= highest)], key=_merit)
+            best = max([best, *(path for path in paths if path.spent <= highest)], key=_merit)
             if d in tried or d <= EACH:
                 _raise(bars, [uncapped])
             if d not in tried:
                 continue
             for k, added in enumerate(self._search(root, d, highest, bars)):
-                found = max([found, *(path for path in added if path.spent <= highest)], key=_merit)
+                best = max([best, *(path for path in added if path.spent <= highest)], key=_merit)
                 step = (searched * self.K + k + 1) // len(tried)
                 if progress and step > done:
                     progress(step, self.K)
                     done = step
             searched += 1
-        place: _Place | None = found.place
+        place: _Place | None = best.place
         modes = []
         while place is not None and place.before is not None:
             modes.append(place.mode)
@@ -103,14 +103,14 @@ class LookAhead:
             for following in range(1, len(self.worth)):
                 stays = following == mode
                 if stays or held >= dwell:
-                    found = self._go(path, following, 1 if stays else dwell)
-                    if found is not None and (stays or found.spent <= cap):
+                    longer = self._go(path, following, 1 if stays else dwell)
+                    if longer is not None and (stays or longer.spent <= cap):
                         break
             else:
-                found = self._go(path, SAFETY, 1)
-            assert found is not None
-            held = found.place.k - path.place.k + (held if found.place.mode == mode and path.place.k else 0)
-            path = found
+                longer = self._go(path, SAFETY, 1)
+            assert longer is not None
+            held = longer.place.k - path.place.k + (held if longer.place.mode == mode and path.place.k else 0)
+            path = longer
         return path
 
     def _search(self, root: _Place, dwell: int, cap: int, bars: list[float]) -> Iterator[list[_Path]]:
@@ -120,12 +120,12 @@ class LookAhead:
         It is given up where U for all the rest would not take it over the bar of its switches. What waits
         with s switches does so whatever has more, and whatever the cap is.
         """
-        most = max(self.worth)
+        highest = max(self.worth)
         waiting: list[dict[tuple[int, int], list[_Path]]] = [{} for _ in range(self.K + 1)]
         waiting[0][0, SAFETY] = [_Path(root)]
         for k in range(self.K):
             added = []
-            rest = (self.K - k) * most
+            rest = (self.K - k) * highest
             groups = {
                 key: [path for path in paths if path.worth + rest > bars[path.spent]]
                 for key, paths in waiting[k].items()
@@ -137,11 +137,11 @@ class LookAhead:
                     # From S only a return to U, for two switches more, could still add anything.
                     if cap < APART and spent + 2 * (mode == SAFETY) > cap:
                         continue
-                    found = self._go(path, mode, 1 if stays else dwell)
-                    if found is not None:
-                        key = min(found.spent, APART), found.place.mode
-                        waiting[found.place.k].setdefault(key, []).append(found)
-                        added.append(found)
+                    longer = self._go(path, mode, 1 if stays else dwell)
+                    if longer is not None:
+                        key = min(longer.spent, APART), longer.place.mode
+                        waiting[longer.place.k].setdefault(key, []).append(longer)
+                        added.append(longer)
             waiting[k] = {}
             _raise(bars, added)
             yield added

@@ -56,22 +56,22 @@ class PoweredSafety:
         if not (self.asked.required and lost):
             return
         k, way = max(lost, key=lambda each: (not each[1].budget, each[1].short))
-        told = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
-        told += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
+        message = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
+        message += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
         if way.budget:
-            raise NotCertified(f"{told}; raise {way.budget} by {way.short:.4g}")
-        raise SynthesisInfeasible(f"{told}.", way.short, "raise abort.within_s, or widen the orbit.")
+            raise NotCertified(f"{message}; raise {way.budget} by {way.short:.4g}")
+        raise SynthesisInfeasible(f"{message}.", way.short, "raise abort.within_s, or widen the orbit.")
 
     def told(self) -> dict[str, Any]:
-        """What a run claims of it."""
+        """Return the claims that a run makes of it, as JSON."""
         steps, delta = list[dict[str, Any]](), self.delta
         for k, way in enumerate(self.ways):
-            found: tuple[float | None, ...] = (None,) * len(TOLD)
+            values: tuple[float | None, ...] = (None,) * len(TOLD)
             if way.branch is not None:
                 branch = self.branches[way.branch]
                 ends = until if np.isfinite(until := branch.safety.end.until) else None
-                found = branch.step * delta, way.cell * delta, way.delta_v, ends
-            steps.append({"step": k, **dict(zip(TOLD, found, strict=True)), "why": way.why or None})
+                values = branch.step * delta, way.cell * delta, way.delta_v, ends
+            steps.append({"step": k, **dict(zip(TOLD, values, strict=True)), "why": way.why or None})
         return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
 
 
@@ -105,11 +105,11 @@ def powered(
     if known is not None:
         parts = zip(known.steps, known.inputs, known.facets, strict=True)
         made = tuple(search.branch(*part) for part in parts)
-        found = (
+        replayed = (
             Way(None, why=why) if place is None else made[place].serve(each, asked, place)
             for each, place, why in zip(taken, known.serve, known.why, strict=True)
         )
-        return PoweredSafety(asked, delta, made, tuple(found))
+        return PoweredSafety(asked, delta, made, tuple(replayed))
     branches, ways = list[Branch](), list[Way]()
     while len(ways) < len(taken):
         served, lost = list[Way](), list[Way]()
@@ -163,14 +163,14 @@ class BranchSearch:
         tracking = self.safety.tracking
         problem, tail = self._aborted(b + n), tail_length(tracking)
         unsafe = perceive_unsafe(problem, problem.K + tail)
-        most = min(problem.planner.max_linear_programs, PROGRAMS)
+        limit = min(problem.planner.max_linear_programs, PROGRAMS)
         try:
             wanted = self._wanted(plan_problem(problem, tracking, unsafe), self.taken[k:b], tail)
-            found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
+            planned = plan(wanted, replace(problem.planner, max_linear_programs=limit, progress=None))
         except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
             return f"no branch is found: {error}"
-        facets = np.vstack([self.safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
-        return self.branch(b, found.nu, facets)
+        facets = np.vstack([self.safety.clearance.facets[:b], planned.facets.T, planned.tail_facets.T])
+        return self.branch(b, planned.nu, facets)
 
     def _aborted(self, K: int) -> Problem:
         """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
@@ -206,8 +206,8 @@ class BranchSearch:
         def needed(rows: Array) -> Array:
             tubes = (each for one in taken for each in self._from(one, rows))
             parts = [tube.over_cells(asked.K, q, node)[b:] for node, tube in tubes]
-            most: Array = np.max(parts, axis=0) * (1 + SPARE)
-            return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
+            largest: Array = np.max(parts, axis=0) * (1 + SPARE)
+            return np.asarray(largest + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
         margins = [
             np.maximum(known[b:], needed(-body.rows(system)))

@@ -1,4 +1,4 @@
-"""Whether everything a schedule is made from speaks of one system, one time grid and one reference.
+"""Checks that the parts of a schedule speak of one system, one time grid and one reference.
 
 A tube says nothing about a flight under other limits, other disturbances or another period. What comes
 out of one `Problem` belongs together by construction; what is assembled by hand, or taken from another
@@ -82,7 +82,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
 
 
 def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
-    """What a controller of a class of one's own returns: sets of the right shapes that hold the start.
+    """Check what a controller of a class of one's own returns: sets of the right shapes that hold the start.
 
     Raises `ScenarioError` if it is no tube from that start over one step.
     """
@@ -99,39 +99,39 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     if not np.all(tube.bow >= 0):
         raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
-    for told, inner, outer in (("states", start, tube.states[0]), ("end", tube.states[-1], tube.end)):
+    for part, inner, outer in (("states", start, tube.states[0]), ("end", tube.states[-1], tube.end)):
         size = inner.extent
         short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
         if not np.all(short <= 0):
-            rule = "must contain " + ("the set it starts from" if told == "states" else "its last node")
-            raise ScenarioError(f"{name}.{told}", f"{float(np.nanmax(short)):.3g} short", rule)
+            rule = "must contain " + ("the set it starts from" if part == "states" else "its last node")
+            raise ScenarioError(f"{name}.{part}", f"{float(np.nanmax(short)):.3g} short", rule)
     return tube
 
 
-def _same_parts(field: str, found: Any, wanted: Any) -> None:
+def _same_parts(field: str, given: Any, wanted: Any) -> None:
     """Refuse what is not of the same kind with the same parts, its arrays to rounding, as what is wanted."""
-    if found is wanted:
+    if given is wanted:
         return
     if is_dataclass(wanted):
-        if type(found) is not type(wanted):
-            raise ScenarioError(field, type(found).__name__, f"must be of the kind {type(wanted).__name__}")
+        if type(given) is not type(wanted):
+            raise ScenarioError(field, type(given).__name__, f"must be of the kind {type(wanted).__name__}")
         for part in fields(wanted):
             if part.name not in UNPROVEN:
-                _same_parts(f"{field}.{part.name}", getattr(found, part.name), getattr(wanted, part.name))
-    elif isinstance(wanted, tuple) and isinstance(found, tuple) and len(found) == len(wanted):
-        for i, (one, other) in enumerate(zip(found, wanted, strict=True)):
+                _same_parts(f"{field}.{part.name}", getattr(given, part.name), getattr(wanted, part.name))
+    elif isinstance(wanted, tuple) and isinstance(given, tuple) and len(given) == len(wanted):
+        for i, (one, other) in enumerate(zip(given, wanted, strict=True)):
             _same_parts(f"{field}[{i}]", one, other)
-    elif not (isinstance(wanted, np.ndarray) and _close(found, wanted)):
-        _same(field, found, wanted, "one that its problem and plan lead to")
+    elif not (isinstance(wanted, np.ndarray) and _close(given, wanted)):
+        _same(field, given, wanted, "one that its problem and plan lead to")
 
 
-def _close(found: Any, wanted: Array) -> bool:
-    same = isinstance(found, np.ndarray) and found.shape == wanted.shape
-    return same and bool(np.all(np.abs(found - wanted) <= REFERENCE * np.max(np.abs(wanted), initial=0.0)))
+def _close(given: Any, wanted: Array) -> bool:
+    same = isinstance(given, np.ndarray) and given.shape == wanted.shape
+    return same and bool(np.all(np.abs(given - wanted) <= REFERENCE * np.max(np.abs(wanted), initial=0.0)))
 
 
-def _same(field: str, found: Any, wanted: Any, whose: str) -> None:
-    if np.array_equal(np.asarray(found, dtype=object), np.asarray(wanted, dtype=object)):
+def _same(field: str, given: Any, wanted: Any, whose: str) -> None:
+    if np.array_equal(np.asarray(given, dtype=object), np.asarray(wanted, dtype=object)):
         return
-    a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (found, wanted))
+    a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (given, wanted))
     raise ScenarioError(field, a, f"must be the {whose}, {b}" if a != b else f"must be the {whose}")

@@ -53,7 +53,7 @@ class Step:
 
     @cached_property
     def margin(self) -> Margin:
-        """How far the tube is inside the recoverable sets.
+        """Return the margin of the tube inside the recoverable sets.
 
         Steps under S need no margin: from a recoverable set S stays safe to the end.
         """
@@ -128,7 +128,7 @@ class Schedule:
 
     @cached_property
     def assumptions(self) -> tuple[str, ...]:
-        """What the guarantee rests on, for a mission to discharge."""
+        """Return the assumptions that the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
@@ -203,7 +203,7 @@ class Schedule:
 
     @cached_property
     def approach(self) -> Approach:
-        """Whether and by when the goal is proven reached."""
+        """Return what is proven of the goal: reached or not, and by when."""
         return self.tail.approach()
 
     @cached_property
@@ -228,14 +228,14 @@ class Schedule:
             return None
         rows, beside = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
         flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
-        most = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
+        largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
         least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded
-        found = {
+        bounds = {
             "settled": None if self.upkeep is None else self.tail.estimate(tracking.memory + 2),
-            "experimental": np.max(most, axis=0) + beside if flown else None,
+            "experimental": np.max(largest, axis=0) + beside if flown else None,
         }
         more = 1 + spare(tracking)
-        return {k: None if x is None else (np.minimum(x, least) * more).tolist() for k, x in found.items()}
+        return {k: None if x is None else (np.minimum(x, least) * more).tolist() for k, x in bounds.items()}
 
     @cached_property
     def passive(self) -> PassiveSafety | None:
@@ -249,8 +249,8 @@ class Schedule:
     def powered(self) -> PoweredSafety | None:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
         flown = [(step.mode, step.tube) for step in self.steps]
-        most = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
-        return powered(self.safety, flown, most / self.safety.problem.system.mass, self.branches)
+        impulse = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
+        return powered(self.safety, flown, impulse / self.safety.problem.system.mass, self.branches)
 
     def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
@@ -310,7 +310,7 @@ class Schedule:
 
 
 def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
-    """What becomes of the flights in a tube over step k if all thrust stops; none where nothing is asked."""
+    """Return the drifts of flights in a tube over step k after all thrust stops; none if nothing is asked."""
     problem, q = safety.problem, safety.clearance.q
     flight = safety.free_flight
     if flight is None:

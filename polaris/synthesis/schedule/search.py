@@ -150,12 +150,12 @@ class Search:
         return tube
 
     def _before(self, reached: Zonotope) -> list[tuple[Zonotope, Controller]]:
-        """Where each of the steps began that lead to a set, and who flew it."""
-        found: list[tuple[Zonotope, Controller]] = []
+        """Return the start of each step that leads to a set, and the controller that flew it."""
+        steps: list[tuple[Zonotope, Controller]] = []
         while reached in self.came:
             reached, mode = self.came[reached]
-            found.insert(0, (self.safety.tracking.true_error(reached), self.controllers[mode]))
-        return found
+            steps.insert(0, (self.safety.tracking.true_error(reached), self.controllers[mode]))
+        return steps
 
     @cached_property
     def planned(self) -> tuple[int, ...]:

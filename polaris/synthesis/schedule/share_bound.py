@@ -1,4 +1,4 @@
-"""How much of the time any schedule could leave to U: what U's own path already forbids.
+"""Bound on the share of time that any schedule could leave to U: what U's own path already forbids.
 
 Without disturbance and from the middle of the initial set, a flight must keep clear of the unsafe sets at the
 ends of all steps: where U flies it moves as U's law has it, where S flies by any thrust within the limits.
@@ -107,9 +107,9 @@ class Master:
 
     def worth(self, worths: Sequence[float]) -> float:
         """Proven bound on the mean worth of a step, by that of each mode; 0 if there is no schedule."""
-        most = max(worths)
-        least = self._cheapest([1.0 - worth / most for worth in worths])[0]
-        return most * max(1.0 - least / self.K, 0.0)
+        largest = max(worths)
+        least = self._cheapest([1.0 - worth / largest for worth in worths])[0]
+        return largest * max(1.0 - least / self.K, 0.0)
 
 
 def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareBound:

@@ -44,21 +44,21 @@ class Spell:
         q = len(tube.bow)
         if isinstance(law, NeuralController):  # it flies on exact states
             centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
-            told = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
+            largest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
             middle = np.minimum(np.abs(centre), law.system.u_max)
-            return cls(law, tube, k, middle[:-1], law.system.spent(told)[:-1])
+            return cls(law, tube, k, middle[:-1], law.system.spent(largest)[:-1])
         if not isinstance(law, AffineController):
             limit = getattr(law, "system", None)
-            most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
-            return cls(law, tube, k, most, most)
+            spent = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
+            return cls(law, tube, k, spent, spent)
         here, system = law.in_step(k), law.system
         centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
-        told = centre + 0.0
+        largest = centre + 0.0
         for i in range(q + 1):
-            top = (np.abs(centre[i]) + spread[i] + _noise(here, told, i)) * (1 + ROUNDING)
-            told[i] = np.minimum(top, system.u_max)
+            top = (np.abs(centre[i]) + spread[i] + _noise(here, largest, i)) * (1 + ROUNDING)
+            largest[i] = np.minimum(top, system.u_max)
         middle = np.minimum(np.abs(centre), system.u_max)
-        return cls(law, tube, k, middle[:-1], system.spent(told)[:-1], told[:-1])
+        return cls(law, tube, k, middle[:-1], system.spent(largest)[:-1], largest[:-1])
 
     @cached_property
     def start(self) -> Zonotope:
@@ -128,24 +128,24 @@ class FlightSpending:
     @cached_property
     def weights(self) -> list[Weights | None]:
         """Weights for each step; None where it is not linear, or nothing is gained."""
-        found: list[Weights | None] = [None] * len(self.spells)
+        weights: list[Weights | None] = [None] * len(self.spells)
         for run in self.runs:
             steps = self._steps(run, self.periods)
             if steps and sum(len(step.middle) for step in steps) <= LONGEST:
                 clipped = any(self.spells[k].tube.slopes is not None for k in run)
                 chosen = storage.weights(steps, self.spells[run[0]].start, clipped)
-                found[run[0] : run[0] + len(chosen)] = chosen
-        return found
+                weights[run[0] : run[0] + len(chosen)] = chosen
+        return weights
 
     def _steps(self, run: Sequence[int], periods: int) -> list[LinearStep]:
         """Return the steps of a run as far as so many periods of the flight."""
-        found = []
+        steps = []
         for k in run:
             q = len(self.spells[k].most)
             left, step = periods - k * q, self.spells[k].linear
             if left > 0 and step is not None:
-                found.append(step.until(left))
-        return found
+                steps.append(step.until(left))
+        return steps
 
     def apart(self, periods: int) -> float:
         """Bound the thrust of so many periods, each for itself [N] (Proposition 14 (b))."""
@@ -193,5 +193,5 @@ def commanded(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -
 def tracked(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> float:
     """Bound S's velocity change in the periods from a node until another [m/s], see `commanded`."""
     system, h = rows.clearance.tracking.system, rows.clearance.tracking.flow.h
-    most = system.spent(np.minimum(commanded(rows, held, first, last), system.u_max))
-    return float(most.sum(axis=-1).max(axis=0).sum()) * h / system.mass
+    spent = system.spent(np.minimum(commanded(rows, held, first, last), system.u_max))
+    return float(spent.sum(axis=-1).max(axis=0).sum()) * h / system.mass

@@ -73,13 +73,13 @@ def synthesize(
     search = Search.over(scenario, safety, experimental, rules, progress, fits, clock)
     clock.lap("experimental controllers")
     in_view = recourse and safety.problem.recourse != "none"
-    found = most_worthy(search, in_view)
+    best = most_worthy(search, in_view)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
-    found = best_share(search, found, in_view) if free else found
-    if found.powered is not None:
-        found.powered.require()
+    best = best_share(search, best, in_view) if free else best
+    if best.powered is not None:
+        best.powered.require()
         clock.lap("powered abort")
-    return replace(found, seconds=clock.after(safety.seconds))
+    return replace(best, seconds=clock.after(safety.seconds))
 
 
 def turns(search: Search) -> bool:
@@ -115,16 +115,16 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
     """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
     search.clock.lap("schedule")
-    found = printed
+    best = printed
     if recourse:
         search, printed = arriving(search, printed)
-        found = with_recourse(search, printed)
+        best = with_recourse(search, printed)
         search.clock.lap("recourse")
-    if found.keeps(search.rules):
-        return found
-    found = within_budget(search, [printed, found])
+    if best.keeps(search.rules):
+        return best
+    best = within_budget(search, [printed, best])
     search.clock.lap("budget")
-    return found
+    return best
 
 
 def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
@@ -198,9 +198,9 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
             break
     library = tuple(one for one in others if as_good(one, best, search.rules))
     if late:
-        told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
+        text = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
-            f"{told}: another machine, or another run, may find another", ClockWarning, stacklevel=3
+            f"{text}: another machine, or another run, may find another", ClockWarning, stacklevel=3
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
@@ -266,12 +266,12 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
         few, many, best = -1, K, None
         while many - few > 1:
             tried = (few + many) // 2 if best else 0  # S alone first
-            found = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
-            least = min(least, found.spent)
-            if found.affords(search.rules) and found.passive is not None:
-                witness = witness or found.passive.witness()
-            if found.keeps(search.rules):
-                few, best = tried, found
+            trial = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
+            least = min(least, trial.spent)
+            if trial.affords(search.rules) and trial.passive is not None:
+                witness = witness or trial.passive.witness()
+            if trial.keeps(search.rules):
+                few, best = tried, trial
             elif best is None:
                 break
             else:
@@ -280,16 +280,16 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
     if not kept and witness is not None:
         raise not_clear(witness)
     if not kept:
-        told = directed(least * (1 + CHECKED), ".4g", up=True)
+        need = directed(least * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
             f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least budget"
-            f" that one is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
+            f" that one is proven to keep is {need} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
 
 
 def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
-    """What is told of a flight whose drift must stay clear and is not shown to."""
+    """Build the error raised when passive safety is required but not proven."""
     return SynthesisInfeasible(
         f"passive safety is required, but under S alone, if all thrust stops {in_words(witness)}.",
         -witness["distance_m"],
@@ -298,7 +298,7 @@ def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
 
 
 def in_words(witness: Mapping[str, Any]) -> str:
-    """Where a drift that is not clear goes."""
+    """Describe a drift that is not clear: its step, the unsafe set, time and distance."""
     enters = witness["middle_m"] <= 0
     does = "enters what is perceived of" if enters else "is not shown to stay clear of"
     left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")

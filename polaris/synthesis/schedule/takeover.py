@@ -23,7 +23,7 @@ from .spending import tracked
 
 @dataclass(frozen=True, eq=False)
 class Takeover:
-    """Where S may have taken over if the flight is aborted in step k: from which sets, at which nodes."""
+    """Sets and nodes from which S may have taken over if the flight is aborted in step k."""
 
     k: int
     first: int  # node of the grid; the sets follow one another
@@ -36,16 +36,16 @@ class Takeover:
         cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
     ) -> tuple["Takeover", ...]:
         """Of every step, from who flies it, in which tube, and for which velocity change (K,) [m/s]."""
-        found, since, until = [], 0, np.cumsum(spent) * (1 + SPARE)
+        takeovers, since, until = [], 0, np.cumsum(spent) * (1 + SPARE)
         n, start = safety.tracking.system.n, safety.start
         for k, (mode, tube) in enumerate(flown):
             if mode:
-                found.append(cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.bow), until[k]))
+                takeovers.append(cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.bow), until[k]))
                 since, start = (k + 1) * safety.clearance.q, tube.end
             else:
                 one = Zonotope(start.c[None], start.G[None])
-                found.append(cls(k, since, one, np.zeros((1, n)), until[k - 1] if k else 0.0))
-        return tuple(found)
+                takeovers.append(cls(k, since, one, np.zeros((1, n)), until[k - 1] if k else 0.0))
+        return tuple(takeovers)
 
     @property
     def handed(self) -> HandOver:
@@ -57,7 +57,7 @@ class Takeover:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """What is proven of an abort in one step."""
+    """Result of the proof of an abort in one step."""
 
     branch: int | None  # along which branch; None if nothing is proven
     cell: int = 0  # at whose start the orbit is reached
@@ -86,26 +86,24 @@ class Branch:
         return Nearness(self.safety, failing=True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> Way:
-        """What is proven of aborts in a step along this branch, the one at a place in their list."""
+        """Return what is proven of aborts in a step along this branch, the one at a place in their list."""
         margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.bow)
         if not margin.inside:
             return Way(None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room)
-        found, off = self._reached(taken, asked.within)
-        if found is None:
-            told = f"{off:.4g} m off at best, {self.goal.tolerance:.4g} m allowed"
-            return Way(None, why=f"the orbit is not reached in time: {told}", short=off - self.goal.tolerance)
-        spent = self._spent(taken, found)
+        cell, off = self._reached(taken, asked.within)
+        if cell is None:
+            why = f"{off:.4g} m off at best, {self.goal.tolerance:.4g} m allowed"
+            return Way(None, why=f"the orbit is not reached in time: {why}", short=off - self.goal.tolerance)
+        spent = self._spent(taken, cell)
         if asked.budget is not None and spent > asked.budget:
-            told = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
-            return Way(None, why=told, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
+            why = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
+            return Way(None, why=why, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
         tank = self.safety.problem.tank
         if tank is not None and taken.spent + spent > tank:
             parts = (directed(x, ".4g", up=True) for x in (taken.spent, spent))
-            told = "up to {} m/s are spent and S may need {} m/s, the tank holds {:g} m/s".format(
-                *parts, tank
-            )
-            return Way(None, why=told, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
-        return Way(place, found, spent)
+            why = "up to {} m/s are spent and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
+            return Way(None, why=why, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
+        return Way(place, cell, spent)
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
         """The first cell of the tail, in time, at whose start the orbit is reached; how far off at best."""

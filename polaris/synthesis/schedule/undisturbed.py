@@ -1,4 +1,4 @@
-"""Whether an undisturbed flight can keep clear at all, with U's law in some steps and any thrust in others.
+"""Feasibility test for undisturbed flights: U's law in some steps and any thrust in others.
 
 What moves is a zonotope whose generators are shared by all instants: the thrust of free steps in parts, and
 what a clipped command may differ from its band. Where every choice of facets is refuted, no flight keeps
@@ -72,8 +72,8 @@ class Flights:
         same = 0
         while same < min(len(held), len(self._held)) and held[same] == self._held[same]:
             same += 1
-        found = self._found[:same]
-        c, G, size, error = found[-1] if found else self._first
+        states = self._found[:same]
+        c, G, size, error = states[-1] if states else self._first
         for k in range(same, len(held)):
             if held[k] == FREE:
                 c, G, growth = self.moved @ c, np.hstack([self.moved @ G, self.push]), np.abs(self.moved)
@@ -84,12 +84,12 @@ class Flights:
                 c, size = c + own[1], np.maximum(size, np.abs(own).max(axis=0))
             size = np.maximum(size, np.abs(c) + np.abs(G).sum(axis=1))
             error = growth @ error + REFERENCE * size
-            found.append((c, G, size, error))
-        self._held, self._found = held, found
+            states.append((c, G, size, error))
+        self._held, self._found = held, states
         whole = np.zeros((len(held), self.system.n, G.shape[1]))
-        for k, (_, part, *_) in enumerate(found):
+        for k, (_, part, *_) in enumerate(states):
             whole[k, :, : part.shape[1]] = part
-        centres, sizes, errors = (np.array([state[i] for state in found]) for i in (0, 2, 3))
+        centres, sizes, errors = (np.array([state[i] for state in states]) for i in (0, 2, 3))
         lost = np.any(~(errors <= ROUNDING * sizes), axis=1)
         known = int(np.argmax(lost)) if np.any(lost) else len(held)
         return centres[:known], whole[:known], sizes[:known]
@@ -112,18 +112,18 @@ class Flights:
         return d.c, d.G, np.abs(moved)
 
     def impossible(self, held: Held) -> bool:
-        """Whether it is proven that no flight keeps clear, as far as the steps are given."""
+        """Return True if it is proven that no flight keeps clear, as far as the steps are given."""
         self.programs += 1
         try:
             flown = self.fly(held)
             if not all(part.size and np.all(np.isfinite(part)) for part in (flown[0], flown[2])):
                 return False
             asked = _Clear(self, *flown)
-            found = asked.impossible()
+            refuted = asked.impossible()
         except (NotCertified, ReachError):  # no answer, or numbers beyond floating point
             return False
         self.programs += asked.programs
-        return found
+        return refuted
 
     def widened(self, held: Held) -> Held:
         """An impossible flight, cut off as early and with as long windows of free steps as it stays so."""
@@ -155,9 +155,9 @@ class _Clear:
         only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
         for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
             a, b = np.einsum("fd,kdg->kfg", rows, G), offsets[: len(c)]
-            need, most = b - c @ rows.T, np.abs(a).sum(axis=2)
-            need = need - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + most)
-            can, open_ = most >= need, np.all(-most < need, axis=1)
+            need, largest = b - c @ rows.T, np.abs(a).sum(axis=2)
+            need = need - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + largest)
+            can, open_ = largest >= need, np.all(-largest < need, axis=1)
             self.never |= bool(np.any(~np.any(can, axis=1)))
             one = open_ & (np.sum(can, axis=1) == 1)
             only.append((a[one][can[one]] / self.unit, need[one][can[one]] / self.unit))
@@ -168,14 +168,14 @@ class _Clear:
         self.lp = GrowingLP(ones, 0 * ones, ones)
 
     def impossible(self) -> bool:
-        """Whether some node is inside a set whatever is flown, or every choice of facets is refuted."""
+        """Return True if a node is inside a set whatever is flown, or all choices of facets are refuted."""
         return self.never or bool(self.ways or len(self.only[1])) and self._refuted()
 
     def _state(self, a: Array, need: Array) -> None:
         self.lp.add(np.hstack([a, -a]), need, np.inf)
 
     def _refuted(self) -> bool:
-        """Whether no path keeps the facets stated, and one of every other node's."""
+        """Return True if no path keeps the facets stated, and one of every other node's."""
         if self.programs == EACH:
             return False
         self.programs += 1
@@ -198,15 +198,15 @@ class _Clear:
                 return False
         return True
 
-    def _back(self, found: bool, rows: int) -> bool:
+    def _back(self, refuted: bool, rows: int) -> bool:
         self.lp.take_back(rows)
-        return found
+        return refuted
 
     def _certain(self) -> bool:
-        """Whether a sum of rows, each weighed by what the solver answers, asks for more than there is."""
+        """Return True if a sum of rows, weighed by the solver's answer, asks for more than there is."""
         ray, rows, need = self.lp.ray(), *self.lp.stated()
         for weights in (np.maximum(ray, 0.0), np.maximum(-ray, 0.0)):
-            most = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
-            if weights @ need - most > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
+            available = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
+            if weights @ need - available > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
                 return True
         return False

@@ -1,4 +1,4 @@
-"""What a schedule is worth: what the search for references with U in view compares schedules by."""
+"""Objective of a schedule, by which the search for references with U in view compares schedules."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
 
 @dataclass(frozen=True)
 class Worth:
-    """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
+    """Objective of a schedule: the time of U, less velocity change and switches, as shares of the horizon.
 
     Less share, or without errors more velocity change, than the printed algorithms' schedule is worth `WORSE`
     times as much less: it is hardly ever preferred. With errors velocity change counts at its price alone.
@@ -40,8 +40,8 @@ class Worth:
     def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Worth":
         """Worth of the schedules of one scene, in units of what S `alone` would spend there."""
         problem = alone.problem
-        most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
-        scale = max(alone.plan.delta_v, 1e-3 * most)
+        largest = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
+        scale = max(alone.plan.delta_v, 1e-3 * largest)
         usual = printed.delta_v_middle if problem.system.ideal else np.inf
         return cls(rules, scale, printed.share(), usual, printed.safety.end.until)
 
@@ -51,26 +51,26 @@ class Worth:
         return self.rules.prices(self.scale)
 
     def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
-        """The same, less what is worse than with the printed algorithms' schedule."""
+        """Return the value by the prices, less what is worse than with the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
         return self.prices(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
+        """Rank a schedule: the rules allow it, it is safe as long as the printed one, arrives; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         value = self.of(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until
         return schedule.keeps(self.rules), lasts, schedule.approach.reached is True, value
 
     def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
-        """The same, nothing being the printed one; without prices as the printed algorithms choose."""
+        """Rank a schedule regardless of the printed one; without prices as the printed algorithms choose."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         spent = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
         return *self(schedule)[:3], self.prices(shares, *spent)
 
     def allows(self, mask: Mask) -> bool:
-        """Whether S may fly just these steps, by the dwell time and the cap on switches."""
+        """Return True if S may fly just these steps, by the dwell time and the cap on switches."""
         edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
         switches = len(edges) - 2
         cap = self.rules.max_switches

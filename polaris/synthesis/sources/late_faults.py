@@ -30,19 +30,19 @@ def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     lasting = touched(lasts, loop.h)
     pushed = [lasts - (lasting - 1) * loop.h] + [loop.h] * (lasting - 1)
     late = 0 if remembers(system) else _late(system, loop.h)
-    found = _added(system, fault, loop, pushed + [0.0] * late, gain)[lasting:].max(axis=0)
+    added = _added(system, fault, loop, pushed + [0.0] * late, gain)[lasting:].max(axis=0)
     if fault.after > 0:  # meanwhile nobody's answer counts
         longer = pushed + [loop.h] * (touched(fault.after, loop.h) + _late(system, loop.h))
-        found = np.maximum(found, _added(system, fault, loop, longer)[-1])
-    return np.asarray(found)
+        added = np.maximum(added, _added(system, fault, loop, longer)[-1])
+    return np.asarray(added)
 
 
 def hidden(system: Craft, gain: Array, h: float) -> Array:
     """Bound what wrong thrust adds to the states by the time that predictions know of it, shape (n,)."""
     loop, pushed = Loop.of(system.A, system.B, h), [h] * _late(system, h)
     faults = (fault for fault in system.transients if len(fault.thrust))
-    found = (_added(system, fault, loop, pushed, gain)[-1].max(axis=0) for fault in faults)
-    return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
+    added = (_added(system, fault, loop, pushed, gain)[-1].max(axis=0) for fault in faults)
+    return np.asarray(np.max([np.zeros(system.n), *added], axis=0))
 
 
 def _late(system: Craft, h: float) -> int:
@@ -64,7 +64,7 @@ def _added(
         twice the limits; a network also with its derivative, a black box with the limits alone. Without it
         nobody answers.
     """
-    n, N, h, most, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
+    n, N, h, limits, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
     own, lead = system.thrusters.table(loop.m).T, system.timing.lead  # errors of what is answered
     led = None if lead is None else np.array(lead.shares).T
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
@@ -76,11 +76,11 @@ def _added(
     ahead = (
         None if led is None else (_entering(loop, rows, h, loop.A @ loop.B), _within(loop, loop.A @ loop.B))
     )
-    nodes, found = np.zeros((len(pushed) + 1, len(wrong), N + n)), np.zeros((len(pushed) + 1, len(wrong), N))
+    nodes, bounds = np.zeros((len(pushed) + 1, len(wrong), N + n)), np.zeros((len(pushed) + 1, len(wrong), N))
     for i, length in enumerate(pushed):
         answer = np.zeros_like(wrong)
         if i and steep is not None:
-            answer = np.tile(most, (len(wrong), 1))
+            answer = np.tile(limits, (len(wrong), 1))
             if not fault.asked:
                 answer = np.minimum(nodes[i, :, N:] @ steep.T, answer)
         error, push = answer @ own, wrong * (length > 0)
@@ -91,18 +91,18 @@ def _added(
             added = added + ahead[0][ages] @ (answer @ led).T
             plant = plant + answer @ led @ ahead[1].T
         nodes[i + 1 :] += added.transpose(0, 2, 1) * (1 + ROUNDING)
-        found[i + 1] = nodes[i + 1, :, :N]
-        found[i + 1, :, :n] = np.maximum(found[i + 1, :, :n], plant)  # at whatever instant of a period
-    return found
+        bounds[i + 1] = nodes[i + 1, :, :N]
+        bounds[i + 1, :, :n] = np.maximum(bounds[i + 1, :, :n], plant)  # at whatever instant of a period
+    return bounds
 
 
 def _entering(loop: Loop, rows: Array, length: float, M: Array) -> Array:
     """Bound what units of rates M (n, m) add along rows (..., N) at the end of a period [s], (..., m)."""
-    found, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
+    added, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
     for a, b, E in loop.enter:
         if b > begins:
-            found += along(rows @ E, loop.A, M, loop.h, (max(a, begins), b), False)
-    return found
+            added += along(rows @ E, loop.A, M, loop.h, (max(a, begins), b), False)
+    return added
 
 
 def _within(loop: Loop, M: Array) -> Array:

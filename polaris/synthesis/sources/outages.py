@@ -41,11 +41,11 @@ class Difference:
 
     def along(self, rows: Array) -> Array:
         """Return its support along rows (..., N), shape (...)."""
-        total = most = np.zeros(rows.shape[:-1])
+        total = largest = np.zeros(rows.shape[:-1])
         for added, start in zip(self.added, self.start, strict=True):
             total = total + np.abs(rows @ added).sum(axis=-1)
-            most = np.maximum(most, total + np.abs(rows @ start).sum(axis=-1))
-        return np.asarray(most)
+            largest = np.maximum(largest, total + np.abs(rows @ start).sum(axis=-1))
+        return np.asarray(largest)
 
 
 def lost(
@@ -59,10 +59,10 @@ def lost(
     timing, every = system.timing, np.eye(system.n)
     measured = system.measured + system.displaced
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
-    found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
+    error = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
-    return np.asarray((found + left(every, [Difference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
+    return np.asarray((error + left(every, [Difference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
 
 
 def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
@@ -117,9 +117,9 @@ def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Arra
         if seen.name == MEASUREMENT and seen.constant is not None:
             inexact = closed.sampled(seen) * np.maximum(2 * seen.constant - seen.size, 0.0)
             once, other = np.hstack([once, inexact]), np.hstack([other, 0 * inexact])
-    first, second, found = np.eye(closed.loop.N), np.eye(closed.loop.N), Difference([], [])
+    first, second, difference = np.eye(closed.loop.N), np.eye(closed.loop.N), Difference([], [])
     for _ in range(count):
-        found.added.append((second @ other - first @ once) * (1 + ROUNDING))
+        difference.added.append((second @ other - first @ once) * (1 + ROUNDING))
         first, second = closed.F @ first, blind.F @ second
-        found.start.append((second - first)[:, closed.loop.n :] * remembered * (1 + ROUNDING))
-    return found
+        difference.start.append((second - first)[:, closed.loop.n :] * remembered * (1 + ROUNDING))
+    return difference

@@ -173,12 +173,12 @@ class AffineLaw:
 
     def _early(self, i: int) -> list[Array]:
         """Generators, at node i, of what commands before the cell add to channels that remember them."""
-        found = []
+        generators = []
         for c in self.closed.loop.channels if self.most is not None else ():
             more = self.sizes(c, None) - self.sizes(c, self.most)
             for j in range(min(c.lag, i)) if np.any(more > 0) else ():
-                found.append(self.powers[i - 1 - j] @ self.closed.sampled(c) * more)
-        return found
+                generators.append(self.powers[i - 1 - j] @ self.closed.sampled(c) * more)
+        return generators
 
     @cached_property
     def offset(self) -> Array:
@@ -197,29 +197,29 @@ class AffineLaw:
     @cached_property
     def answers(self) -> tuple[Array, list[tuple[Channel, Array]]]:
         """Rows of the commands by node of a cell, (q+1, m, N), and their growth by each channel by then."""
-        rows, found = self.closed.K @ self.powers, []
+        rows, growths = self.closed.K @ self.powers, []
         for channel in self.closed.loop.channels:
             grown = np.cumsum(self.closed.gains(channel, rows[:-1]), axis=0)
             grown = LESS * np.concatenate([0 * grown[:1], grown])
-            found.append((channel, grown + self.closed.noise(channel)))
-        return rows, found
+            growths.append((channel, grown + self.closed.noise(channel)))
+        return rows, growths
 
     def foreseen(self, d: Zonotope, k: int) -> Array:
         """Foresee which level of commands a cell's tube needs at least, shape (m,).
 
         `d` are loop states about the law's own reference. The least level where a command may be clipped.
         """
-        (rows, found), u_max = self.answers, self.system.u_max
+        (rows, growths), u_max = self.answers, self.system.u_max
         size = np.abs(self.own.nu[k] - rows @ d.c) + np.abs(rows @ d.G).sum(axis=-1)
-        most = LEVELS[0] * u_max
+        level = LEVELS[0] * u_max
         while True:
-            asked = size + sum(grown @ self.sizes(channel, most) for channel, grown in found)
+            asked = size + sum(grown @ self.sizes(channel, level) for channel, grown in growths)
             if self.clips and np.any(asked > u_max):
                 return np.asarray(LEVELS[0] * u_max)
-            higher = raised(most, asked.max(axis=0), u_max)
-            if np.all(higher <= most):
-                return np.asarray(most)
-            most = higher
+            higher = raised(level, asked.max(axis=0), u_max)
+            if np.all(higher <= level):
+                return np.asarray(level)
+            level = higher
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""

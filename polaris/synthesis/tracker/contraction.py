@@ -77,8 +77,8 @@ class Contraction:
         """Number of periods after which so little of any error (in the norm W) is left, see `LEFT_OVER`."""
         profiled = self.level is not None and self.system.proportional
         share, factor = WITH_PROFILE if profiled else LEFT_OVER, self.flow.lyapunov[1]
-        most = int(np.ceil(np.log(share) / np.log(factor))) + 1
-        norms = self.flow.norms(min(most, 5000))
+        count = int(np.ceil(np.log(share) / np.log(factor))) + 1
+        norms = self.flow.norms(min(count, 5000))
         below = np.flatnonzero(norms <= share)
         return int(below[0]) if len(below) else len(norms) - 1
 

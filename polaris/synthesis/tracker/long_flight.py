@@ -86,7 +86,7 @@ class Inputs:
         period. With `bands` (m,) commands are off by as much, input by input, instead of what estimates add.
         """
         error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
-        told = np.minimum(most[0], craft.u_max)
+        tops = np.minimum(most[0], craft.u_max)
         loop, enter, own, group = closed.loop, list[Array](), list[Array](), list[int]()
         rest = [moved + apart @ np.abs(craft.B) @ error for _, _, apart in loop.part_maps]
 
@@ -98,7 +98,7 @@ class Inputs:
 
         every = *loop.channels, Channel("steps", off, noise=np.eye(loop.n))
         channels = sorted((c for c in every if c.name != THRUSTERS), key=_place)
-        sizes = [c.size if c.share is None else c.size + c.share(before if c.lag else told) for c in channels]
+        sizes = [c.size if c.share is None else c.size + c.share(before if c.lag else tops) for c in channels]
         if bands is not None:
             add(loop.held * bands, np.diag(bands))
             channels = [replace(c, noise=None) for c in channels]
@@ -182,10 +182,10 @@ class Inputs:
         known, made = each[:number].sum(axis=0), each[number:]
         size, r = np.array([self.bits, self.bits]), self.craft.u_max
         for _ in range(SINES):
-            most = known + np.tensordot(np.repeat(size, len(made) // 2 // m, axis=0).ravel(), made, 1)
-            r = np.maximum(most.max(axis=0), FLOOR * self.craft.u_max)
+            commanded = known + np.tensordot(np.repeat(size, len(made) // 2 // m, axis=0).ravel(), made, 1)
+            r = np.maximum(commanded.max(axis=0), FLOOR * self.craft.u_max)
             size[1] = np.sqrt(self.squares @ r**2)
-        b = np.einsum("ka,a->k", each[:, most.argmax(axis=0), np.arange(m)], self.spends)[self.group]
+        b = np.einsum("ka,a->k", each[:, commanded.argmax(axis=0), np.arange(m)], self.spends)[self.group]
         b = np.maximum(b, FLOOR * b.max())
         usual = np.maximum(size, STEADY * size.max(axis=0)) + FLOOR * r
         b[self.held :] /= np.repeat(usual, len(made) // 2 // m, axis=0).ravel()

@@ -129,11 +129,11 @@ class Loop:
 
         A rate whose mean over the part is v and that is at most s adds ``mean v`` up to ``apart s``, (n, n).
         """
-        found = []
+        maps = []
         for a, b, E in self.enter:
             mean, last = discretize(self.A, np.eye(self.n), b - a)[1], expm(self.A * (self.h - b))
-            found.append((E @ last, mean, (b - a) ** 2 / 3 * np.abs(self.A) @ growth(self.A, b - a)))
-        return tuple(found)
+            maps.append((E @ last, mean, (b - a) ** 2 / 3 * np.abs(self.A) @ growth(self.A, b - a)))
+        return tuple(maps)
 
     @cached_property
     def uneven(self) -> Array:
@@ -143,8 +143,8 @@ class Loop:
         another way than the rest.
         """
         size, (*first, last) = growth(self.A, self.h) @ np.abs(self.B), [E for _, _, E in self.enter]
-        found = self.h**2 / 2 * np.abs(last) @ np.abs(self.A) @ size
-        return np.asarray(sum((self.h * np.abs(E - last) @ size for E in first), found))
+        bound = self.h**2 / 2 * np.abs(last) @ np.abs(self.A) @ size
+        return np.asarray(sum((self.h * np.abs(E - last) @ size for E in first), bound))
 
     @property
     def offset_measured(self) -> Array:

@@ -29,26 +29,26 @@ def rates_added(loop: Loop, channels: Sized) -> Array:
     What a part of the period adds to the plant enters all loop states at once, with the same generators: the
     mean of the values lies in their set, the rest is bounded (docs/theory.md, Proposition 9 (c)).
     """
-    found = [np.zeros((loop.N, 0))]
+    columns = [np.zeros((loop.N, 0))]
     for carried, mean, apart in loop.part_maps:
-        parts, most = [], np.zeros(loop.n)
+        parts, rate = [], np.zeros(loop.n)
         for channel, size in channels:
             if channel.rate is not None and np.any(size):
                 M = channel.rate
                 parts.append(mean @ M @ spread(channel, size, M.shape[1]))
-                most = most + (np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size)
+                rate = rate + (np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size)
         if parts:
-            found.append(carried @ np.hstack([*parts, np.diag(apart @ most)]))
-    return np.hstack(found)
+            columns.append(carried @ np.hstack([*parts, np.diag(apart @ rate)]))
+    return np.hstack(columns)
 
 
 def sampled_added(closed: ClosedLoop, channels: Sized) -> Array:
     """Return generators of what values that hold for a period add to the next loop state, (N, g)."""
-    found = [np.zeros((closed.loop.N, 0))]
+    columns = [np.zeros((closed.loop.N, 0))]
     for channel, size in channels:
         if np.any(size) and (moved := closed.sampled(channel)).any():
-            found.append(moved @ spread(channel, size, moved.shape[1]))
-    return np.hstack(found)
+            columns.append(moved @ spread(channel, size, moved.shape[1]))
+    return np.hstack(columns)
 
 
 def within_period(loop: Loop, channels: Sized) -> Array:

@@ -22,11 +22,11 @@ def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Calla
     """
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
     shape = level * np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)
-    found = shape
+    bound = shape
     for _ in range(ROUNDS):
-        more = pushed(found)
+        more = pushed(bound)
         parts = np.maximum(shape + more[:-1], more[-1] + left)
-        before, found = found, np.maximum.accumulate(parts[::-1])[::-1]
-        if np.all(found - before <= SETTLED * before) or np.any(found[-1] > u_max):
+        before, bound = bound, np.maximum.accumulate(parts[::-1])[::-1]
+        if np.all(bound - before <= SETTLED * before) or np.any(bound[-1] > u_max):
             break
-    return np.asarray(found * (1 + SPARE))
+    return np.asarray(bound * (1 + SPARE))

@@ -256,9 +256,9 @@ class Response:
 
     def at(self, sizes: Array) -> Array:
         """Return what sizes (count, k), period by period from rest, add at every node, (count + 1, r)."""
-        found, N = summed(self.gains, sizes), len(self.gains) - 1
-        found[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
-        return np.asarray(found * (1 + ROUNDING))
+        added, N = summed(self.gains, sizes), len(self.gains) - 1
+        added[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
+        return np.asarray(added * (1 + ROUNDING))
 
     def ever(self, size: Array, until: int = 0, count: int = 1) -> Array:
         """Return what one size (k,), for ever until periods before a node, adds from it on, (count, r)."""

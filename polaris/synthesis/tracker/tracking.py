@@ -153,7 +153,7 @@ class Tracking(Contraction):
 
     @property
     def varies(self) -> bool:
-        """Whether some errors of inputs are booked by the time of the flight, not since a hand-over."""
+        """Return True if some errors of inputs count by the time of the flight, not since a hand-over."""
         return self.profile is not None or bool(np.any(self.step_errors))
 
     @cached_property
@@ -177,28 +177,28 @@ class Tracking(Contraction):
 
     @property
     def most(self) -> Array:
-        """What S's feedback commands at most, shape (m,)."""
+        """Return the largest command of S's feedback, shape (m,)."""
         return self.system.u_max if self.profile is None else self.profile[0]
 
     @cached_property
     def upsets(self) -> list[Difference]:
         """Differences of loop states, one for each kind of late fault, that it makes until S knows of it."""
-        system, h, found = self.system, self.flow.h, list[Difference]()
+        system, h, differences = self.system, self.flow.h, list[Difference]()
         try:
             with np.errstate(over="raise", invalid="raise"):
                 for fault in system.transients:
                     if len(fault.thrust):
-                        found += map(Difference.within, moved(system, fault, self.gain, self.loop))
+                        differences += map(Difference.within, moved(system, fault, self.gain, self.loop))
                     elif system.observer is None:
-                        found.append(Difference.within(lost(system, fault, h, self.left)))
+                        differences.append(Difference.within(lost(system, fault, h, self.left)))
                     elif self.loop.settled is None:
-                        found.append(Difference.within(unlearned(system, fault, self.tightening)))
+                        differences.append(Difference.within(unlearned(system, fault, self.tightening)))
                     else:
-                        found.append(self._unmade(touched(fault.lasts, h)))
+                        differences.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:
-            told = [(fault.name, fault.lasts) for fault in system.transients]
-            raise ScenarioError("faults", told, "isolated so late are bounded by nothing") from error
-        return found
+            faults = [(fault.name, fault.lasts) for fault in system.transients]
+            raise ScenarioError("faults", faults, "isolated so late are bounded by nothing") from error
+        return differences
 
     def _unmade(self, count: int) -> Difference:
         """Return the difference that up to so many updates in a row make which the observer does not make."""
@@ -239,11 +239,11 @@ class Tracking(Contraction):
             return np.tile(self.system.u_max, (count, 1))
         return profile[np.minimum(np.arange(count), len(profile) - 1)]
 
-    def _by_age(self, found: Array) -> Array:
+    def _by_age(self, needs: Array) -> Array:
         """Needs by node and ever after, (N + 3, ...), for the periods of the memory and ever after."""
-        count = min(self.memory + 2, len(found) - 1)
-        ever = found[count:].max(axis=0)
-        return np.concatenate([found[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))])
+        count = min(self.memory + 2, len(needs) - 1)
+        ever = needs[count:].max(axis=0)
+        return np.concatenate([needs[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))])
 
     def responses(self, rows: Array, profile: Array | None) -> Array:
         """Return what rows need at node L after a hand-over, the state then apart, and ever after.
@@ -313,11 +313,11 @@ class Tracking(Contraction):
     def _needs(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
         """Bound what rows need under commands within a profile, see `disturbance`."""
         plant = rows[:, : self.system.n]
-        found = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
+        needs = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
         if failing and self.system.transients:
-            ages = np.minimum(np.arange(len(found)) + 2, len(found) - 1)
-            found = found + self.upset(rows)[ages]
-        return found
+            ages = np.minimum(np.arange(len(needs)) + 2, len(needs) - 1)
+            needs = needs + self.upset(rows)[ages]
+        return needs
 
     def response(self, channel: Channel, rows: Array) -> Response:
         """Return what a channel adds along rows of the error or of the loop state, (r, n) or (r, N)."""
