@@ -37,7 +37,7 @@ def _cheapest(directions: Array, limits: Array, u: Array, u_max: Array) -> Array
     Without the limits m thrusters do; where these exceed a limit, or there are too many, a program is solved.
     """
     (N, m), lengths = directions.shape, np.linalg.norm(directions, axis=1)
-    cost, found = np.full(len(u), np.inf), np.zeros((len(u), N))
+    cost, thrusts = np.full(len(u), np.inf), np.zeros((len(u), N))
     for some in combinations(range(N), m) if comb(N, m) <= MOST_BASES else ():
         chosen, D = list(some), directions[list(some)]
         if abs(np.linalg.det(D)) < 1e-9 * np.prod(lengths[chosen]):
@@ -45,13 +45,13 @@ def _cheapest(directions: Array, limits: Array, u: Array, u_max: Array) -> Array
         f = u @ np.linalg.inv(D)
         spent = np.where(np.min(f, axis=1) >= -1e-12 * limits.max(), f @ lengths[chosen], np.inf)
         better = np.flatnonzero(spent < cost)
-        cost[better], found[better] = spent[better], 0.0
-        found[better[:, None], chosen] = np.maximum(f[better], 0.0)
-    for row in np.flatnonzero(~np.isfinite(cost) | np.any(found > limits, axis=1)):
+        cost[better], thrusts[better] = spent[better], 0.0
+        thrusts[better[:, None], chosen] = np.maximum(f[better], 0.0)
+    for row in np.flatnonzero(~np.isfinite(cost) | np.any(thrusts > limits, axis=1)):
         bounds = np.column_stack([0 * limits, limits])
         solved = linprog(lengths, A_eq=directions.T / u_max[:, None], b_eq=u[row] / u_max, bounds=bounds)
-        found[row] = solved.x
-    return found
+        thrusts[row] = solved.x
+    return thrusts
 
 
 def _smallest(directions: Array, limits: Array, u: Array, u_max: Array) -> Array:

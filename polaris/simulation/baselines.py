@@ -56,7 +56,7 @@ class Flights:
 @brief
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What one controller did.
+    """Runs of one controller.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ class Predicting(Integrator):
     drawn = False
 
     def begin(self, runs: int) -> None:
-        """Where nothing has been drawn, as many periods are missed as may be, and nothing is late."""
+        """Begin; where nothing has been drawn, as many periods are missed as may be, and nothing is late."""
         super().begin(runs)
         if not self.drawn:
             self.prepare(runs, None)
@@ -119,7 +119,7 @@ class Predicting(Integrator):
     def estimate(self, step: int, x: Array) -> Array:
         """The state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
-        found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
+        predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)
         Ad, Bd, _ = self.held
         asked = step - self.lag - ages * self.substeps
@@ -143,11 +143,11 @@ class Predicting(Integrator):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound
             self.off = np.maximum(self.off, np.max(within, axis=0, initial=0.0))
-            found[runs] = y
-        return np.asarray(found)
+            predicted[runs] = y
+        return np.asarray(predicted)
 
     def applied(self, raw: Array, step: int) -> Array:
-        """What is commanded is noted for predictions, too."""
+        """Return the inputs made of commands, which are noted for predictions, too."""
         self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 
@@ -163,7 +163,7 @@ class Predicting(Integrator):
         return super().move(k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:
-        """What is commanded depends on more than the state."""
+        """Return None: what is commanded depends on more than the state."""
 
 
 def flies(system: Craft) -> type[Integrator]:

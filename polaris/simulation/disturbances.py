@@ -30,8 +30,8 @@ def disturbances(
     p, places = system.p, flight.columns
     w = np.zeros((steps, n, flight.constant.stop))
     adjoint = np.zeros((0, system.n))
-    told = places[-1].stop - places[-1].start
-    if kind == "none" or (system.unbiased.w_max == 0 and system.ideal and not told):
+    columns = places[-1].stop - places[-1].start
+    if kind == "none" or (system.unbiased.w_max == 0 and system.ideal and not columns):
         return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind in ("mixed", "failing") else 0)
     if worst:
@@ -122,7 +122,7 @@ def adjoint_worst_case(
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
-    adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
+    adjoint, (own, eta, errors, bodies) = np.zeros((len(rows), system.n)), flight.columns
     w, total = np.zeros((steps, len(rows), flight.constant.stop)), np.zeros((len(rows), system.p))
     turned = np.zeros((len(rows), system.m, system.m))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
@@ -156,7 +156,7 @@ def adjoint_worst_case(
         if about is not None and bends:
             x = about.states[:, step // flight.substeps]
             answer, heard = _answered(flight, number, step, x, asked)
-            w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
+            w[step, :, bodies.start : bodies.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
         if eta.start < eta.stop:
@@ -198,7 +198,7 @@ def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) 
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:
-    """What a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
+    """Return what a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
 
     And how much what it is told of bodies counts, (R, 2d per body), per what is not known. A black box is
     taken for the affine function that it was fitted with, where it was.

@@ -17,7 +17,7 @@ KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"  # in the order in wh
 
 @dataclass(frozen=True, eq=False)
 class Failing:
-    """What fails in R flights, in steps of the integration: from when until when, and S flies from then on.
+    """Faults of R flights: steps of the integration in which each begins and ends; S flies from then on.
 
     Thrust (R, m) that a thruster makes at its limit, none where navigation is lost; the share of it that is
     lost, or -1 if it pushes unasked. While navigation is lost S flies on predictions, which are `gap` off.
@@ -47,19 +47,19 @@ class Failing:
         return cls(**known, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
-        """Whether the fault lasts."""
+        """Return True where the fault lasts."""
         return np.asarray((self.begins <= step) & (step < self.ends))
 
     def missing(self, when: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether what is measured in some steps (R,) is lost."""
+        """Return True where the measurement in some steps (R,) is lost."""
         return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
 
     def by_s(self, step: int | NDArray[np.int_]) -> NDArray[np.bool_]:
-        """Whether S flies because of it."""
+        """Return True where S flies because of it."""
         return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
 
     def at_nodes(self, per_node: int) -> "Failing":
-        """The same, with so many steps to a node, in nodes."""
+        """Return the faults in nodes, with so many steps to a node."""
         return replace(self, begins=-(-self.begins // per_node), ends=self.ends // per_node)
 
     def columns(self, times: Array) -> dict[str, Array]:
@@ -71,7 +71,7 @@ class Failing:
         return {"fault": names, "fault_begins_s": begins, "fault_ends_s": ends}
 
     def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
-        """Whether S flies from the node `effect` on, whatever is decided on what is measured at node k.
+        """Return True where S flies from the node `effect` on, whatever is decided on what is measured at k.
 
         Nothing is measured, or it was before a fault was isolated.
         """
@@ -79,7 +79,7 @@ class Failing:
         return np.asarray(before | (self.lost & self.on(k)))
 
     def added(self, u: Array, step: int) -> Array:
-        """What a thruster that fails adds to commands u, which ask of it what lies along it."""
+        """Return what a failing thruster adds to commands u, which ask of it what lies along it."""
         size = np.maximum(np.sum(self.thrust**2, axis=1), 1e-300)
         asked = np.clip(np.sum(u * self.thrust, axis=1) / size, 0.0, 1.0)
         level = np.where(self.share < 0, 1.0, -self.share * asked)
@@ -123,10 +123,10 @@ def drawn(
 def in_every_second(
     schedule: Schedule, per_node: int, rows: Array, steps: int, runs: int, rng: np.random.Generator
 ) -> Failing | None:
-    """What fails in the runs of odd numbers, at instants drawn; half of them at the worst along a row."""
+    """Draw what fails in the runs of odd numbers, and when; half of them at the worst along a row."""
     if not schedule.safety.tracking.system.transients:
         return None
     targets = rng.integers(1, steps + 1, runs)
-    found = drawn(schedule, per_node, rows[rng.integers(0, len(rows), runs)], targets, rng)
+    faults = drawn(schedule, per_node, rows[rng.integers(0, len(rows), runs)], targets, rng)
     never = np.where(np.arange(runs) % 2, 0, steps + per_node)
-    return replace(found, begins=found.begins + never, ends=found.ends + never)
+    return replace(faults, begins=faults.begins + never, ends=faults.ends + never)

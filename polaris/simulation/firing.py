@@ -67,28 +67,28 @@ class Firing:
 
     def applied(self, raw: Array, step: int) -> Array:
         """Return the inputs that the thrusters make of commands in a step."""
-        told = np.clip(raw, -self.system.u_max, self.system.u_max)
-        layout, timing, most = self.system.nozzles, self.system.timing, self.system.u_max
-        f = told if layout is None else thrusts_of(layout.allocation, told)
+        commanded = np.clip(raw, -self.system.u_max, self.system.u_max)
+        layout, timing, full = self.system.nozzles, self.system.timing, self.system.u_max
+        f = commanded if layout is None else thrusts_of(layout.allocation, commanded)
         if self.left is not None:
-            bit, most = (timing.carried, most) if layout is None else (layout.bit, layout.allocation.limits)
+            bit, full = (timing.carried, full) if layout is None else (layout.bit, layout.allocation.limits)
             h = self.dt * self.substeps
             due = f * h + self.left
             whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
             whole = np.where(whole > 0, np.abs(due), 0.0) if timing.fine else whole
-            f = np.sign(due) * np.minimum(whole / h, most)
+            f = np.sign(due) * np.minimum(whole / h, full)
             self.left = due - f * h
         self.asked, made = f, f @ self.ways
-        self.made = made if self.thrust is None else made + self._wrong(self.thrust, step, told, made)
+        self.made = made if self.thrust is None else made + self._wrong(self.thrust, step, commanded, made)
         return self.made if self.failing is None else self.made + self.failing.added(made, step)
 
-    def _wrong(self, thrust: Array, step: int, told: Array, made: Array) -> Array:
-        """Return what thrusters make wrong in a step of what they are told, and make of it, (R, m)."""
+    def _wrong(self, thrust: Array, step: int, commanded: Array, made: Array) -> Array:
+        """Return the errors of thrust in a step, by what is commanded and what is made of it, (R, m)."""
         m, errors = self.system.m, self.thrusters
         if not errors.constant:
-            return np.asarray(thrust[step][:, :m] * errors.error(told))
+            return np.asarray(thrust[step][:, :m] * errors.error(commanded))
         shares = errors.matrices(thrust[0, :, m:].reshape(-1, m, m))
-        fixed = thrust[step, :, :m] * errors.error(0 * told)
+        fixed = thrust[step, :, :m] * errors.error(0 * commanded)
         return np.asarray(np.einsum("rab,rb->ra", shares, made) + fixed)
 
     def size(self, u: Array) -> Array:

@@ -86,12 +86,12 @@ class Integrator(Firing):
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
 
     def known_to(self, system: Craft) -> Array:
-        """The same in a step, shape (n,)."""
+        """Return bounds on errors of estimates in a step, shape (n,), by the craft as it is in it."""
         return system.estimate_off(0 * system.u_max)
 
     @property
     def may_do_anything(self) -> bool:
-        """Whether a controller flies of which nothing but the thrust limits is known."""
+        """Return True if a controller flies of which nothing but the thrust limits is known."""
         flying = (self.schedule.controllers[i] for i in np.unique(self.modes).tolist())
         return any(isinstance(law, AnyThrust) for law in flying)
 
@@ -130,14 +130,14 @@ class Integrator(Firing):
         own = self.own[number][k, at] if number in self.own else xi
         passed = at * self.dt
         if isinstance(controller, NeuralController):
-            told = self._told(controller, k, passed, step, len(x))
-            return controller.command(k, xi, own, x, passed, told)
+            bodies = self._told(controller, k, passed, step, len(x))
+            return controller.command(k, xi, own, x, passed, bodies)
         if isinstance(controller, BlackBox):
             return controller.command(k, xi, own, x, passed)
         return controller.command(k, xi, own, x)
 
     def _told(self, law: NeuralController, k: int, passed: float, step: int, runs: int) -> Array | None:
-        """What a network is told of bodies some seconds after the start of cell k, (R, ...)."""
+        """Return what a network is told of bodies some seconds after the start of cell k, (R, ...)."""
         if self.bodies:
             seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
             return law.senses.seen(k * law.reference.delta + passed, seen, runs)
@@ -166,7 +166,7 @@ class Integrator(Firing):
         return np.hstack([error[:, :3] - share * box + seen - p, error[:, 3:]])
 
     def estimate(self, step: int, x: Array) -> Array:
-        """What controllers know of states in a step."""
+        """Return the estimates of states in a step, which controllers act on."""
         known = x if self.eta is None else x + self.turned(step, x, self.eta[step], self.known[step, 0])
         if self.eta is not None and self.left is not None:
             flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors

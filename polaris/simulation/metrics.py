@@ -178,8 +178,8 @@ def violation_interval(violations: int, runs: int) -> tuple[float, float]:
     """Clopper and Pearson's two-sided interval on a probability, from so many violations in so many runs."""
     from scipy.stats import binomtest
 
-    found = binomtest(violations, runs).proportion_ci(CONFIDENCE)
-    return float(found.low), float(found.high)
+    interval = binomtest(violations, runs).proportion_ci(CONFIDENCE)
+    return float(interval.low), float(interval.high)
 
 
 def possible(metric: str, difference: bool = False) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What simulated runs amount to: distances, times to collision, usage and velocity change per run."""
+"""Metrics of simulated runs: distances, times to collision, usage and velocity change per run."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, field, replace
@@ -116,7 +116,7 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
 
 
 def drift_horizon(system: LinearSystem, duration: float) -> float:
-    """How far free drift looks ahead [s]: one orbit in Hill's frame, else the horizon."""
+    """Return how far free drift looks ahead [s]: one orbit in Hill's frame, else the horizon."""
     return duration if system.mean_motion is None else 2 * np.pi / system.mean_motion
 
 
@@ -179,11 +179,11 @@ def _placed(unsafe: Iterable[Any]) -> tuple[tuple[Any, ...], tuple[StateLimit, .
     return tuple(item for item in unsafe if not isinstance(item, StateLimit)), limits
 
 
-def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest) -> Closest:
+def _refined(runs: Runs, truth: Mapping[str, Array], nearest: Closest) -> Closest:
     """A closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
-    node = np.clip(np.round(found.time / h).astype(int), 0, N)
+    node = np.clip(np.round(nearest.time / h).astype(int), 0, N)
     left = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
     s = np.linspace(0.0, 1.0, PARTS + 1)
     run = np.arange(len(left))[:, None]
@@ -197,8 +197,8 @@ def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest) -> Closest:
     finer = closest(
         signed_distances(obstacles, t, between(runs.states) @ system.position.T, system, states), t
     )
-    better = finer.distance < found.distance
-    pairs = zip(astuple(finer), astuple(found), strict=True)
+    better = finer.distance < nearest.distance
+    pairs = zip(astuple(finer), astuple(nearest), strict=True)
     return Closest(*(np.where(better, new, old) for new, old in pairs))
 
 
@@ -222,8 +222,8 @@ def experimental_share(t: Array, modes: NDArray[np.int_]) -> Array:
 
 def peak(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
     """Largest demand of thrust in the chosen periods, (N,) or (R, N), per run; nan without any."""
-    most = np.where(chosen, demanded, -np.inf).max(axis=1)
-    return np.where(np.isfinite(most), most, np.nan)
+    peaks = np.where(chosen, demanded, -np.inf).max(axis=1)
+    return np.where(np.isfinite(peaks), peaks, np.nan)
 
 
 def _who(runs: Runs) -> str:

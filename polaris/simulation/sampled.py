@@ -38,7 +38,7 @@ ROUNDED = 1e-6  # by how much commands may be off then, as a share of the limits
 @brief
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """What becomes of a scenario with black boxes.
+    """Schedules of a scenario with black boxes, proven and sampled.
 
     Attributes
     ----------
@@ -78,8 +78,8 @@ def at_most(outside: int, flights: int, doubt: float) -> float:
 
 
 def outside(runs: Runs) -> NDArray[np.float64]:
-    """How far each flight leaves the bands of its boxes, at its worst, shape (R,); above 1 it is outside."""
-    schedule, most = runs.schedule, np.zeros(len(runs.states))
+    """Return how far each flight leaves the bands of its boxes, at its worst, shape (R,); outside above 1."""
+    schedule, worst = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
     system = schedule.safety.problem.system
     moved = system.displaced_at_nodes * bool(system.timing.carried)  # bands are about errors without that
@@ -88,8 +88,8 @@ def outside(runs: Runs) -> NDArray[np.float64]:
         if isinstance(step.tube, FittedSegment):
             part = slice(step.k * q, (step.k + 1) * q)
             errors = runs.states[:, part] - arcs[step.k, :-1]
-            most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part], moved))
-    return np.asarray(most)
+            worst = np.maximum(worst, step.tube.outside(errors, runs.inputs[:, part], moved))
+    return np.asarray(worst)
 
 
 def _drawn(schedule: Schedule, n: int, seed: int) -> Runs:
@@ -98,8 +98,8 @@ def _drawn(schedule: Schedule, n: int, seed: int) -> Runs:
 
 
 def _repeats(begun: Runs, seed: int) -> bool:
-    """Whether flights drawn come out the same again, and where boxes are asked about few, the last first."""
-    schedule, most = begun.schedule, begun.schedule.safety.tracking.system.u_max
+    """Return True if flights come out the same again, and with boxes asked about few, the last first."""
+    schedule, limits = begun.schedule, begun.schedule.safety.tracking.system.u_max
     h = schedule.safety.tracking.flow.h
 
     def only_few(ask: Ask) -> Ask:
@@ -119,7 +119,7 @@ def _repeats(begun: Runs, seed: int) -> bool:
     )
     few = _drawn(replace(schedule, controllers=tuple(laws)), len(begun.states), seed)
     off = np.abs(few.inputs - begun.inputs)  # a product over fewer rows may round otherwise
-    return np.array_equal(begun.inputs, again.inputs) and bool(np.all(off <= ROUNDED * most))
+    return np.array_equal(begun.inputs, again.inputs) and bool(np.all(off <= ROUNDED * limits))
 
 
 def with_boxes(
@@ -178,23 +178,23 @@ def synthesize_sampled(
     proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
     doubt, laws = 1 - confidence, list(experimental)
     for attempt in range(ATTEMPTS):
-        found, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
-        if not found.sampled_steps:
-            return Sampled(found if found.share() > proven.share() else proven, proven, None)
+        schedule, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
+        if not schedule.sampled_steps:
+            return Sampled(schedule if schedule.share() > proven.share() else proven, proven, None)
         flights, left = flights_needed(probability, doubt), 0
         for first in range(0, flights, BATCH):
             drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
-            runs = _drawn(found, min(BATCH, flights - first), drawn)
+            runs = _drawn(schedule, min(BATCH, flights - first), drawn)
             left += int(np.count_nonzero(~(outside(runs) <= 1)))
             if not first:
                 begun = runs
-        most = at_most(left, flights, doubt)
-        if most <= probability:
-            said = Statement(most, confidence, flights, left, seed, attempt + 1)
-            found = replace(found, statement=said)
-            hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
+        bound = at_most(left, flights, doubt)
+        if bound <= probability:
+            said = Statement(bound, confidence, flights, left, seed, attempt + 1)
+            schedule = replace(schedule, statement=said)
+            hostile = simulate(schedule, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
             repeats = _repeats(begun, seed + MOST * (attempt + 1))
-            return Sampled(found, proven, falsify(found, attacks, seed), adverse, repeats)
+            return Sampled(schedule, proven, falsify(schedule, attacks, seed), adverse, repeats)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)

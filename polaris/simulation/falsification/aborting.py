@@ -19,7 +19,7 @@ def aborted(
 
 
 def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:
-    """What flights aborted in a step exceed most of what is claimed of their arrival; and which run does.
+    """Return the claim of arrival that flights aborted in a step exceed most, and the run that does.
 
     Velocity change counts with what is commanded. A margin that is not negative is no violation.
     """

@@ -20,7 +20,7 @@ from .claims import Attained, Claims
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """What is done to a schedule in R runs.
+    """Attack on a schedule in R runs.
 
     Initial states (R, n), disturbances held over each step (steps, R, p), and the inputs (steps, R, m) of
     controllers that may do anything; what fails in each, if that is isolated late.
@@ -79,7 +79,7 @@ class Attacker:
         return self._towards(*self._aims(count))
 
     def failed(self, count: int) -> Attack:
-        """The same with a fault in every flight, the worst case along S once it flies because of that."""
+        """Return attacks with a fault in every flight, the worst case along S once it flies because of it."""
         rows, targets = self._aims(count)
         flight, schedule = self.flight, self.flight.schedule
         failing = drawn(schedule, 1, rows, targets, self.rng)
@@ -96,7 +96,7 @@ class Attacker:
         return Attack(before.x0, w, before.free, failing)
 
     def _unseen(self, w: Array, rows: Array, failing: Failing) -> None:
-        """Where navigation is lost nobody answers the disturbance: its worst case along rows at the end."""
+        """Set the disturbance while navigation is lost, unanswered: its worst case along rows at the end."""
         (Ad, _, Dd), p = self.flight.held, self.flight.system.p
         for back in range(1, int((failing.ends - failing.begins).max()) + 1):
             at = np.flatnonzero(failing.missing(failing.ends - back))

@@ -1,4 +1,4 @@
-"""What a schedule's proof promises at every instant, and how far runs stay from every limit."""
+"""Proven margins of a schedule at every instant, and distances of runs from every limit."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,7 +41,7 @@ class Claims:
 
     @property
     def system(self) -> Craft:
-        """What flies."""
+        """Return the craft that flies."""
         return self.schedule.safety.problem.system
 
     @property
@@ -76,7 +76,7 @@ class Claims:
 
     @cached_property
     def moved(self) -> Array:
-        """How far what is carried takes flights at nodes from where the proof has them, shape (n,)."""
+        """Return how far carried impulses take flights at nodes from where the proof has them, shape (n,)."""
         return self.system.displaced_at_nodes * bool(self.system.timing.carried)
 
     def grown(self, u: TimedPolytope, size: Array) -> Array:
@@ -254,10 +254,10 @@ def _measure_thrust(
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
     wrong = command_errors(system, gain, claims.cells, safety.problem.K)
-    most = system.u_max + np.abs(gain) @ claims.moved - np.repeat(wrong, claims.q, axis=0)[flown]
+    limit = system.u_max + np.abs(gain) @ claims.moved - np.repeat(wrong, claims.q, axis=0)[flown]
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
-    left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
+    left = limit - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
     if safety.tracking.commands.shape[1] > system.n:
         clipped = np.minimum(1 - runs.demanded[:, flown, None], 0.0) * system.u_max
         left = system.u_max - np.abs(runs.inputs[:, flown]) + clipped

@@ -44,8 +44,8 @@ def drifted(
         hit = place + pushed[best, np.arange(len(ahead))]
         out[:, o] = (hit @ rows.T - offsets).max(axis=-1).min(axis=1)
     stop, least = np.unravel_index(int(out.argmin()), out.shape)
-    found = float(runs.times[node[stop]]), float(out.min()), passive.least or 0.0
-    return Failure("drift", flight.sets[least].name, *found), int(run[stop])
+    values = float(runs.times[node[stop]]), float(out.min()), passive.least or 0.0
+    return Failure("drift", flight.sets[least].name, *values), int(run[stop])
 
 
 def _pushes(system: LinearSystem, rows: Array, moved: Array, ahead: Array) -> Array:

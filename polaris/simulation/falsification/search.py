@@ -155,8 +155,8 @@ class _Search:
         begun = time.perf_counter()
         # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
         usual = max(min(BATCH // self.main.flight.steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
-        batch, found, beyond = 0, None, self.tail is None
-        while self.flown < self.wanted and found is None:
+        batch, refuted, beyond = 0, None, self.tail is None
+        while self.flown < self.wanted and refuted is None:
             left = self.wanted - self.flown
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
@@ -164,20 +164,20 @@ class _Search:
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
             if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
-                found, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
+                refuted, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
                 continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
             measured = attained(attacker.claims, flown, attack.failing)
             self.flown, batch = self.flown + count, batch + 1
-            found = self._record(attacker.claims, attack, measured)
-            found = found if found or attacker is self.failing else self._besides(attack, flown)
+            refuted = self._record(attacker.claims, attack, measured)
+            refuted = refuted if refuted or attacker is self.failing else self._besides(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)
             if progress:
                 progress(self.flown, self.wanted)
-        failure, case = found or (None, None)
+        failure, case = refuted or (None, None)
         names, spent = self.main.claims.names, time.perf_counter() - begun
         limits = names, self.least, self.proven, self.at
         return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort, self.spent)
@@ -213,22 +213,22 @@ class _Search:
         """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
         step = int(self.main.rng.choice(self.aborts))
         attacker, attack, runs = aborted(self.schedule, step, count, self.main.rng)
-        found = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
+        refuted = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
         failure, run = exceeded(self.schedule, step, runs)
-        if found is None and failure.broken:
-            found = failure, (attack.pick(np.array([run])), True)
-        self.abort = step if found else None
-        return found
+        if refuted is None and failure.broken:
+            refuted = failure, (attack.pick(np.array([run])), True)
+        self.abort = step if refuted else None
+        return refuted
 
     def _besides(self, attack: Attack, flown: Runs) -> Found | None:
         """The worst violation of what is claimed of the drift after all thrust stops, or of what is spent."""
-        passive, found = self.schedule.passive, []
+        passive, failures = self.schedule.passive, []
         if passive is not None and passive.least is not None:
-            found.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))
+            failures.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))
         if len(flown.modes) == self.main.claims.cells:
             self.spent = max(self.spent, float(flown.delta_v.max()))
-            found.append(overspent(flown))
-        broken = ((each, (attack.pick(np.array([run])), False)) for each, run in found if each.broken)
+            failures.append(overspent(flown))
+        broken = ((each, (attack.pick(np.array([run])), False)) for each, run in failures if each.broken)
         return next(broken, None)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:

@@ -44,7 +44,7 @@ class Failure:
 
     @property
     def broken(self) -> bool:
-        """Whether it is one: margins are below proven ones, but for rounding."""
+        """Return True if a claim is broken: margins are below proven ones, but for rounding."""
         if self.kind == "velocity change":
             return self.margin < -EXACT_INPUT * self.proven
         return self.kind in KINDS or self.margin < self.proven - EXACT_M
@@ -79,7 +79,7 @@ def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
 
 
 def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | None:
-    """What one run violates, the gravest first; None if nothing."""
+    """Return the gravest violation of one run; None if it has none."""
     sizes = measured.margin[run], measured.margin[run], -measured.below[run]
     for kind, mask, size in zip(KINDS, broken(claims, measured), sizes, strict=True):
         which = np.flatnonzero(mask[run])
@@ -94,9 +94,9 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
 def overspent(runs: Runs) -> tuple[Failure, int]:
     """The run that spends most until T, against what is claimed, if anything is; and which run that is."""
     schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
-    most = schedule.delta_v[1] if schedule.guarantee == "proved" else np.inf
-    left = most - float(runs.delta_v[run])
-    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, most), run
+    bound = schedule.delta_v[1] if schedule.guarantee == "proved" else np.inf
+    left = bound - float(runs.delta_v[run])
+    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, bound), run
 
 
 def confirm(claims: Claims, attack: Attack, code: FlightCode | None = None) -> Failure | None:

@@ -35,15 +35,15 @@ def fit_ellipses(states: Array, env: Environment, motion: float | None) -> tuple
     ranked = []
     for eta in motions:
         near = replace(env, mean_motion=eta)
-        most = math.ceil(1e4 * float(ellipse_place(near, R, V, math.inf)[0].max())) / 1e4
-        _, _, rate = on_ellipse(near, *ellipse_place(near, R, V, min(most, 0.9)))
+        largest = math.ceil(1e4 * float(ellipse_place(near, R, V, math.inf)[0].max())) / 1e4
+        _, _, rate = on_ellipse(near, *ellipse_place(near, R, V, min(largest, 0.9)))
         share = math.ceil(1e4 * (float(np.abs(turn / eta - rate / eta).max()) + SHARE)) / 1e4
-        if most <= 0.1 and share <= 0.1:
-            near = replace(near, eccentricity=most, rate_deviation=share)
-            ranked.append((float(residual_bound(near, 1.0, 1.0, 2 * eta).total), eta, most, share))
+        if largest <= 0.1 and share <= 0.1:
+            near = replace(near, eccentricity=largest, rate_deviation=share)
+            ranked.append((float(residual_bound(near, 1.0, 1.0, 2 * eta).total), eta, largest, share))
     if not ranked and motion is not None:
         rule = f"is not that of the orbit, which is near {math.sqrt(MU / axis**3):.8g} rad/s; leave it out"
         raise ScenarioError("system.mean_motion_rad_s", motion, rule)
     if not ranked:
-        raise ScenarioError("orbit", f"eccentricity {most:g}", "must have an eccentricity of at most 0.1")
+        raise ScenarioError("orbit", f"eccentricity {largest:g}", "must have an eccentricity of at most 0.1")
     return min(ranked)[1:]

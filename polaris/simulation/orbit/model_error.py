@@ -24,7 +24,7 @@ MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back 
 @brief
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """How far the linear model may be off over the states that a schedule visits.
+    """Bound on the error of the linear model over the states that a schedule visits.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ModelError:
 
     @property
     def covered(self) -> bool:
-        """Whether the declared bound covers it: the guarantee then holds for the nonlinear motion too."""
+        """Return True if the declared bound covers it: the guarantee then holds for nonlinear motion too."""
         return self.bound <= self.declared
 
     @property

@@ -44,7 +44,7 @@ class Region:
 
 
 def visited(schedule: Schedule) -> Region:
-    """What is covered by the claims about a schedule.
+    """Return the region that the claims about a schedule cover.
 
     The tubes of the schedule, of S alone from the whole initial set, and of S after T along the
     coasting tail.
@@ -94,7 +94,7 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
 
 
 def satellite_region(satellite: SatelliteObstacle, system: LinearSystem, delta: float, cells: int) -> Region:
-    """Where another satellite may be, by what is known of it, for each of a number of cells."""
+    """Return the region where another satellite may be, by what is known of it, for so many cells."""
     carried = powers(expm(system.A * delta), cells - 1)
     middle = carried @ np.asarray(satellite.state)
     within = growth(system.A, delta)

@@ -128,7 +128,7 @@ class _Turning:
 
 
 def _turning(env: Environment) -> _Turning:
-    """How unevenly the frame may turn, from the exact formulas of `frame_rates`, term by term."""
+    """Bound how unevenly the frame may turn, from the exact formulas of `frame_rates`, term by term."""
     eta, eps, off = env.mean_motion, env.rate_deviation, env.radius_deviation
     near, far = env.distances
     slowest, fastest, climb = env.ellipse_rates

@@ -63,11 +63,11 @@ def start_set(
         if known is not None
         else "the target's file has no covariance: exact"
     )
-    told = (
+    assumption = (
         f"assumption: the start set covers {sigma:g} sigma of the covariance at {epoch_text(epoch)}"
         f" {target.time_system} ({both}; a covariance in RTN is of {about})"
     )
-    return to_hill(own, other), spans, told
+    return to_hill(own, other), spans, assumption
 
 
 def _inertial(ephemeris: Ephemeris, epoch: int, state: Array, rotating: bool) -> Array | None:

@@ -115,7 +115,7 @@ def fly_true(
 
 
 def _targets(env: Environment, n: int, rng: np.random.Generator) -> Array:
-    """Where the targets are at the start, half of them on the steepest orbits."""
+    """Draw the states of the targets at the start, half of them on the steepest orbits."""
     # J2 itself moves the inclination by a few hundredths of a degree.
     steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
     inclination = np.where(rng.random(n) < 0.5, steepest, rng.uniform(0, 1, n) * steepest)
@@ -169,19 +169,19 @@ class _TrueMotion(Integrator):
         if errors.exact:
             return u
         built, layout = slice(len(u) - len(self.axis), None), self.system.nozzles
-        told, bit = self.asked[built], errors.rounding(self.system.m)
+        thrusts, bit = self.asked[built], errors.rounding(self.system.m)
         if layout is not None:
             bit = layout.bit / (self.dt * self.substeps)
         if bit > 0 and self.left is None:
-            near = np.round(told / bit) * bit
-            told = np.where(np.abs(told) >= bit, told, near) if self.system.timing.fine else near
+            near = np.round(thrusts / bit) * bit
+            thrusts = np.where(np.abs(thrusts) >= bit, thrusts, near) if self.system.timing.fine else near
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
-            most = self.fired if layout is not None else np.minimum(self.fired, self.system.u_max)
-            self.asked[built] = told = np.clip(told, -most, most)
+            limits = self.fired if layout is not None else np.minimum(self.fired, self.system.u_max)
+            self.asked[built] = thrusts = np.clip(thrusts, -limits, limits)
         shares = errors if layout is None else layout
-        made = (told * (1 + shares.along * self.strength)) @ self.ways
-        made += shares.across * np.cross(self.axis, told @ self.ways)
+        made = (thrusts * (1 + shares.along * self.strength)) @ self.ways
+        made += shares.across * np.cross(self.axis, thrusts @ self.ways)
         if layout is not None:
             made = made / (1 + layout.mass * self.strength[:, :1])
         self.made = u.copy()
@@ -225,11 +225,11 @@ class _TrueMotion(Integrator):
 
 
 class _Predicting(Predicting, _TrueMotion):
-    """The same, what controllers act on being predicted on board."""
+    """True motion under controllers that act on states predicted on board."""
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
-    """Whether orbits (R, N, 6) of the target stay within what an environment declares, shape (R,)."""
+    """Return True for orbits (R, N, 6) of the target within what an environment declares, shape (R,)."""
     R, V = target[..., 0], target[..., 1]
     turn = frame_rates(env, target)[0][..., 2]
     tilt = np.hypot(target[..., 3], target[..., 4])
