@@ -1,4 +1,4 @@
-"""What scenarios of every kind share: their data, their overrides, and that what was built once is kept."""
+"""Base of scenarios of every kind: data, overrides, and objects that are built once and kept."""
 
 import copy
 import json
@@ -101,20 +101,20 @@ class Scenario(ABC):
             If it is not valid, or of another kind than the class it is asked of.
         """
         kind = document.get("kind", SCHEDULE)
-        found = KINDS.get(kind) if isinstance(kind, str) else None
-        if found is None or document.get("kind") == SCHEDULE:
+        scenario_class = KINDS.get(kind) if isinstance(kind, str) else None
+        if scenario_class is None or document.get("kind") == SCHEDULE:
             named = [name for name in KINDS if name != SCHEDULE]
             rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule"
             rule += did_you_mean(kind, named, 0.5)
             raise ScenarioError("kind", kind, rule, source)
-        if not issubclass(found, cls):
+        if not issubclass(scenario_class, cls):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
             rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
             raise ScenarioError("kind", kind, rule, source)
-        full, derived = found.with_sources(document, known.get("folder"), source)
+        full, derived = scenario_class.with_sources(document, known.get("folder"), source)
         if derived:
             known |= {"text": None, "derived": (*known.get("derived", ()), *derived)}
-        return found(validate(found.MODEL, full, source), source, **known)
+        return scenario_class(validate(scenario_class.MODEL, full, source), source, **known)
 
     @classmethod
     def with_sources(
@@ -177,7 +177,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the scenario on one line."""
 
     def to_dict(self) -> dict[str, Any]:
         """All values, defaults included, as nested plain data."""

@@ -52,12 +52,12 @@ def read_policies(
     model: ScenarioModel, system: Craft, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
     """Return networks and their files by controller; `ScenarioError` if one is unreadable or does not fit."""
-    found: dict[str, tuple[Path, Policy]] = {}
+    policies: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():
         if not isinstance(spec, Neural):
             continue
         file = (folder or Path()) / spec.path
-        if any(other.name == file.name and other != file for other, _ in found.values()):
+        if any(other.name == file.name and other != file for other, _ in policies.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")
         try:
             network = read_onnx(file, spec.precision)
@@ -67,8 +67,8 @@ def read_policies(
         thrust = per_axis(f"{path}.output_scale_N", spec.output_scale_N, system.m)
         policy = Policy(network, spec.inputs, scale, thrust)
         policy.check(Senses.of(system, spec.inputs, unsafe, f"{path}.inputs"), path)
-        found[spec.name] = file, policy
-    return found
+        policies[spec.name] = file, policy
+    return policies
 
 
 def build_controllers(
@@ -79,16 +79,16 @@ def build_controllers(
     planned: Mapping[str, Array],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
-    found: list[Controller] = []
+    controllers: list[Controller] = []
     for path, spec in model.controllers():
         if isinstance(spec, BlackBoxTable):
             ask = boxes[spec.name]
             assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
             known = safety.problem.system, safety.reference, safety.tracking, ask
-            found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
+            controllers.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
         else:
-            found.append(_build(spec, path, safety, policies, planned.get(spec.name)))
-    return tuple(found)
+            controllers.append(_build(spec, path, safety, policies, planned.get(spec.name)))
+    return tuple(controllers)
 
 
 def _build(
@@ -130,13 +130,13 @@ def own_reference(
         return Reference.propagate(system, delta, problem.initial_set.c, planned)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
     asked = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
-    found = plan(asked, problem.planner)
-    if found.cut_by_clock:
+    cheapest = plan(asked, problem.planner)
+    if cheapest.cut_by_clock:
         raise OutOfTime(
             f"{path}: the cheapest plan of this reference was not found in the time given "
             f"(planner.time_limit_s = {problem.planner.time_limit})"
         )
-    return Reference.propagate(system, delta, problem.initial_set.c, found.nu)
+    return Reference.propagate(system, delta, problem.initial_set.c, cheapest.nu)
 
 
 def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) -> Reference:
@@ -148,7 +148,7 @@ def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) 
 
 
 def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: float, path: str) -> Reference:
-    """Where ``u = K (state - x)`` comes to rest: a constant trajectory with a constant input.
+    """Return the rest of ``u = K (state - x)``: a constant trajectory with a constant input.
 
     About it the law is the same feedback, so ``u = u_eq + K (x_eq - x)`` exactly.
     """

@@ -33,7 +33,7 @@ SCHEDULES_ONLY = (  # tables and keys that inspection scenarios have without a m
 
 
 class InspectionScenario(Scenario):
-    """What the scenarios of the inspection problem share; see `Scenario`."""
+    """Base of the scenarios of the inspection problem; see `Scenario`."""
 
     model: models.InspectionModel | models.FuelLimitModel | models.MonteCarloModel
 
@@ -60,7 +60,7 @@ class InspectionScenario(Scenario):
 
 
 class FilteredScenario(InspectionScenario):
-    """What flights under barrier filters share."""
+    """Base of the scenarios of flights under barrier filters."""
 
     model: models.InspectionModel | models.MonteCarloModel
 
@@ -87,7 +87,7 @@ class FilteredScenario(InspectionScenario):
         return spec.build(self.inspection(), alpha, period, self.uncertainty())
 
     def uncertainty(self) -> Uncertainty:
-        """What is not known exactly; nothing, where the scenario has no tables of it."""
+        """Return bounds on what is not known exactly; none, where the scenario has no tables of it."""
         return Uncertainty(jitter=0.0)
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
@@ -143,7 +143,7 @@ class FlightScenario(FilteredScenario):
             raise ScenarioError(f"initial.states[{i}]", list(given.states[i]), rule)
 
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the flight on one line."""
         crew, flight = counted(self.deputies, "deputy", "deputies"), self.model.flight
         flown = f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
         return f"{flown}, {self.model.filter.kind} filter"
@@ -163,7 +163,7 @@ class FlightScenario(FilteredScenario):
         return x[0], float(sun[0])
 
     def uncertainty(self) -> Uncertainty:
-        """What is not known exactly."""
+        """Return bounds on what is not known exactly."""
         model, push = self.model, self.model.flight.disturbance_max_m_s2
         for table, key in SCHEDULES_ONLY:
             part = getattr(model, table)
@@ -177,7 +177,7 @@ class FlightScenario(FilteredScenario):
         return Uncertainty(*known, model.timing.jitter_s)
 
     def errors(self) -> Errors | None:
-        """What errors are flown, if any."""
+        """Return the errors that are flown, if any."""
         unknown = self.uncertainty()
         return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
 
@@ -214,7 +214,7 @@ class FuelLimitScenario(InspectionScenario):
         self.backup()
 
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the flight on one line."""
         flight, limit = self.model.flight, self.model.parameters.delta_v_max_m_s
         flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
         return f"{flown}, fuel limit {limit:g} m/s"
@@ -262,7 +262,7 @@ class MonteCarloScenario(FilteredScenario):
             self._check_filter(path, study.filter, "campaign", period)
 
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the campaign on one line."""
         plan, crew = self.model.campaign, counted(self.deputies, "deputy", "deputies")
         studies = ", ".join(study.name for study in self.model.studies)
         return f"{counted(plan.runs, 'run')} of {crew} for {plan.duration_s:g} s, studies: {studies}"

@@ -104,7 +104,7 @@ class MissionScenario(Scenario):
                 raise ScenarioError(f"{at}.obstacles", "satellite", rule)
 
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the legs on one line."""
         return ", then ".join(f"{leg.name} ({leg.horizon.duration_s:g} s)" for leg in self.model.legs)
 
     def starts(self, i: int) -> float:

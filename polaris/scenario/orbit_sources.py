@@ -80,10 +80,10 @@ def with_sources(
     if not isinstance(orbit, Mapping):
         return document, ()
     start = start if isinstance(start, Mapping) and start.get("kind") == "ephemeris" else None
-    told = [key for key in OrbitSource.model_fields if key in orbit]
-    if not told and start is None and ("elements" not in orbit or "eccentricity_max" in orbit):
+    keys = [key for key in OrbitSource.model_fields if key in orbit]
+    if not keys and start is None and ("elements" not in orbit or "eccentricity_max" in orbit):
         return document, ()
-    given = {"orbit": {key: orbit[key] for key in told}, **({} if start is None else {"initial_set": start})}
+    given = {"orbit": {key: orbit[key] for key in keys}, **({} if start is None else {"initial_set": start})}
     sources = validate(_Sources, given, where)
     try:
         return _Resolved(copy.deepcopy(dict(document)), folder or Path(), sources, where).result()
@@ -171,9 +171,9 @@ class _Resolved:
             rule = "must have its perigee above the Earth's surface"
             raise ScenarioError("orbit.elements.semi_major_axis_m", elements.semi_major_axis_m, rule)
         env = replace(env, mean_motion=math.sqrt(MU / elements.semi_major_axis_m**3))
-        told = "orbit.elements, propagated with J2 and drag"
+        source = "orbit.elements, propagated with J2 and drag"
         frame, time = elements.frame, elements.time_system
-        return _Path(lambda times: propagate(env, start, times), epoch, frame, time, math.inf, told)
+        return _Path(lambda times: propagate(env, start, times), epoch, frame, time, math.inf, source)
 
     def _environment(self, motion: float | None) -> tuple[Environment, Orbit]:
         """The table as an environment: what is still missing there is 0."""
@@ -213,8 +213,8 @@ class _Resolved:
         tilt = np.degrees(np.arctan2(np.hypot(normal[:, 0], normal[:, 1]), np.abs(normal[:, 2]))).max()
         orbit.setdefault("inclination_max_deg", min(90.0, math.ceil(10 * (float(tilt) + TILT_DEG)) / 10))
         number = given if isinstance(given, float) and 0 < given <= 0.01 else None
-        motion, most, share = fit_ellipses(states, self._environment(None)[0], number)
-        orbit.setdefault("eccentricity_max", most)
+        motion, largest, share = fit_ellipses(states, self._environment(None)[0], number)
+        orbit.setdefault("eccentricity_max", largest)
         orbit.setdefault("rate_deviation_max", share)
         if isinstance(system, dict) and system.get("kind") == "clohessy_wiltshire":
             system.setdefault("mean_motion_rad_s", motion)
@@ -256,15 +256,15 @@ class _Resolved:
 
     def _start(self, target: Ephemeris, chaser: Ephemeris, epoch: int, asked: StartSource) -> None:
         """Put the start set into the document."""
-        centre, spans, told = start_set(
+        centre, spans, assumption = start_set(
             target, chaser, epoch, asked.sigma, asked.velocity_frame == "rotating"
         )
         self.document["initial_set"] = {
             "kind": "zonotope", "center": centre.tolist(), "generators": spans.T.tolist(),
         }  # fmt: skip
-        self.notes.append(told)
+        self.notes.append(assumption)
         about = str(self.document.get("description", "")).rstrip()
-        self.document["description"] = f"{about}\n{told}.\n".lstrip()
+        self.document["description"] = f"{about}\n{assumption}.\n".lstrip()
 
 
 def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> _Path:
@@ -284,8 +284,8 @@ def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> 
             raise ScenarioError("orbit.ephemeris", error.given, error.rule, error.where) from error
 
     lasts = (target.epochs[-1] - begin) / SECOND
-    told = f"orbit.ephemeris ({printable(target.source)})"
-    return _Path(states, begin, target.frame, target.time_system, lasts, told)
+    source = f"orbit.ephemeris ({printable(target.source)})"
+    return _Path(states, begin, target.frame, target.time_system, lasts, source)
 
 
 def _of_lines(lines: tuple[str, str], epoch: int | None) -> _Path:

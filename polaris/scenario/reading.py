@@ -86,11 +86,11 @@ def validate(model: type[Model], document: Mapping[str, Any], where: str | None 
         problems = error.errors(include_url=False)
     except RecursionError:
         raise ScenarioError("file", NOTHING, "must have fewer nested brackets", where) from None
-    found = [one for one in (_located(problem, document) for problem in problems) if one]
+    located = [one for one in (_located(problem, document) for problem in problems) if one]
     # An unknown key explains a missing one (a slip of the pen), so it comes first.
-    found.sort(key=lambda one: not one[2].startswith("unknown key"))
-    path, given, rule = found[0]
-    others = list(dict.fromkeys(other[0] for other in found[1:] if other[0] != path))
+    located.sort(key=lambda one: not one[2].startswith("unknown key"))
+    path, given, rule = located[0]
+    others = list(dict.fromkeys(other[0] for other in located[1:] if other[0] != path))
     if others:
         names = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         rule += f" (and {len(others)} more to correct: {names})"

@@ -69,19 +69,19 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
     for path, widths in wide.items():
         drift, length = float((np.abs(V) @ widths).max()) * time, float((np.abs(C) @ widths).max())
         if drift > FAST * length > 0:
-            told = f"its velocities are uncertain by {drift:.3g} m in {time:.4g} s"
-            notes.append(f"{path}: {told}, its positions by {length:.3g} m only: m, not km?")
+            text = f"its velocities are uncertain by {drift:.3g} m in {time:.4g} s"
+            notes.append(f"{path}: {text}, its positions by {length:.3g} m only: m, not km?")
     for path, speed in speeds.items():
         if speed * time > FAST * size > 0:
-            told = f"{speed:.3g} m/s covers {speed * time:.3g} m in {time:.4g} s"
-            notes.append(f"{path}: {told}, and the scene is {size:.3g} m wide: m, not km?")
+            text = f"{speed:.3g} m/s covers {speed * time:.3g} m in {time:.4g} s"
+            notes.append(f"{path}: {text}, and the scene is {size:.3g} m wide: m, not km?")
     for path, length in lengths.items():
         if length < SMALL * start:
-            told = f"is {length:.3g} m in size, and the initial position is uncertain by {start:.3g} m"
-            notes.append(f"{path}: it {told}: m, not km?")
+            text = f"is {length:.3g} m in size, and the initial position is uncertain by {start:.3g} m"
+            notes.append(f"{path}: it {text}: m, not km?")
     if 0 < SHARP * start < size:
-        told = f"is known to {start:.3g} m in a scene of {size:.3g} m"
-        notes.append(f"initial_set: the position {told}: m, not km?")
+        text = f"is known to {start:.3g} m in a scene of {size:.3g} m"
+        notes.append(f"initial_set: the position {text}: m, not km?")
     return notes
 
 

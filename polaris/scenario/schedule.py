@@ -85,7 +85,7 @@ class ScheduleScenario(Scenario):
             model.abort.check(system, self.step)
 
     def outline(self) -> str:
-        """What it describes, on one line."""
+        """Describe the scenario on one line."""
         system, sets = self.system(), len(self.model.obstacles) + len(self.model.keep_in)
         chosen = f" (commands each {self.period():g} s)" if self.model.feedback.period_s is None else ""
         return (
@@ -132,7 +132,7 @@ class ScheduleScenario(Scenario):
 
     @kept
     def allocation(self) -> Allocation | None:
-        """What the thrusters make of the inputs in every fault, where anything is said of it."""
+        """Return the allocation of inputs to thrusters in every fault, where anything is said of it."""
         thrusters, faults = self.model.thrusters, self.model.faults
         made = allocation(thrusters, faults, self.model.system.build().u_max)
         return made if thrusters is None else thrusters.in_turn(made, self.period(), faults)
@@ -168,7 +168,7 @@ class ScheduleScenario(Scenario):
 
     @kept
     def goal(self) -> Goal:
-        """Where the reference must end."""
+        """Return the goal at which the reference must end."""
         goal: Goal = self.model.goal.build(self.system())
         return goal
 
@@ -243,8 +243,8 @@ class ScheduleScenario(Scenario):
         return super()._copied() if beside else self._moved(lambda file: file.name)
 
     def _networks(self) -> list[tuple[Neural, Path]]:
-        found = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
-        return [(spec, self.policies()[spec.name][0]) for spec in found]
+        specs = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
+        return [(spec, self.policies()[spec.name][0]) for spec in specs]
 
     def _moved(self, place: Callable[[Path], str]) -> str:
         """TOML with other paths of its networks."""

@@ -25,7 +25,7 @@ from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
 class Thrusters(ScenarioPart):
-    """How far what is applied may be from what is commanded, at any time, in any direction that fits."""
+    """Bounds on how far applied thrust is from what is commanded, at any time, in any direction that fits."""
 
     magnitude_error: f.Real = unit(
         "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
@@ -107,8 +107,8 @@ class Thrusters(ScenarioPart):
         if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
             raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)
-        if self.impulse_bit_N_s > (most := float(limits.min()) * period):
-            rule = f"must be at most what full thrust makes in a period, {most:.6g} N s"
+        if self.impulse_bit_N_s > (largest := float(limits.min()) * period):
+            rule = f"must be at most what full thrust makes in a period, {largest:.6g} N s"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         if layout is not None:
             return layout.errors(period)
@@ -181,7 +181,7 @@ def _require_whole(thrusters: Thrusters, limits: Array, period: float, faults: S
 
 
 def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
-    """What the thrusters make of inputs in every fault; None where nothing is said of them."""
+    """Return the allocation of inputs to thrusters in every fault; None where nothing is said of them."""
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
     directions, limits = (given.directions, given.thrust_max_N) if given else (None, None)
     if (directions is None) != (limits is None):
@@ -191,8 +191,8 @@ def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
         if given is not None and given.allocation != MIXES:
             raise ScenarioError("thrusters.allocation", given.allocation, "needs thrusters.directions")
         return Allocation.of(*axis_pairs(u_max), u_max, failed) if failed else None
-    most = per_axis("thrusters.thrust_max_N", limits, len(directions))
-    return Allocation.of(np.array(directions), most, u_max, failed, given.allocation if given else MIXES)
+    largest = per_axis("thrusters.thrust_max_N", limits, len(directions))
+    return Allocation.of(np.array(directions), largest, u_max, failed, given.allocation if given else MIXES)
 
 
 def transients(
@@ -208,14 +208,14 @@ def transients(
     Thrusters push `times` as hard as their limits say, where one at a time has power.
     """
     flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
-    found = []
+    late = []
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None] * times
         if fault.isolation > 0:
-            found.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
-    return tuple(found)
+            late.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
+    return tuple(late)
 
 
 class GoalOrbit(ScenarioPart):
@@ -228,7 +228,7 @@ Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal
 
 
 class Abort(ScenarioPart):
-    """What must be possible at any instant until T: if all thrust stops, and with it.
+    """Aborts that must be possible at any instant until T: after all thrust stops, and with thrust.
 
     Passive safety: the drift stays clear of the unsafe sets. Powered abort: S reaches an orbit, safely.
     """
@@ -260,7 +260,7 @@ class Abort(ScenarioPart):
             raise ScenarioError("abort.within_s", within, rule)
 
     def powered(self, system: LinearSystem) -> PoweredAbort | None:
-        """What is asked of an abort with thrust."""
+        """Return the requirement on an abort with thrust; None if there is none."""
         if self.orbit is None:
             given = self.within_s or self.delta_v_max_m_s
             if given is not None:
@@ -276,7 +276,7 @@ class Abort(ScenarioPart):
         return replace(asked, goal=own.build(system), tolerance=near, velocity_tolerance=slow)
 
     def build(self, system: LinearSystem) -> AbortOptions | None:
-        """What is asked of the drift."""
+        """Return the requirement on the drift; None if there is none."""
         if self.drift_orbits is None and self.drift_s is None and self.orbit is not None:
             return None
         if (self.drift_orbits is None) == (self.drift_s is None):
@@ -303,7 +303,7 @@ class Tank(ScenarioPart):
 
 
 class Chaser(ScenarioPart):
-    """What is controlled has a size: it is added to every unsafe set."""
+    """Size of what is controlled: it is added to every unsafe set."""
 
     radius_m: f.NonNegative = unit("m")
     """Radius of a ball, about the point that is navigated, that contains all of the chaser in any attitude.

@@ -41,8 +41,8 @@ class ScenarioPart(BaseModel):
         """Refuse an unknown key before anything else: it explains a missing one (a slip of the pen)."""
         for key in data if isinstance(data, Mapping) else ():
             if key not in cls.model_fields:
-                told = {"key": key, "known": [*cls.model_fields], "gone": cls.GONE.get(key, "")}
-                raise PydanticCustomError("unknown_key", "unknown key", told)
+                context = {"key": key, "known": [*cls.model_fields], "gone": cls.GONE.get(key, "")}
+                raise PydanticCustomError("unknown_key", "unknown key", context)
         return data
 
     @classmethod
@@ -83,7 +83,7 @@ def check_length(field: str, vector: Sequence[Any], count: int) -> None:
 
 
 def whole_parts(total: float, part: float) -> int | None:
-    """How many times `part` goes into `total`; None if not a whole number of times."""
+    """Return how many times `part` goes into `total`; None if not a whole number of times."""
     ratio = total / part
     if not math.isfinite(ratio):
         return None
@@ -163,7 +163,7 @@ def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
 
 
 class Head(ScenarioPart):
-    """What every scenario file starts with."""
+    """Head of every scenario file."""
 
     schema_version: f.VersionOne = unit("-", "Version of this format.")
     name: f.Name = unit("-", "Short name; the run folder is called after it.")

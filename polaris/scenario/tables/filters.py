@@ -61,7 +61,7 @@ class StrengtheningTable(ScenarioPart):
 
 
 class BarrierFilter(ScenarioPart):
-    """What the barrier filters share."""
+    """Options of all barrier filters."""
 
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
     sampled_data: f.Flag = unit("-", default=True)

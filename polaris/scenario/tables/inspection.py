@@ -44,7 +44,7 @@ Initial = Annotated[InitialStates | InitialSample, *BY_KIND]
 
 
 class FlightTime(ScenarioPart):
-    """How long, and in what steps."""
+    """Length of the flight, and its steps."""
 
     duration_s: f.Positive = unit("s", "Length of the flight.", default=3000.0)
     period_s: f.Positive = unit(
@@ -94,14 +94,14 @@ Phases = Annotated[tuple[Primary, ...], Field(min_length=1, max_length=100)]
 
 
 class _Scene(Head):
-    """What all have."""
+    """Tables of every inspection scenario."""
 
     kind: str
     parameters: Parameters = unit("-", "Table 1.", default_factory=Parameters)
 
 
 class _Filtered(_Scene):
-    """What flights under barrier filters have."""
+    """Tables of flights under barrier filters."""
 
     strengthening: StrengtheningTable = unit("-", default_factory=StrengtheningTable)
     """The functions alpha of eq. 7."""
@@ -147,7 +147,7 @@ class Wasteful(ScenarioPart):
 
 
 class FuelFlight(ScenarioPart):
-    """How long, and in what steps."""
+    """Length of the flight, and its steps."""
 
     duration_s: f.Positive = unit("s", "Length of the flight.", default=7000.0)
     period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)

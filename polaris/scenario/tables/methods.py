@@ -52,7 +52,7 @@ class Planner(Described, makes=PlannerOptions):
 
 
 class Schedule(Described, makes=SwitchingRules):
-    """How the switching schedule is chosen (Algorithm 2 and beyond)."""
+    """Choice of the switching schedule (Algorithm 2 and beyond)."""
 
     bound_programs: f.Whole = unit("-", default=400, ge=0, le=10**9)
     """Linear programs, about, spent on a proven bound on the time under experimental controllers over all

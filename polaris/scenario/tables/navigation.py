@@ -77,7 +77,7 @@ class Phase(Estimate, Sight):
 
 
 class Measurement(Sight):
-    """What an observer measures once a control period: the errors of its estimates are worked out.
+    """Measurements of an observer once a control period: the errors of its estimates are worked out.
 
     Its gain is the steady Kalman gain; after missed periods it has another. In Hill's frame it measures the
     position, and the velocity if that has a bound.
@@ -95,7 +95,7 @@ class Measurement(Sight):
     been at work when the flight starts."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
-        """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
+        """Return the rows that are measured, shape (r, n), and bounds on their errors, shape (r,)."""
         path, turned = PATH, self.sight(system, PATH)
         own, hill = ("position_error_m", "velocity_error_m_s"), system.mean_motion is not None
         where = "in Hill's frame" if hill else "outside Hill's frame"
@@ -144,7 +144,7 @@ class Measurement(Sight):
 
 
 class Navigation(Estimate, Sight):
-    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
+    """Bounds on the errors of the estimate of the state that every controller acts on.
 
     Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
     in other systems states. Where there are phases, these hold until the first. For networks, and for what
@@ -181,8 +181,8 @@ class Navigation(Estimate, Sight):
         return replace(system, error_by_step=rows, sights=np.array(sights)[flown])
 
     def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
-        """Where bounds of phases hold, as sets to stay inside; `horizon` as for `known`."""
-        found, T, slack = [], horizon[0] * horizon[1], INSTANT * horizon[1]
+        """Return the sets to stay inside where bounds of phases hold; `horizon` as for `known`."""
+        sets, T, slack = [], horizon[0] * horizon[1], INSTANT * horizon[1]
         first: Sight = self if self.measurement is None else self.measurement
         parts = [(first, "navigation" if first is self else PATH, "within", 0.0)]
         for i, phase in enumerate(self.phases):
@@ -196,8 +196,8 @@ class Navigation(Estimate, Sight):
                 raise ScenarioError(f"{path}.from_s", begins, rule)
             half = per_axis(f"{path}.within_m", part.within_m, system.d)
             sides = np.vstack([np.eye(system.d), -np.eye(system.d)]), np.tile(half, 2)
-            found.append(KeepInPolytope(name, *sides, begins, np.inf if end > T + slack else end))
-        return found
+            sets.append(KeepInPolytope(name, *sides, begins, np.inf if end > T + slack else end))
+        return sets
 
 
 def _seen(bounds: Array, sight: Array) -> Array:

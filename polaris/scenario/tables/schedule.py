@@ -148,7 +148,7 @@ InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *BY_KIND]
 
 
 class Horizon(ScenarioPart):
-    """How long, and in what steps."""
+    """Length of the schedule, and its steps."""
 
     duration_s: f.Positive = unit("s", "Time T covered by the reference and the schedule.")
     step_s: f.Positive = unit(
