@@ -45,13 +45,13 @@ def model_error_command(
         bound, scenario = error_within(loaded.scenario, within), loaded.scenario
         total, declared = float(bound.total), scenario.system().w_max
         parts = {name: float(value) for name, value in bound.parts.items()}
-        told = {"scenario": scenario.name, "within_m": within, "declared_m_s2": declared, "bound_m_s2": total}
-        show = partial(_show_within, told | {"parts_m_s2": parts})
-        print_result(told | {"parts_m_s2": parts, "covered": total <= declared}, as_json, show)
+        data = {"scenario": scenario.name, "within_m": within, "declared_m_s2": declared, "bound_m_s2": total}
+        show = partial(_show_within, data | {"parts_m_s2": parts})
+        print_result(data | {"parts_m_s2": parts, "covered": total <= declared}, as_json, show)
         return None if total <= declared else REFUTED
-    found = justify(loaded.scenario) if fit else model_error(loaded.scenario, loaded.schedule())
-    print_result(found.summary(), as_json, partial(_show_model_error, found))
-    return None if found.covered else REFUTED
+    error = justify(loaded.scenario) if fit else model_error(loaded.scenario, loaded.schedule())
+    print_result(error.summary(), as_json, partial(_show_model_error, error))
+    return None if error.covered else REFUTED
 
 
 @verb("falsify")
@@ -102,19 +102,19 @@ def _falsify_mission(folder: RunFolder, runs: int, seed: int, as_json: bool) -> 
     """Attack every leg, and every joint from the corners of the leg before it."""
     from ..runs.missions.attacks import falsify_mission
 
-    told = falsify_mission(folder, runs, seed)
-    print_result(told, as_json, partial(_show_mission, told))
-    return REFUTED if told["violated"] else None
+    summary = falsify_mission(folder, runs, seed)
+    print_result(summary, as_json, partial(_show_mission, summary))
+    return REFUTED if summary["violated"] else None
 
 
-def _show_mission(told: dict[str, Any]) -> None:
+def _show_mission(summary: dict[str, Any]) -> None:
     """Print what attacks on legs and joints came to."""
-    for leg in told["legs"]:
+    for leg in summary["legs"]:
         echo(f"{leg['name']}: {leg['runs']} trajectories, {leg['failure'] or 'no violation'}")
         if leg["share_of_start_set"] is not None:
             share = f"{leg['share_of_start_set']:.1%} of the next leg's start set"
             echo(f"{leg['name']}: {leg['attacks']} attacks on the joint take up {share}")
-    echo("VIOLATED" if told["violated"] else "No violation.")
+    echo("VIOLATED" if summary["violated"] else "No violation.")
 
 
 @verb("replay")
@@ -148,47 +148,47 @@ def verify(
     return main([run] if code is None else [run, "--code", code])
 
 
-def _show_falsification(name: str, found: Falsification) -> None:
+def _show_falsification(name: str, result: Falsification) -> None:
     """Print the least margin of every limit against what is proven, and a violation."""
     from ..synthesis.safety.recoverable import directed
 
-    told = found.summary()
-    echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
+    summary = result.summary()
+    echo(f"{name}: {summary['runs']} trajectories, {summary['runs_per_s']:.0f} per second")
     echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
-    for row in told["limits"]:
+    for row in summary["limits"]:
         proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
         echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
-    proven = directed(told["delta_v_proven_m_s"], ".4g", up=True)
-    echo(f"velocity change until T: {told['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
-    echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
+    proven = directed(summary["delta_v_proven_m_s"], ".4g", up=True)
+    echo(f"velocity change until T: {summary['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
+    echo("No violation." if result.failure is None else f"VIOLATED: {result.failure}")
 
 
-def _show_within(told: dict[str, Any]) -> None:
+def _show_within(summary: dict[str, Any]) -> None:
     """Print the parts of a bound within a distance, and what is declared."""
-    echo(f"{told['scenario']}: what the linear model leaves out within {told['within_m']:g} m [m/s^2]")
-    _show_parts(told, "")
+    echo(f"{summary['scenario']}: what the linear model leaves out within {summary['within_m']:g} m [m/s^2]")
+    _show_parts(summary, "")
 
 
-def _show_parts(told: dict[str, Any], sampled: str) -> None:
-    for name, value in told["parts_m_s2"].items():
+def _show_parts(summary: dict[str, Any], sampled: str) -> None:
+    for name, value in summary["parts_m_s2"].items():
         echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
-    echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}{sampled}")
-    covers = "covers it" if told["bound_m_s2"] <= told["declared_m_s2"] else "TOO SMALL"
-    echo(f"  {'declared':16} {told['declared_m_s2']:9.3g}   {covers}")
+    echo(f"  {'bound':16} {summary['bound_m_s2']:9.3g}{sampled}")
+    covers = "covers it" if summary["bound_m_s2"] <= summary["declared_m_s2"] else "TOO SMALL"
+    echo(f"  {'declared':16} {summary['declared_m_s2']:9.3g}   {covers}")
 
 
-def _show_model_error(found: ModelError) -> None:
+def _show_model_error(error: ModelError) -> None:
     """Print the parts of the bound, what is declared, and where it is largest."""
-    told = found.summary()
-    worst = told["worst"]
-    echo(f"{told['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
-    _show_parts(told, f"   (sampled: {told['sampled_share']:.0%} of it)")
+    summary = error.summary()
+    worst = summary["worst"]
+    echo(f"{summary['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
+    _show_parts(summary, f"   (sampled: {summary['sampled_share']:.0%} of it)")
     echo(
         f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
         f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"
         f" {worst['speed_m_s']:.2f} m/s."
     )
-    for name, time in told["satellites_covered_until_s"].items():
+    for name, time in summary["satellites_covered_until_s"].items():
         until = "as long as it is perceived" if time is None else f"until t = {time:g} s"
         echo(f"The motion declared for {name} covers its own model error {until}.")

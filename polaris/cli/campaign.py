@@ -133,10 +133,10 @@ def replay_command(
         else:
             assert case is not None and batch is not None and run is not None
             chosen = case, batch, run
-        found = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
-    print_result(found.row, as_json, partial(show_run, found.row))
+        replayed = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
+    print_result(replayed.row, as_json, partial(show_run, replayed.row))
     if out is not None:
-        echo(f"Written: {found.write(out, force=force)}", err=True)
+        echo(f"Written: {replayed.write(out, force=force)}", err=True)
 
 
 def _plan(

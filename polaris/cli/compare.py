@@ -151,9 +151,9 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
         )
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
-        told = f"the planner's wall clock ended its search early ({', '.join(cut)})"
+        text = f"the planner's wall clock ended its search early ({', '.join(cut)})"
         why = "another machine, or another run, may find another plan; allow more time"
-        warnings.warn(f"{told}: {why}", ClockWarning, stacklevel=2)
+        warnings.warn(f"{text}: {why}", ClockWarning, stacklevel=2)
     output.finish(folder)
 
 

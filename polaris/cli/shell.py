@@ -112,16 +112,16 @@ class BlackBoxes:
     @property
     def commands(self) -> dict[str, list[str]]:
         """Words of every command, by the name of its black box."""
-        found: dict[str, list[str]] = {}
+        commands: dict[str, list[str]] = {}
         for text in self.black_box or ():
             name, equals, command = text.partition("=")
-            if not equals or name in found:
+            if not equals or name in commands:
                 raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
             try:
-                found[name] = shlex.split(command)
+                commands[name] = shlex.split(command)
             except ValueError as error:
                 raise ScenarioError("--black-box", text, f"has no command: {error}") from error
-        return found
+        return commands
 
     @contextmanager
     def running(self) -> Iterator[dict[str, Ask]]:
@@ -225,14 +225,14 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
             if code:
                 raise typer.Exit(code)
 
-        told: list[Parameter] = []
+        parameters: list[Parameter] = []
         for key, one in signature(work).parameters.items():
             group = groups.get(key)
             types = get_type_hints(group, include_extras=True) if group else hints
             for item in fields(group) if group else [one]:
                 how_told = {"default": item.default, "annotation": types[item.name]}
-                told.append(Parameter(item.name, Parameter.KEYWORD_ONLY, **how_told))
-        vars(guarded)["__signature__"] = Signature(told)
+                parameters.append(Parameter(item.name, Parameter.KEYWORD_ONLY, **how_told))
+        vars(guarded)["__signature__"] = Signature(parameters)
         app.command(name, **how)(guarded)
         return guarded
 

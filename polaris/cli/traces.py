@@ -60,13 +60,13 @@ def evaluate_command(
     }
     read = read_trace(trace)
     if options.legacy:
-        found = evaluate_legacy(read, **how)
-        told, show = {"legacy_rtaeval": True, "agents": found}, partial(show_legacy, found)
+        agents = evaluate_legacy(read, **how)
+        summary, show = {"legacy_rtaeval": True, "agents": agents}, partial(show_legacy, agents)
     else:
         radius = options.agent_radius
         metrics = evaluate_trace(read, restamp=options.restamp, system=system, agent_radius=radius, **how)
-        told, show = metrics.summary(), partial(show_metrics, metrics)
-    print_result(told, options.as_json, (lambda: None) if options.quiet else show)
+        summary, show = metrics.summary(), partial(show_metrics, metrics)
+    print_result(summary, options.as_json, (lambda: None) if options.quiet else show)
 
 
 @verb("export")
@@ -105,13 +105,13 @@ def export_command(
     if method is not None and not compared:
         raise ScenarioError("--method", method, f"{run} must be a comparison folder")
     pilot = method or ("schedule" if compared else controller or "polaris")
-    found = export_run(run, pilot, label, nominal=nominal)
-    path = write_trace(trace, found.trace, force=force)
+    exported = export_run(run, pilot, label, nominal=nominal)
+    path = write_trace(trace, exported.trace, force=force)
     if not quiet:
-        agent = next(iter(found.trace.agents.values()))
+        agent = next(iter(exported.trace.agents.values()))
         echo(
             f"{path}: run {quoted(label)} of {pilot}, {counted(len(agent.times), 'sample')} over"
-            f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
+            f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(exported.trace.unsafe)}"
         )
-        for note in found.notes:
+        for note in exported.notes:
             echo(f"note: {note}")

@@ -55,12 +55,12 @@ def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str 
 def show_cells(shown: Cells, width: int = 0) -> None:
     """Print a table that pages show, too; its caption is the head of the first column if that has none."""
     first, *heads = shown.heads
-    found = table(first or shown.caption, *heads)
-    for column, cell in zip(found.columns[1:], shown.rows[0][1:], strict=True):
+    grid = table(first or shown.caption, *heads)
+    for column, cell in zip(grid.columns[1:], shown.rows[0][1:], strict=True):
         column.justify = "left" if cell.words else "right"
     for row in shown.rows:
-        found.add_row(*(alarming(cell.text, cell.bad) for cell in row))
-    show_table(found, width)
+        grid.add_row(*(alarming(cell.text, cell.bad) for cell in row))
+    show_table(grid, width)
 
 
 def alarming(text: str, bad: bool) -> Text:

@@ -49,10 +49,10 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     say(f"Interactive report: polaris report {shlex.quote(folder)}")
 
 
-def _cell(key: str, told: Any) -> str:
-    if not isinstance(told, dict):
-        return "-" if told is None else _number(told)
-    value = told["worst" if key in LEAST else "mean"]
+def _cell(key: str, entry: Any) -> str:
+    if not isinstance(entry, dict):
+        return "-" if entry is None else _number(entry)
+    value = entry["worst" if key in LEAST else "mean"]
     if key == "violations":
         return str(value)
     return ("none" if key in LEAST else "-") if value is None else _number(value)
@@ -106,10 +106,10 @@ def answered(needed: Mapping[str, Any]) -> str:
     if needed["last_proven"] is None:
         return f"{field}: no value tried has {asked}."
     last, there = f"{needed['last_proven']:g}", f"{needed['share_there']:.1%}"
-    told = f"{field}: {needed['bound']} {last} for {asked} ({there} is proven there"
+    text = f"{field}: {needed['bound']} {last} for {asked} ({there} is proven there"
     if needed["next"] is None:
-        return f"{told}; nothing further was tried)."
+        return f"{text}; nothing further was tried)."
     if needed["interpolated"] is None:
-        return f"{told}; infeasible at {needed['next']:g})."
+        return f"{text}; infeasible at {needed['next']:g})."
     between, beyond = f"{needed['interpolated']:.4g}", f"{needed['share_next']:.1%} at {needed['next']:g}"
-    return f"{told}; about {between} by interpolation to {beyond})."
+    return f"{text}; about {between} by interpolation to {beyond})."

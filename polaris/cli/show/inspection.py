@@ -16,14 +16,14 @@ def show_flight(summary: Mapping[str, Any], folder: str) -> None:
     safe, steps, seconds = summary["safe"], summary["steps"], summary["filter_seconds"]
     say("No constraint is violated." if safe else "CONSTRAINTS ARE VIOLATED.", "" if safe else RED)
     total = sum(steps.values())
-    told = ", ".join(f"{name} {count / total:.1%}" for name, count in steps.items() if count)
-    say(f"Filter ({summary['filter']['kind']}): {told} of {total} answers.")
+    answers = ", ".join(f"{name} {count / total:.1%}" for name, count in steps.items() if count)
+    say(f"Filter ({summary['filter']['kind']}): {answers} of {total} answers.")
     say(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
     spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
     say(f"Velocity change per deputy: {spent} m/s.")
-    tank, most = summary["delta_v_max_m_s"], max(summary["delta_v_m_s"])
-    if most > tank:
-        say(f"THE FUEL LIMIT IS EXCEEDED: {most:.4g} m/s of {tank:g} m/s, which no barrier keeps.", RED)
+    tank, largest = summary["delta_v_max_m_s"], max(summary["delta_v_m_s"])
+    if largest > tank:
+        say(f"THE FUEL LIMIT IS EXCEEDED: {largest:.4g} m/s of {tank:g} m/s, which no barrier keeps.", RED)
     smooth = summary.get("smoothness")
     if smooth:
         applied, wanted = (

@@ -38,13 +38,13 @@ COLUMNS += ("its mean, 95 %", "share of U", "velocity change, 95 %")
 
 def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     """Print violations, distances, use of U and velocity change of every case and mode."""
-    found = table("case", *COLUMNS, wrap=0)
+    grid = table("case", *COLUMNS, wrap=0)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
-        for mode, told in case.get("modes", {}).items():
-            found.add_row(label, *_row(mode, told))
+        for mode, result in case.get("modes", {}).items():
+            grid.add_row(label, *_row(mode, result))
             label = ""
-    show_table(found, max(len(str(case["label"])) for case in summary["cases"]) + 157)
+    show_table(grid, max(len(str(case["label"])) for case in summary["cases"]) + 157)
     for case in summary["cases"]:
         if "failure" in case:
             say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
@@ -58,14 +58,14 @@ def show_run(row: Mapping[str, Any]) -> None:
     show_table(table("", "", rows=rows))
 
 
-def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:
-    chance, mean, worst = told["violation_probability"], told["mean"], told["worst"]
-    bad = told["violations"] > 0
+def _row(mode: str, result: Mapping[str, Any]) -> list[Text]:
+    chance, mean, worst = result["violation_probability"], result["mean"], result["worst"]
+    bad = result["violations"] > 0
     return [
         Text(mode),
-        Text(told["guarantee"]),
-        Text(f"{told['runs']:,}"),
-        alarming(f"{told['violations']:,}", bad),
+        Text(result["guarantee"]),
+        Text(f"{result['runs']:,}"),
+        alarming(f"{result['violations']:,}", bad),
         alarming(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
         Text("-" if worst["min_distance_m"] is None else f"{worst['min_distance_m']:.4g} m"),
         Text(_interval(mean["min_distance_m"], "m")),
@@ -74,8 +74,8 @@ def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:
     ]
 
 
-def _interval(told: Mapping[str, float | None], unit: str) -> str:
-    mean, high = told["mean"], told["high"]
+def _interval(entry: Mapping[str, float | None], unit: str) -> str:
+    mean, high = entry["mean"], entry["high"]
     if mean is None:
         return "-"
     return f"{mean:.4g} {unit}" if high is None else f"{mean:.4g} +- {high - mean:.1g} {unit}"

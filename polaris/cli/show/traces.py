@@ -26,8 +26,8 @@ def show_metrics(found: TraceMetrics) -> None:
         shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
         say(f"share of time: {shares}; switches: {agent.switches}")
         if agent.running_times is not None:
-            mean, most, least = agent.running_times
-            say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
+            mean, largest, least = agent.running_times
+            say(f"decision: mean {mean:.3g} s, max {largest:.3g} s, min {least:.3g} s")
     for note in found.notes:
         say(f"note: {note}")
 
@@ -36,11 +36,11 @@ QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drif
 
 
 def _separations(items: Iterable[Separation]) -> Table:
-    found = table("to", "quantity", "min", "mean", "max", "min at [s]", "on course", words=2, wrap=1)
+    grid = table("to", "quantity", "min", "mean", "max", "min at [s]", "on course", words=2, wrap=1)
     for item in items:
         title = Text(f"{item.name} ({item.kind})")
         if item.distance is None:
-            found.add_row(title, "never there at the same time")
+            grid.add_row(title, "never there at the same time")
             continue
         for key, quantity in QUANTITIES:
             spread: Spread | None = getattr(item, key)
@@ -49,9 +49,9 @@ def _separations(items: Iterable[Separation]) -> Table:
             values = (spread.min, spread.mean, spread.max, spread.at)
             shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
             course = "" if key == "distance" else f"{spread.share:.1%}"
-            found.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
+            grid.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
             title = Text("")
-    return found
+    return grid
 
 
 LEGACY_FORMS = {
