@@ -77,7 +77,7 @@ class FlownSchedule:
 
 def digest(schedule: Schedule) -> str:
     """SHA-256 of what a schedule does: modes, references, gains, limits."""
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     safety = schedule.safety
     system = safety.problem.system
     arrays = [schedule.modes, safety.reference.chi, safety.reference.nu, safety.tracking.gain, system.u_max]
@@ -85,13 +85,13 @@ def digest(schedule: Schedule) -> str:
         if isinstance(law, AffineController):
             arrays += [law.gain, law.own.chi, law.own.nu]
         elif isinstance(law, NeuralController):
-            found.update(canonical(hexadecimal(described(law))).encode())
+            sha.update(canonical(hexadecimal(described(law))).encode())
             arrays += [law.own.chi, law.own.nu]
     fits = (getattr(step.tube, "fit", None) for step in schedule.steps)
     arrays += [fit for fit in fits if fit is not None]
     for array in arrays:
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()
 
 
 def fly_schedule(
@@ -161,16 +161,16 @@ def write_run(
     check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
-    found = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
-    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, found, draw=draw)
+    result = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
+    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, result, draw=draw)
 
 
-def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> None:
-    schedule, rules = found.schedule, asdict(scenario.switching_rules())
+def _write(folder: Path, scenario: ScheduleScenario, result: FlownSchedule) -> None:
+    schedule, rules = result.schedule, asdict(scenario.switching_rules())
     files.write_schedule(folder, schedule, rules, guarantee(schedule))
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     write_gains(folder / "gains.json", schedule)
-    flights = {key: item.flights for key, item in found.flown.items()}
+    flights = {key: item.flights for key, item in result.flown.items()}
     picture = picture_of(schedule, flights)
     assert picture.slices is not None
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
@@ -180,16 +180,16 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     write_certificate(folder, schedule, scenario.name, names)
 
 
-def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _tell(scenario: ScheduleScenario, result: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
-    schedule, safety = found.schedule, found.schedule.safety
-    plan, bound = safety.plan, asdict(found.at_most)
+    schedule, safety = result.schedule, result.schedule.safety
+    plan, bound = safety.plan, asdict(result.at_most)
     return {
-        **{key: item.metrics.summary() for key, item in found.flown.items()},
+        **{key: item.metrics.summary() for key, item in result.flown.items()},
         "synthesis": {
             "recoverable": safety.recoverable.kind,
             "experimental_share": schedule.share(),
-            **_boxes(found.sampled),
+            **_boxes(result.sampled),
             "share_at_most": bound.pop("share"),
             "share_bound": bound,
             "switches": schedule.switches,
@@ -217,11 +217,11 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
 
 def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float]:
     """Return wall times of the parts of the synthesis and of stages around it; they add up to ``total``."""
-    found, parts = dict(around), dict(schedule.seconds)
-    total, measured = found.pop("total"), [found.pop(name, 0.0) for name in SYNTHESIS]
+    stages, parts = dict(around), dict(schedule.seconds)
+    total, measured = stages.pop("total"), [stages.pop(name, 0.0) for name in SYNTHESIS]
     total += 0.0 if any(measured) else sum(parts.values())  # a schedule made before anything was timed
     named = {
-        name: parts.get(name, 0.0) + found.get(name, 0.0) for name in [*parts, *found] if name != "other"
+        name: parts.get(name, 0.0) + stages.get(name, 0.0) for name in [*parts, *stages] if name != "other"
     }
     return {**named, "other": total - sum(named.values()), "total": total}
 
@@ -230,10 +230,10 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
     """Return the share proven without asking the black boxes, and the worst flight found with them."""
     if sampled is None:
         return {}
-    told, worst = None, sampled.worst
+    report, worst = None, sampled.worst
     if worst is not None:
         sets = worst.least[: len(sampled.schedule.safety.clearance.unsafe)]
-        told = {
+        report = {
             "runs": worst.runs,
             "violated": worst.failure is not None,
             "failure": None if worst.failure is None else str(worst.failure),
@@ -241,7 +241,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "leave_sets": sampled.adverse,
             "repeats": sampled.repeats,
         }
-    return {"proven_share": sampled.proven.share(), "worst_found": told}
+    return {"proven_share": sampled.proven.share(), "worst_found": report}
 
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
@@ -272,8 +272,8 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
 
 
 def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
-    told, system = read_json(folder / "schedule.json"), scenario.system()
-    steps, claim = told["steps"], told["guarantee"]
+    document, system = read_json(folder / "schedule.json"), scenario.system()
+    steps, claim = document["steps"], document["guarantee"]
     goal = claim["goal"] if claim["kind"] == "proved" else {}
     tubes = arrays.tube_pictures(arrays.read_arrays(folder / "tubes.npz"), system.position)
     return Picture(
@@ -284,8 +284,8 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         scenario.initial_set(),
         files.read_reference(folder / "reference.csv", system, scenario.step),
         len(steps),
-        tuple(controller["name"] for controller in told["controllers"]),
-        np.array(told["modes"], dtype=int),
+        tuple(controller["name"] for controller in document["controllers"]),
+        np.array(document["modes"], dtype=int),
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
