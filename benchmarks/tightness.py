@@ -1,4 +1,4 @@
-"""How much of what is proven worst-case flights use up, for every source of errors alone.
+"""Share of the proven margins that worst-case flights use up, for every source of errors alone.
 
     python -m benchmarks.tightness [--seeds 5000 5004 ...] [--write]
     python -m benchmarks.tightness --sums [--write]
@@ -64,7 +64,7 @@ def sources(scenario) -> dict[str, list[str]]:
             f"navigation.position_error_m={half[:d].tolist()}",
             f"navigation.velocity_error_m_s={half[d:].tolist()}",
         ]
-    found = {
+    overrides = {
         "none": [],
         "navigation": known,
         "delay": [f"timing.delay_s={period!r}"],
@@ -79,10 +79,10 @@ def sources(scenario) -> dict[str, list[str]]:
             "thrusters.remainder=carried",
         ],
     }
-    found["together"] = [
-        *(x for name in ("navigation", "delay", "magnitude", "mass", "bit, nearest") for x in found[name])
+    overrides["together"] = [
+        *(x for name in ("navigation", "delay", "magnitude", "mass", "bit, nearest") for x in overrides[name])
     ]
-    return found
+    return overrides
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def worst(attacker: Attacker, place: Place, alike: bool = False) -> float:
 
 
 def unmerged(schedule: Schedule) -> Claims:
-    """What would be claimed if the sets of the same schedule kept all of their generators."""
+    """Return the claims as if the sets of the same schedule kept all of their generators."""
     steps, start, safety = [], schedule.steps[0].tube.nodes[0], schedule.safety
     fresh = [law.along(safety.reference, safety.tracking) for law in schedule.controllers]
     with patch.multiple(controllers, ORDER=1e9, WIDE=1e9, WHOLE=1e9), patch.object(affine_law, "ORDER", 1e9):
@@ -168,8 +168,8 @@ def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
 def spent(schedule: Schedule, seed: int = 0) -> float:
     """Share of the bound on the velocity change until T that its worst case spends."""
     attacker = Attacker.of(schedule, False, np.random.default_rng(seed))
-    most = float(attacker.spending(RUNS).fly(attacker.flight).delta_v.max())
-    return most / schedule.delta_v[1] if schedule.delta_v[1] > 0 else 1.0
+    largest = float(attacker.spending(RUNS).fly(attacker.flight).delta_v.max())
+    return largest / schedule.delta_v[1] if schedule.delta_v[1] > 0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class Sums:
 
     @property
     def ratios(self) -> tuple[float, float]:
-        """What is proven by what is flown, until the goal and per orbit."""
+        """Return the ratios of proven to flown velocity change, until the goal and per orbit."""
         return self.until_goal[0] / self.until_goal[1], self.per_orbit[0] / self.per_orbit[1]
 
 
@@ -222,7 +222,7 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Attack], Array]) ->
     relaxed, m = RelaxedFlight(steps, spells[0].start), flight.system.m
     relaxed.ascend()
     commands = np.array([u[:m] for u in relaxed.fly()])
-    directions, size, most = rng.normal(size=(CLIMBERS, commands.shape[2])), 0.6, 0.0
+    directions, size, top = rng.normal(size=(CLIMBERS, commands.shape[2])), 0.6, 0.0
     for _ in range(CLIMBS):
         signs = np.zeros((flight.steps, CLIMBERS, m))
         along = np.repeat(np.sign(np.einsum("kmv,rv->krm", commands, directions)), flight.substeps, axis=0)
@@ -232,12 +232,12 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Attack], Array]) ->
             attack = attacker._towards(none, np.full(CLIMBERS, flight.steps), about, signs)
             about = attack.fly(flight)
         each = spent(attack)
-        best, most = np.argsort(-each)[:10], max(most, float(each.max()))
+        best, top = np.argsort(-each)[:10], max(top, float(each.max()))
         around = directions[rng.choice(best, CLIMBERS - len(best))]
         around /= np.linalg.norm(around, axis=1, keepdims=True)
         directions = np.concatenate([directions[best], around + size * rng.normal(size=around.shape)])
         size *= 0.7
-    return most
+    return top
 
 
 def sums(scene: str) -> Sums:
