@@ -115,7 +115,7 @@ certificate/kernel/periods.py
 + for push in (*self.constant, *self.pushes)[:1]:
 ! test_certificate_math.py::test_a_period_counts_every_push_at_its_end_and_on_the_way
 certificate/claims/flights.py
-- [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
+- [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
 + list(room)
 ! test_certificate_math.py::test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated
 certificate/claims/mean_commands.py
@@ -131,8 +131,8 @@ certificate/kernel/zonotopes.py
 + pass
 ! test_certificate_math.py::test_nearly_parallel_generators_are_merged_with_each_other
 certificate/claims/recovery.py
-- most + bows.next_to(lag)[row] + disturbance
-+ most + disturbance
+- reach + bows.next_to(lag)[row] + disturbance
++ reach + disturbance
 ! test_recovery.py::test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at
 certificate/model/transients.py
 - worst = _peak([worst, *ever, *now])

@@ -216,11 +216,11 @@ def _of_samples(
     probability: float, confidence: float, flights: int, outside: int, seed: int, attempts: int
 ) -> list[str]:
     """Return the conditions of a statement about black boxes."""
-    most = f"{math.ceil(probability * 1e6) / 1e6:g}"
+    bound = f"{math.ceil(probability * 1e6) / 1e6:g}"
     doubt = f"{float(f'{1 - confidence:.12g}'):g}"
     return [
         "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
-        f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
+        f" most {bound}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
         f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
         "distribution: a flight's initial state is uniform in the generators of the initial set, its"
         " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
@@ -233,7 +233,7 @@ def _of_samples(
 def hand_over(moving: bool, faulty: bool) -> tuple[str, ...]:
     """Return what a mission rests on besides its legs: `moving` sets, and thrusters that may fail."""
     known = "every leg's scenario is declared of the flight from its start on, whatever was flown before"
-    told = "at a node at which it is given, known on board before the leg's first command is made"
+    start = "at a node at which it is given, known on board before the leg's first command is made"
     moves = "sets that move: they are where they are by the mission's clock, which starts with the first leg"
     fails = "faults: at most one thruster fails in all legs together"
-    return f"GO: {told}", f"legs: {known}", *[moves] * moving, *[fails] * faulty
+    return f"GO: {start}", f"legs: {known}", *[moves] * moving, *[fails] * faulty

@@ -97,8 +97,8 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     finally:
         flint.ctx.prec = before
     seconds = time.perf_counter() - begun
-    told = tuple(record.checked), tuple(trusted), seconds, tuple(record.unchecked)
-    return Verdict(outcome, claim, witness, excess, *told)
+    parts = tuple(record.checked), tuple(trusted), seconds, tuple(record.unchecked)
+    return Verdict(outcome, claim, witness, excess, *parts)
 
 
 def _check_leg(document: Document, folder: Path, record: Record, joint: Joint | None) -> list[str]:

@@ -66,8 +66,8 @@ class Argument:
             self.record.holds("samples", check_statement(self.document.statement))
             self.record.sampled = True
             boxes = sum(fit is not None for fit in self.document.fits)
-            told = f"statistical: {boxes} steps of black boxes rest on samples, all else is proven"
-            self.record.holds("guarantee", told)
+            text = f"statistical: {boxes} steps of black boxes rest on samples, all else is proven"
+            self.record.holds("guarantee", text)
             return
         self.record.holds("guarantee", "proved")
 
@@ -109,8 +109,8 @@ class Argument:
                 require("reference", slack - off, f"state {i} at the start of step {k} is {plain(off)} off")
         jump = magnitude(path.jump).entries()
         for i, off in enumerate(jump):
-            most = JUMP_SLACK * max(1.0, *size)
-            require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
+            limit = JUMP_SLACK * max(1.0, *size)
+            require("reference", limit - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
         self.record.holds("thrust", "the reference's; S's commands are among the limits that are recoverable")
         self.record.holds("reference", f"{doc.cells} steps, jump at T at most {float(largest(jump)):.3g}")
@@ -168,6 +168,6 @@ def check_statement(said: dict[str, Any]) -> str:
     for j in range(outside):
         term = term * (flights - j) / (j + 1) * p / (1 - p)
         chance += term
-    told = f"{outside} of {flights} flights outside have a probability of {float(chance):.4g} at that bound"
-    require("samples", doubt * (1 + SAMPLES_SLACK) - chance, told)
+    text = f"{outside} of {flights} flights outside have a probability of {float(chance):.4g} at that bound"
+    require("samples", doubt * (1 + SAMPLES_SLACK) - chance, text)
     return f"{outside} of {flights} flights outside: at most {said['probability']:.4g}, attempt {attempts}"

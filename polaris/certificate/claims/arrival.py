@@ -107,9 +107,9 @@ class Arrival:
             spent, until = self.until(self.node_at(claim["by_s"])), "the goal"
         else:
             spent, until = self.spent, "T: the goal is not claimed to be reached"
-        told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
-        require("schedule", budget - spent, told)
-        return f"at most {told}"
+        text = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
+        require("schedule", budget - spent, text)
+        return f"at most {text}"
 
     @property
     def soon(self) -> arb:
@@ -119,11 +119,11 @@ class Arrival:
     def holding(self, needs: Needs) -> arb:
         """Return the need of S along rows for ever, without the jump into the tail, with a fault if any."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
-        most = sums(needs.settled, off, *needs.upset[-1:])
+        need = sums(needs.settled, off, *needs.upset[-1:])
         return largest(
-            sums(most, self.flight.from_thrust(needs, self._first + self._last))
+            sums(need, self.flight.from_thrust(needs, self._first + self._last))
             if self.flight.scheduled
-            else most
+            else need
         )
 
     def tolerated(self, tolerance: float, spec: dict[str, Any], scale: float, settled: arb) -> None:
@@ -214,8 +214,8 @@ class Arrival:
         if self.document.system_kind != "clohessy_wiltshire":
             raise Rejected("goal", "a drift per orbit needs Hill's frame")
         both = self._drifting.rows
-        most = largest(sums((both * self.state(node)).entries(), self.at(self._drifting, node)))
-        self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+        bound = largest(sums((both * self.state(node)).entries(), self.at(self._drifting, node)))
+        self.no_less("drift per orbit", claimed, 6 * arb.pi() * bound)
 
     @cached_property
     def _drifting(self) -> Needs:

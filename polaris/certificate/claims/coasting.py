@@ -53,7 +53,7 @@ def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
 
 
 def check_end(document: Document, path: Path) -> str:
-    """What is claimed about the time after T follows from what has been shown; returns what is confirmed."""
+    """Check that what is claimed of the time after T follows from what is shown; return what it confirms."""
     doc, tail = document, document.cells - document.steps
     if doc.horizon == "infinite":
         _closes(doc, path, tail)

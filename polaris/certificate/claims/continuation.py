@@ -108,13 +108,13 @@ class Continuation:
         """
         key = needs, handed, node, around
         if key not in self._known:
-            last, found = needs.memory.periods + 1, []
+            last, bounds = needs.memory.periods + 1, []
             pushed = needs.disturbed if around else needs.at_nodes
             for each in handed:
                 lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
                 known = [sums(each.need(needs, lag, around), pushed[lag]) for lag in lags]
-                found.append([x.upper() for x in maxima(*known)])
-            parts = [[smallest(x) for x in zip(*found, strict=True)]]
+                bounds.append([x.upper() for x in maxima(*known)])
+            parts = [[smallest(x) for x in zip(*bounds, strict=True)]]
             if self.scheduled:
                 parts.append(self.from_thrust(needs, node, around))
             if not around:  # commands do not answer to what is displaced

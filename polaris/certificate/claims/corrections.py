@@ -127,15 +127,15 @@ class Corrections:
     def once(self, sets: Sequence[Zonotope], count: int) -> arb:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
         near, far = self._near
-        m, most = far.nrows(), list[arb]()
+        m, spent = far.nrows(), list[arb]()
         for z in sets:
             each = [abs(x).upper() for x in (near * z.c).entries()]
             for part in z.parts:
                 each = sums(each, widths(times(near, part)))
             size = z.size()
             answered = [sum(each[i::m], arb(0)) for i in range(m)]
-            most.append(self._spent(sums(answered, (far * size).entries(), self._later(size, count))))
-        return largest(most)
+            spent.append(self._spent(sums(answered, (far * size).entries(), self._later(size, count))))
+        return largest(spent)
 
     def moved(self, size: arb_mat, count: int) -> arb:
         """Bound the thrust that answers to errors up to some size, shape (n, 1) [N]."""
@@ -148,7 +148,7 @@ class Corrections:
         Until then every command answers to no more than what it has moved by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
         """
-        needs, plant, most = self._needs, self.tracker.craft.plant, [arb(0)]
+        needs, plant, spent = self._needs, self.tracker.craft.plant, [arb(0)]
         carried = needs.carried[: self.tracker.memory.periods]
         for fault, flights, wrong in self._faults():
             each = [difference_along(rows, flights) for rows in carried]
@@ -157,8 +157,8 @@ class Corrections:
             if not fault.get("pushes") and not remembers(doc):
                 meanwhile = 0 if doc.observer is None else max(count, meanwhile)
             answers = sums(*each, self._later(magnitude(size), count), [x * meanwhile for x in each[0]])
-            most.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
-        return largest(most)
+            spent.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
+        return largest(spent)
 
     def _until(self, fault: dict[str, Any]) -> int:
         """Number of periods in which commands may answer to a fault before it is isolated."""

@@ -40,7 +40,7 @@ MOST_PARTS = 20_000  # most parts of steps over which a drift is followed
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """Where thrust may stop in one step, as of its start, in the periods one after another."""
+    """States in which thrust may stop in one step, as of its start, in the periods one after another."""
 
     plant: Plant
     k: int
@@ -91,8 +91,8 @@ class Departures:
             M = inverse * back
             middle = (M * z.c - inverse * centre).entries()
             for axis, (at, spread, more) in enumerate(zip(middle, z.spread(M), beyond, strict=True)):
-                told = f"axis {axis} of where thrust may stop, step {self.k}, part {i}"
-                require("passive", 1 - abs(at) - spread - more, told)
+                text = f"axis {axis} of where thrust may stop, step {self.k}, part {i}"
+                require("passive", 1 - abs(at) - spread - more, text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +134,10 @@ class Drifts:
 
     @cached_property
     def _powers(self) -> list[arb_mat]:
-        found = [identity(len(self.document.A))]
+        powers = [identity(len(self.document.A))]
         for _ in range(self._cells * self._claim.parts):
-            found.append(found[-1] * self._motion.phi)
-        return found
+            powers.append(powers[-1] * self._motion.phi)
+        return powers
 
     def _bookings(self, item: int, facet: int) -> tuple[arb_mat, arb_mat, list[arb]]:
         """Of a facet: its row ``-n C``, what bends in a part, what disturbs by the end of each."""
@@ -156,15 +156,15 @@ class Drifts:
     def check(self, least: float | None) -> str:
         """Every drift that the certificate calls clear is; returns what was confirmed."""
         doc, drift = self.document, self._claim
-        found = [
+        rooms = [
             room
             for k, groups in enumerate(drift.steps)
             for group in groups or ()
             for room in self._clear(k, group)
         ]
-        if least is not None and found:
-            told = f"the drift keeps {least:.6g} m"
-            require("passive", smallest(found) - arb(least) * (1 - SLACK), told)
+        if least is not None and rooms:
+            text = f"the drift keeps {least:.6g} m"
+            require("passive", smallest(rooms) - arb(least) * (1 - SLACK), text)
         count = sum(groups is not None for groups in drift.steps)
         return f"the drift from {count} of {doc.steps} steps stays clear for {drift.horizon:.6g} s"
 
@@ -176,8 +176,8 @@ class Drifts:
         sizes = [column(row_sums(state)) for state in states]
         asked = [o for o, item in enumerate(self.document.unsafe) if self._claim.keep_in or not item.keep_in]
         if len(asked) != len(group.facets):
-            told = f"step {k} has facets of {len(group.facets)} unsafe sets, not {len(asked)}"
-            raise Rejected("passive", told)
+            text = f"step {k} has facets of {len(group.facets)} unsafe sets, not {len(asked)}"
+            raise Rejected("passive", text)
         for o, runs in zip(asked, group.facets, strict=True):
             known = range(len(self.document.unsafe[o].normals))
             if sum(length for length, _ in runs) != count or any(f not in known for _, f in runs):
@@ -190,7 +190,7 @@ class Drifts:
         self, k: int, o: int, chosen: list[int], states: list[arb_mat], sizes: list[arb_mat]
     ) -> list[arb]:
         """Room beyond one facet of one unsafe set in every part."""
-        p, item, found = self._claim.parts, self.document.unsafe[o], []
+        p, item, rooms = self._claim.parts, self.document.unsafe[o], []
         for j, facet in enumerate(chosen):
             row, bend, pushed = self._bookings(o, facet)
             cell, place = divmod(j, p)
@@ -200,7 +200,7 @@ class Drifts:
                 middle, *spread = (row * states[j + at]).entries()
                 offset = first + (last - first) * arb(place + at) / p
                 room = -offset - middle - sum(map(abs, spread), more)
-                told = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(room)} m"
-                require("passive", room, told)
-                found.append(room)
-        return found
+                where = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(room)} m"
+                require("passive", room, where)
+                rooms.append(room)
+        return rooms

@@ -159,8 +159,8 @@ class Pilot:
             v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
             return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], bounds)
         if kind == "affine":
-            told = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
-            raise Rejected("controllers", told)
+            text = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
+            raise Rejected("controllers", text)
         step = self.document.slopes[k]
         slopes, known, bands = _clipped(ranges, tops, u, None if step is None else step[i])
         v = [Push.in_box(plant.B, sums(bands, noise))]
@@ -200,8 +200,8 @@ def fly(
     if barrier is not None:
         rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
         weights = magnitude(craft.whole(rows))
-        most = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
-        room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
+        needs = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
+        room = [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
     z = start.moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
         z = merging.at_start(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)

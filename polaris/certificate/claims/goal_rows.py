@@ -154,8 +154,8 @@ class Weighted:
     def distance(self, over: list[arb]) -> arb:
         """The largest excess, of each group the smallest; 0 if none is beyond its side."""
         at = len(over) - sum(self.groups)
-        found = [arb(0), *over[:at]]
+        excess = [arb(0), *over[:at]]
         for count in self.groups:
-            found.append(smallest(x.upper() for x in over[at : at + count]))
+            excess.append(smallest(x.upper() for x in over[at : at + count]))
             at += count
-        return largest(found)
+        return largest(excess)

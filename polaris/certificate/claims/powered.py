@@ -65,7 +65,7 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
 
 @dataclass(frozen=True, eq=False)
 class Takeover:
-    """Where S may take over if step k is aborted: at which nodes, one after another, from which sets."""
+    """Nodes, one after another, and sets from which S may take over if step k is aborted."""
 
     way: Way
     k: int
@@ -111,22 +111,22 @@ class Along:
     def arrives(self, taken: Takeover) -> None:
         """Check that the orbit, if it is known, is reached when it is claimed to be."""
         if self.orbit is not None:
-            off, told = self.distance(taken, taken.way.cell), f"abort in step {taken.k}"
-            require(CLAIM, self.branch.tolerance - off, f"{told}: {plain(off)} m off the orbit")
+            off, where = self.distance(taken, taken.way.cell), f"abort in step {taken.k}"
+            require(CLAIM, self.branch.tolerance - off, f"{where}: {plain(off)} m off the orbit")
 
     def affords(self, taken: Takeover, budget: float | None, stated: Stated) -> None:
         """Check what S spends against the budget, the tank, and the figure that is told."""
-        spent, told = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
-        limits = {"claimed": told, "the budget of": budget, "the tank of": stated.tank}
-        for limit, most in limits.items():
-            if most is not None:
-                left = arb(most) * (1 + TOLD_SLACK) if limit == "claimed" else arb(most)
+        spent, claimed = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
+        limits = {"claimed": claimed, "the budget of": budget, "the tank of": stated.tank}
+        for limit, top in limits.items():
+            if top is not None:
+                left = arb(top) * (1 + TOLD_SLACK) if limit == "claimed" else arb(top)
                 left -= spent + taken.before if limit == "the tank of" else spent
-                short = f"abort in step {taken.k}: {plain(spent)} m/s, {limit} {most:.6g} m/s"
+                short = f"abort in step {taken.k}: {plain(spent)} m/s, {limit} {top:.6g} m/s"
                 require(CLAIM, left, short)
 
     def distance(self, taken: Takeover, cell: int) -> arb:
-        """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
+        """Bound the distance from the orbit of flights aborted in a step, at the start of a cell."""
         doc = self.flight.document
         if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")

@@ -57,20 +57,20 @@ class Recovery:
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
         """For every cell the limit of least room, by row, among those of that cell and all later ones."""
-        found: list[dict[int, Target]] = [{}]
+        by_cell: list[dict[int, Target]] = [{}]
         for nodes in reversed(self.limits.targets[: self.document.cells]):
-            least = dict(found[-1])
+            least = dict(by_cell[-1])
             for target in (target for met in nodes for target in met):
                 if target.row not in least or not least[target.row].room <= target.room:
                     least[target.row] = target
-            found.append(least)
-        return found[::-1]
+            by_cell.append(least)
+        return by_cell[::-1]
 
     def _far_cell(self, node: int) -> int:
         """First cell whose limits lie beyond the memory, seen from a node."""
         doc = self.document
-        most = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
-        return min(node // doc.q + self.needs.memory.periods // doc.q, most)
+        last = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
+        return min(node // doc.q + self.needs.memory.periods // doc.q, last)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
@@ -89,10 +89,10 @@ class Recovery:
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
+                of, needed, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, room, whole = target.least
-                    if not most[which[row]][place] + more[row] <= room - of * whole:
+                    if not needed[which[row]][place] + more[row] <= room - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
@@ -126,8 +126,8 @@ class Recovery:
         room, whole = target.room, target.whole
         if not room - need >= (share - TOLD_SLACK) * whole:
             left = float(((room - need) / whole).mid()) if room > 0 else 0.0
-            told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
-            raise Rejected("margins", f"{told}: needs {plain(need)} of {plain(room)}", share - left)
+            text = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
+            raise Rejected("margins", f"{text}: needs {plain(need)} of {plain(room)}", share - left)
 
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
@@ -135,14 +135,14 @@ class Recovery:
         needs, worst, bows = self.needs, 1.0, Bows(self.needs, z)
         support = z.support(above(*(rows_of(needs.carried[lag], row) for lag, row in close)))
         booked = above(*(rows_of(needs.bend[lag], row) for lag, row in close)) * z.size()
-        for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
+        for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):
             disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
-                need, room = most + extra + disturbance, target.room
+                need, room = reach + extra + disturbance, target.room
                 if not room - need >= of * target.whole:  # all of it can be had more exactly
                     at = rows_of(needs.carried[lag], row)
-                    most = sums((at * z.c).entries(), z.spread(at))[0]
-                    need = most + bows.next_to(lag)[row] + disturbance
+                    reach = sums((at * z.c).entries(), z.spread(at))[0]
+                    need = reach + bows.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
@@ -161,5 +161,5 @@ class Recovery:
                         continue
                     at = self.time(cell * self.document.q + i)
                     where = f"errors forgotten by the loop, {t.name} at t = {at}"
-                    told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
-                    require("recoverable", t.room - need[t.row], told)
+                    text = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
+                    require("recoverable", t.room - need[t.row], text)

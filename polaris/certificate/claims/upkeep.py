@@ -37,14 +37,14 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     if any(any(u) for u in doc.inputs[doc.steps :]):
         raise Rejected("upkeep", "the tail does not coast")
     later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
-    most = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
-    for top, x in zip(plant.u_max, most, strict=True):
+    tops = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
+    for top, x in zip(plant.u_max, tops, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
-    thrust = plant.spent(most) / plant.h, arb(0)
+    thrust = plant.spent(tops) / plant.h, arb(0)
     try:
-        _check(arrival, claim, tank, most, thrust)
+        _check(arrival, claim, tank, tops, thrust)
     except (Rejected, Undecided):
-        _check(arrival, claim, tank, most, _mean(arrival, later, most) or thrust)
+        _check(arrival, claim, tank, tops, _mean(arrival, later, tops) or thrust)
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
@@ -68,14 +68,14 @@ def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> 
         checked.append(("once S has settled", claimed, maxima(*needs), arrival.tops_before(first)))
     for when, bounds, need, most_before in checked:
         off = absolute(craft.carry) * column(craft.missed(sums(more, craft.lagged(most_before))))
-        found = sums(maxima(need[:n], need[n:]), off.entries())
-        most = sums(map(smallest, zip(found, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
-        for i, (bound, x) in enumerate(zip(bounds, most, strict=True)):
+        error = sums(maxima(need[:n], need[n:]), off.entries())
+        errors = sums(map(smallest, zip(error, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
+        for i, (bound, x) in enumerate(zip(bounds, errors, strict=True)):
             arrival.no_less(f"error of the estimate of state {i} {when}", bound, x)
     return ", ".join(when for when, *_ in checked) or "nothing claimed"
 
 
-def _mean(arrival: Arrival, later: range, most: list[arb]) -> tuple[arb, arb] | None:
+def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | None:
     """Bound what is spent from the first of some nodes on: in a period, and once besides, times 1/h [N].
 
     The last of the nodes stands for all later ones.
@@ -84,19 +84,19 @@ def _mean(arrival: Arrival, later: range, most: list[arb]) -> tuple[arb, arb] | 
     plant = craft.plant
     off = sums(craft.extra(doc, doc.steps), craft.lagged(arrival.tops_before(later.start)))
     seen = craft.gain * craft.carry * diagonal(craft.missed(off))
-    lasting = MeanCommands(craft, plant.thruster_error(most), seen).lasting()
+    lasting = MeanCommands(craft, plant.thruster_error(tops), seen).lasting()
     if lasting is None:
         return None
     needs = Needs(craft, arrival.flight.tracker.memory, lasting.rows)
     sizes = zip(*(arrival.states(needs, node) for node in later), strict=True)
     once = sum((x * x for x in map(largest, sizes)), arb(0)) / 2
-    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(most))))
+    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(tops))))
     longest = 1 + 2 * arb(plant.jitter) / plant.h
     return (lasting.cost + bits) * longest, once * longest
 
 
 def _check(
-    arrival: Arrival, claim: dict[str, Any], tank: float | None, most: list[arb], thrust: tuple[arb, arb]
+    arrival: Arrival, claim: dict[str, Any], tank: float | None, tops: list[arb], thrust: tuple[arb, arb]
 ) -> None:
     """Refuse a claim that does not follow from what commands are at most and what thrust is on average."""
     doc, plant = arrival.document, arrival.flight.tracker.craft.plant
@@ -104,7 +104,7 @@ def _check(
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
     ahead = once * plant.h
     if doc.fired:  # a pulse ends before its period does
-        ahead += plant.spent(most) / doc.mass
+        ahead += plant.spent(tops) / doc.mass
     until = arrival.until(arrival.node_at(claim["settled_s"])) + ahead
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]

@@ -36,7 +36,7 @@ SUMMARY = "summary.json"  # has wall times, so it has no hash; what it claims is
 
 
 def has_artefacts(document: Document, folder: Path) -> bool:
-    """Whether any file of a run folder lies beside the certificate, named in it or not."""
+    """Return True if any file of a run folder lies beside the certificate, named in it or not."""
     return any(found(folder / name) for name in (*NEEDED, SUMMARY, *document.artefacts))
 
 
@@ -141,9 +141,9 @@ def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> lis
     asked = "the share proven without black boxes, and the worst found with them, in summary.json"
     boxes = any(item["kind"] == "black_box" for item in specs)
     reasons = "reasons in schedule.json for margins, drifts that hit, missing aborts, steps lost to faults"
-    told = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
+    lines = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
     others = "choices in certificate.json: whoever reads a schedule by them proves it again"
-    return [*[cheapest] * bool(plans), reasons, *told, *[others] * bool(document.choices)]
+    return [*[cheapest] * bool(plans), reasons, *lines, *[others] * bool(document.choices)]
 
 
 # -- the summary ------------------------------------------------------------------------------------
@@ -193,10 +193,10 @@ def check_summary(
     spent, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
     worths = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
     worth = math.fsum(worths[mode] for mode in document.modes) / K
-    worst, most = synthesis.get("worst_found"), synthesis["share_at_most"]
+    worst, bound = synthesis.get("worst_found"), synthesis["share_at_most"]
     needed = {
-        "share_at_most of no less than experimental_share": _raised(most) >= share(document.modes),
-        "share_at_most of no less than proven_share": _raised(most) >= synthesis.get("proven_share", 0.0),
+        "share_at_most of no less than experimental_share": _raised(bound) >= share(document.modes),
+        "share_at_most of no less than proven_share": _raised(bound) >= synthesis.get("proven_share", 0.0),
         "share_bound.worth of no less than the schedule's": _raised(synthesis["share_bound"]["worth"])
         >= worth,
         "worst_found where, and only where, black boxes fly": "worst_found" not in synthesis
@@ -230,36 +230,36 @@ def _close(what: str, derived: float, stored: float, size: float | None = None) 
         raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}", off)
 
 
-def _check_flown(document: Document, key: str, modes: list[int], found: dict[str, Any]) -> None:
+def _check_flown(document: Document, key: str, modes: list[int], stored: dict[str, Any]) -> None:
     """Statistics of runs under known modes."""
     T, up = document.steps * document.delta, 1 + ROUNDING
     plant, periods = plant_of(document), document.steps * document.q
     horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion
-    _close(f"experimental share of {key}", share(modes), found["experimental_share"], 1.0)
-    _close(f"horizon of free drift of {key}", horizon, found["drift_horizon_s"])
-    hit, collided = found["collided_runs"], found["collided"]
+    _close(f"experimental share of {key}", share(modes), stored["experimental_share"], 1.0)
+    _close(f"horizon of free drift of {key}", horizon, stored["drift_horizon_s"])
+    hit, collided = stored["collided_runs"], stored["collided"]
     proved = document.guarantee == "proved" and not key.startswith("experimental")
-    apart = [found[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
+    apart = [stored[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
     if [x is None for x in apart] != [all(item.of_state for item in document.unsafe)] * 3:
         raise Rejected("summary", f"{key}: distances in summary.json are null where no set is in position")
     apart = [math.inf if x is None else x for x in apart]
-    (least, mean, all_times), straight = apart, found["min_ttc_s"]
-    drift = found["min_ttc_free_drift_s"]
-    spent, most_spent = found["delta_v_m_s"], found["delta_v_max_m_s"]
-    ratios = [found[f"max_thrust_ratio{who}"] for who in ("_safety", "_experimental")]
+    (least, mean, all_times), straight = apart, stored["min_ttc_s"]
+    drift = stored["min_ttc_free_drift_s"]
+    spent, most_spent = stored["delta_v_m_s"], stored["delta_v_max_m_s"]
+    ratios = [stored[f"max_thrust_ratio{who}"] for who in ("_safety", "_experimental")]
     flies = [any((mode > 0) == experimental for mode in modes) for experimental in (False, True)]
     needed = {
-        "collided_runs": hit <= found["runs"] and (hit > 0) == collided,
+        "collided_runs": hit <= stored["runs"] and (hit > 0) == collided,
         "collided, although it is proven not to": not (proved and collided),
         "distances in order": least <= _raised(mean) and mean <= _raised(all_times),
         "min_distance_m, of runs that did not collide": collided or least > 0,
         "min_ttc_s, of runs that did not collide": collided or straight is None or straight > 0,
         "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
         "velocity changes in order": spent <= most_spent * up
-        and most_spent <= spent * found["runs"] * up
+        and most_spent <= spent * stored["runs"] * up
         and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
         "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
-        "max_thrust_ratio": found["max_thrust_ratio"]
+        "max_thrust_ratio": stored["max_thrust_ratio"]
         == max((r for r in ratios if r is not None), default=-1),
         "max_thrust_ratio_safety of at most 1": not proved or ratios[0] is None or ratios[0] <= up,
     }

@@ -113,7 +113,7 @@ def unchecked_demands(scenario: Mapping[str, Any]) -> list[str]:
     """Return what a scenario demands and no check confirms, one line for each group of keys."""
     known, lines = set(given(scenario)), []
     for demand, tables in UNCHECKED.items():
-        found = [key for key in listed(tables) if key in known]
-        named = found if len(found) <= 4 else [f"[{table}]" for table in tables]
-        lines += [f"{demand}: {', '.join(named)}"] if found else []
+        keys = [key for key in listed(tables) if key in known]
+        named = keys if len(keys) <= 4 else [f"[{table}]" for table in tables]
+        lines += [f"{demand}: {', '.join(named)}"] if keys else []
     return lines

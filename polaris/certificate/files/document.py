@@ -61,14 +61,14 @@ class Document:
         if isinstance(version, bool) or not isinstance(version, int) or version != VERSION:
             raise Undecided("format", f"schema_version {version!r} is not {VERSION}")
         try:
-            found = digest(data)
+            computed = digest(data)
         except (ValueError, TypeError, RecursionError) as error:
             raise Rejected("format", f"has no canonical text: {error}") from error
-        if data.get("digest") != found:
-            raise Rejected("digest", f"the certificate was changed: its digest is {found}")
+        if data.get("digest") != computed:
+            raise Rejected("digest", f"the certificate was changed: its digest is {computed}")
         lengths: Lengths = {}
         read = conform(data, CERTIFICATE, "format", "certificate", lengths)
-        self.digest: str = found
+        self.digest: str = computed
         self.repeated: dict[str, Any] = {key: read[key] for key in REPEATED}
         try:
             self._take_system(read["system"], read["sampling"])
@@ -124,7 +124,7 @@ class Document:
         if self.error_by_step and known != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
         seen = self.observer or {}
-        if any(x > most for x, most in zip(seen.get("constant", ()), seen.get("noise", ()), strict=False)):
+        if any(x > top for x, top in zip(seen.get("constant", ()), seen.get("noise", ()), strict=False)):
             raise ValueError("constant errors of what is measured must not exceed its errors")
         if not (self.A and self.u_max and 1 <= len(self.C) <= 3):
             raise ValueError("there must be states and inputs, and positions have one to three axes")
@@ -168,7 +168,7 @@ class Document:
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
 
     def moves(self, item: UnsafeSet) -> bool:
-        """Whether an unsafe set moves; limits that hold from or until a step do not, after T."""
+        """Return True if an unsafe set moves; limits that hold from or until a step do not, after T."""
         return not (item.rests_from(self.steps) if item.keep_in or item.of_state else item.resting)
 
     @cached_property
@@ -250,8 +250,8 @@ class Document:
             networks=[(law.name, law.precision) for law in self.laws if law.kind == "neural"],
         ).told()
         if read["assumptions"] != self.assumptions:
-            told = "the certificate rests on other assumptions than those of its format"
-            raise Rejected("assumptions", told)
+            text = "the certificate rests on other assumptions than those of its format"
+            raise Rejected("assumptions", text)
 
     def _check_claims(self) -> None:
         counts = [len(item.normals) for item in self.unsafe]
@@ -287,9 +287,9 @@ def read(path: Path) -> Document:
 
 def untrusted(path: Path) -> dict[str, Any]:
     """Read the JSON object of a file, of which nothing is known yet; raise `Rejected`, `OSError`."""
-    found = contents(path)
+    raw = contents(path)
     try:
-        data = strict_json(found)
+        data = strict_json(raw)
     except ValueError as error:
         raise Rejected("format", f"not JSON: {error}") from error
     if not isinstance(data, dict):

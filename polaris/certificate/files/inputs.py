@@ -49,20 +49,20 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_orbit(document, scenario.get("abort", {}))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
-        told = "gains are the stabilising ones of their weights, references the scenario's"
-        record.holds("controllers", f"{len(document.laws) - 1} experimental, {told}")
+        text = "gains are the stabilising ones of their weights, references the scenario's"
+        record.holds("controllers", f"{len(document.laws) - 1} experimental, {text}")
         record.holds("schedule", _check_switching(document, scenario))
         kind = scenario.get("recoverable", {}).get("kind", "polytope")
         _need("recoverable_sets", "kind", document.recoverable, kind)
         check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
-        told = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
-        raise Rejected("artefacts", told) from error
+        text = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
+        raise Rejected("artefacts", text) from error
 
 
 def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
-    """What is claimed of the drift after all thrust stops is what the scenario asks."""
+    """Check that the claim of the drift after all thrust stops is what the scenario asks."""
     drift = document.drift
     asks = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
     if asks != (drift is not None):
@@ -103,13 +103,13 @@ def _check_orbit(document: Document, spec: dict[str, Any]) -> None:
 
 
 def _moves(spec: dict[str, Any]) -> bool:
-    """Whether an obstacle moves, however slowly."""
+    """Return True if an obstacle moves, however slowly."""
     return spec["kind"] == "satellite" or any(spec.get("velocity_m_s") or ())
 
 
-def _need(claim: str, what: str, found: Any, given: Any) -> None:
-    if found != given:
-        raise Rejected(claim, f"{what} is {found} in the certificate, {given} in the scenario")
+def _need(claim: str, what: str, stated: Any, given: Any) -> None:
+    if stated != given:
+        raise Rejected(claim, f"{what} is {stated} in the certificate, {given} in the scenario")
 
 
 def _check_system(document: Document, spec: dict[str, Any]) -> None:
@@ -138,8 +138,8 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     else:
         chosen = range(3) if hill else spec.get("position_states", range(max(n // 2, 1)))
         position = [[float(i == j) for j in range(n)] for i in chosen]
-    for what, (found, wanted) in {**given, "C": (document.C, position)}.items():
-        _need("system", what, found, wanted)
+    for what, (stated, wanted) in {**given, "C": (document.C, position)}.items():
+        _need("system", what, stated, wanted)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
@@ -207,11 +207,11 @@ def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
             continue
         G = matrix([[g[i] for i in sorted(states)] for g in block], len(states)).transpose()
         inside = inner_radius(G) if len(states) <= 3 else _inner_box(G)
-        told = f"the ball of radius {radius:g} is not contained"
-        require("initial_set", inside - radius * (1 - 1e-9), told)
-        most = max(float(x.mid()) for x in row_sums(G))
-        if most > 2 * radius:
-            raise Rejected("initial_set", f"reaches {most:g} where the ball has the radius {radius:g}")
+        text = f"the ball of radius {radius:g} is not contained"
+        require("initial_set", inside - radius * (1 - 1e-9), text)
+        reach = max(float(x.mid()) for x in row_sums(G))
+        if reach > 2 * radius:
+            raise Rejected("initial_set", f"reaches {reach:g} where the ball has the radius {radius:g}")
 
 
 def _inner_box(G: arb_mat) -> arb:
@@ -269,13 +269,13 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
 
 
 def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
-    """What is said of black boxes is what was asked for, with the scenario's seed."""
+    """Check that what is said of black boxes is what was asked for, with the scenario's seed."""
     boxes = [spec for spec in scenario["experimental"] if spec["kind"] == "black_box"]
-    most = min(spec.get("probability", 0.01) for spec in boxes)
+    bound = min(spec.get("probability", 0.01) for spec in boxes)
     least = max(spec.get("confidence", 0.999) for spec in boxes)
-    if not (said["probability"] <= most and said["confidence"] >= least):
-        told = f"{said['probability']:g} with a confidence of {said['confidence']:g}"
-        raise Rejected("samples", f"{told} is less than was asked for: {most:g} with {least:g}")
+    if not (said["probability"] <= bound and said["confidence"] >= least):
+        text = f"{said['probability']:g} with a confidence of {said['confidence']:g}"
+        raise Rejected("samples", f"{text} is less than was asked for: {bound:g} with {least:g}")
     _need("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
 
 
@@ -286,8 +286,8 @@ def _check_switching(document: Document, scenario: dict[str, Any]) -> str:
     for i, steps in enumerate(held[:-1]):
         if steps < rules["min_dwell"]:
             at = sum(held[:i])
-            told = f"mode {document.modes[at]} is left {steps} steps after step {at}"
-            raise Rejected("schedule", f"{told}; the scenario's dwell is {rules['min_dwell']} steps")
+            text = f"mode {document.modes[at]} is left {steps} steps after step {at}"
+            raise Rejected("schedule", f"{text}; the scenario's dwell is {rules['min_dwell']} steps")
     count, cap = switches(document.modes), rules["max_switches"]
     if cap is not None and count > cap:
         raise Rejected("schedule", f"{count} switches, the scenario allows {cap}")

@@ -1,4 +1,4 @@
-"""What a certificate is made of: unsafe sets, controllers and their networks, what is said of drifts."""
+"""Parts of a certificate: unsafe sets, controllers and their networks, claims of drifts."""
 
 import math
 from collections.abc import Sequence
@@ -77,11 +77,11 @@ class UnsafeSet:
 
     @property
     def resting(self) -> bool:
-        """Whether the offsets are the same at all times."""
+        """Return True if the offsets are the same at all times."""
         return self.rests_from(0)
 
     def rests_from(self, cell: int) -> bool:
-        """The same from the start of a cell on."""
+        """Return True if the offsets are the same from the start of a cell on."""
         return all(b == self.start[cell] for b in (*self.start[cell:], *self.end[cell:]))
 
 
@@ -112,14 +112,14 @@ class Law:
     @property
     def work(self) -> tuple[int, int]:
         """Products of two numbers that one enclosure of the network takes; most numbers in its generators."""
-        found, most, size, generators = 0, 0, len(self.input_scale), len(self.input_scale)
+        products, peak, size, generators = 0, 0, len(self.input_scale), len(self.input_scale)
         for layer in self.layers:
             if layer.kind == "affine":
-                found, size = found + len(layer.W) * size * generators, len(layer.W)
+                products, size = products + len(layer.W) * size * generators, len(layer.W)
             elif layer.kind != "diagonal":
                 generators += size
-            found, most = found + size * generators, max(most, size * generators)
-        return found, most
+            products, peak = products + size * generators, max(peak, size * generators)
+        return products, peak
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Departure:
 
 @dataclass(frozen=True)
 class Abort:
-    """What is claimed of the drift after all thrust stops."""
+    """Claim of the drift after all thrust stops."""
 
     horizon: float  # [s]
     keep_in: bool  # whether keep-in sets count
@@ -165,7 +165,7 @@ def last_instant(horizon: str, steps: int, cells: int, delta: float) -> float | 
 
 @dataclass(frozen=True)
 class Way:
-    """What is claimed of an abort in one step: along which branch, at which cell's start it has arrived."""
+    """Claim of an abort in one step: its branch, and the cell at whose start it has arrived."""
 
     branch: int
     cell: int
@@ -173,7 +173,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Powered:
-    """What is claimed of aborts with thrust."""
+    """Claims of aborts with thrust."""
 
     within: float | None  # [s]
     budget: float | None  # [m/s]
@@ -182,7 +182,7 @@ class Powered:
 
 
 def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
-    """What is said of aborts with thrust; `sets` are the numbers of facets of the unsafe sets."""
+    """Return the claims of aborts with thrust; `sets` are the numbers of facets of the unsafe sets."""
     branches = [Branch(**each) for each in item["branches"]]
     steps = [None if way is None else Way(**way) for way in item["steps"]]
     within, budget = item["within"], item["budget"]
@@ -217,12 +217,12 @@ def unsafe_set(item: dict[str, Any], n: int, d: int) -> UnsafeSet:
 
 
 def abort_of(drift: dict[str, Any], q: int) -> Abort:
-    """What is said of drifts, from its item and the number of periods in a step."""
-    found = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
-    covered = {sum(part.periods for part in parts) for parts in found if parts is not None}
+    """Return the claims of drifts, from their item and the number of periods in a step."""
+    steps = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
+    covered = {sum(part.periods for part in parts) for parts in steps if parts is not None}
     if not covered <= {q}:
         raise ValueError("a drift must have departures in every period of a step")
-    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
+    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], steps)
 
 
 def check_law(law: Law, steps: int, reads: int) -> None:

@@ -1,4 +1,4 @@
-"""What the readable files of a run folder repeat of the certificate: the same numbers, bit for bit."""
+"""Readable files of a run folder, which repeat numbers of the certificate bit for bit."""
 
 import csv
 import io
@@ -129,7 +129,7 @@ def _margin(step: dict[str, Any]) -> float:
 
 
 def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What is told of the drift: the least distance is derived by `Drifts`, a witness is no claim."""
+    """Return the claims of the drift; the least distance is derived by `Drifts`, a witness is no claim."""
     drift = document.drift
     if drift is None or stored is None:
         return None if drift is None else {}
@@ -160,19 +160,19 @@ def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any
     if powered is None or stored is None:
         return None if powered is None else {}
     steps: list[dict[str, Any]] = []
-    for k, (way, told) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
-        found = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
-        if (way is None) == (told["why"] is None):
+    for k, (way, row) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
+        values = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
+        if (way is None) == (row["why"] is None):
             raise Rejected("powered_abort", f"a reason belongs to a step without an abort, unlike {k}")
         if way is not None:
-            branch, by, spent = powered.branches[way.branch], way.cell * document.delta, told["delta_v_m_s"]
+            branch, by, spent = powered.branches[way.branch], way.cell * document.delta, row["delta_v_m_s"]
             if spent is None or (powered.budget is not None and not spent <= powered.budget):
                 raise Rejected(
                     "powered_abort", f"the abort in step {k} takes {spent} m/s of {powered.budget}"
                 )
-            found = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
-            found["safe_until_s"] = branch.until(document.delta)
-        steps.append({"step": k, **found, "why": told["why"]})
+            values = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
+            values["safe_until_s"] = branch.until(document.delta)
+        steps.append({"step": k, **values, "why": row["why"]})
     return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}
 
 
@@ -192,7 +192,7 @@ def share(modes: list[int]) -> float:
 
 
 def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
-    """What limits a step is a limit of the scene, within the flight; its need and room give the margin."""
+    """Check that a step's limit is one of the scene, within the flight; need and room give its margin."""
     if step["limit"] not in limit_names(document):
         raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which there is not")
     when, last = step["limit_time_s"], document.cells * document.delta
@@ -210,7 +210,7 @@ def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
 
 
 def limit_names(document: Document) -> set[str]:
-    """What a flight under S can be limited by."""
+    """Return the names of all that can limit a flight under S."""
     return {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
 
 
@@ -224,11 +224,11 @@ def _check_reason(document: Document, reason: str) -> None:
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
         "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }
-    for what, found in words.groupdict().items():
-        if what == "limit" and found is not None and found not in limit_names(document):
-            raise Rejected("end", f"{shown(found)} in the reason is no limit")
-        if what != "limit" and found is not None:
-            same("end", f"{what} in the reason", true[what], found)
+    for what, value in words.groupdict().items():
+        if what == "limit" and value is not None and value not in limit_names(document):
+            raise Rejected("end", f"{shown(value)} in the reason is no limit")
+        if what != "limit" and value is not None:
+            same("end", f"{what} in the reason", true[what], value)
 
 
 ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked tolerances"

@@ -1,4 +1,4 @@
-"""What a file may hold: known keys, their types and ranges; anything else is refused, not passed over.
+"""Known keys of a file, their types and ranges; anything else is refused, not passed over.
 
 Files are read once and within bounds: whoever made the folder may not exhaust the checker. Raised are
 `Rejected` (claim ``artefacts``) for a folder, or a device or pipe, whose end may never come; `Undecided` for
@@ -133,12 +133,12 @@ def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
         case Items(item, least, most, even, size):
             if not least <= len(_of(list, value, where)) <= most:
                 raise ValueError(f"{where} has {len(value)} items, of {least} to {most}")
-            found = [_read(entry, item, f"{where}[{i}]", lengths) for i, entry in enumerate(value)]
-            if even and len(set(map(len, found))) > 1:
+            items = [_read(entry, item, f"{where}[{i}]", lengths) for i, entry in enumerate(value)]
+            if even and len(set(map(len, items))) > 1:
                 raise ValueError(f"{where} has rows of different lengths")
             if size:
-                lengths.setdefault(size, {})[len(found)] = where
-            return found
+                lengths.setdefault(size, {})[len(items)] = where
+            return items
         case Either(shapes):
             reasons = []
             for one in shapes:
@@ -172,7 +172,7 @@ def _read_table(value: Any, shape: dict[str, Shape], where: str, lengths: Length
 
 
 def _is(value: Any, shape: Shape) -> bool:
-    """Whether a value that is neither table nor list is of a shape."""
+    """Return True if a value that is neither table nor list is of a shape."""
     match shape:
         case Real(least, most, above, below):
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
@@ -225,12 +225,12 @@ def strict_json(data: bytes) -> Any:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    table = dict(pairs)
+    if len(table) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
         raise ValueError(f"the key {shown(twice)} stands more than once")
-    return found
+    return table
 
 
 def _finite(text: str) -> float:
@@ -256,7 +256,7 @@ def contents(path: Path, most: int = LARGEST_READ) -> bytes:
 
 
 def found(path: Path) -> bool:
-    """Whether a folder has an entry of this name, be it a link that leads nowhere."""
+    """Return True if a folder has an entry of this name, be it a link that leads nowhere."""
     return path.exists() or path.is_symlink()
 
 
@@ -266,16 +266,16 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _opened(path: Path, most: int) -> BufferedReader:
+def _opened(path: Path, limit: int) -> BufferedReader:
     """Open a regular file of a bounded size, without waiting for the other end of a pipe."""
     wait = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     if path.is_symlink() and not path.exists():
         raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
     descriptor = os.open(path, os.O_RDONLY | wait)
     status = os.fstat(descriptor)
-    if stat.S_ISREG(status.st_mode) and status.st_size <= most:
+    if stat.S_ISREG(status.st_mode) and status.st_size <= limit:
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
     if not stat.S_ISREG(status.st_mode):
         raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
-    raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
+    raise Undecided("artefacts", f"{ascii(path.name)} is larger than {limit} bytes")

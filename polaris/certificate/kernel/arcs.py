@@ -25,13 +25,13 @@ class Arc:
 
     def heights(self, rows: arb_mat) -> list[list[arb]]:
         """``row x`` at the nodes, ``[row][node]``."""
-        found: list[list[arb]] = (rows * beside(*self.nodes)).tolist()
-        return found
+        heights: list[list[arb]] = (rows * beside(*self.nodes)).tolist()
+        return heights
 
     def bows(self, rows: arb_mat) -> list[list[arb]]:
         """Bound on how far ``row x(t)`` leaves its chord in each period, ``[row][period]``."""
-        found: list[list[arb]] = (self.plant.open.bend(rows) * magnitude(self.rates)).tolist()
-        return found
+        bows: list[list[arb]] = (self.plant.open.bend(rows) * magnitude(self.rates)).tolist()
+        return bows
 
     def room(self, rows: arb_mat, offsets: list[tuple[arb, arb]]) -> list[list[arb]]:
         """Room beyond facets, ``[node][facet]``: ``-row x - b(t)`` less the bow next to it.
@@ -39,16 +39,16 @@ class Arc:
         `rows` are ``-n C``, one per facet; `offsets` b at both ends of the step, linear in between.
         """
         facets = list(zip(self.heights(rows), self.bows(rows), offsets, strict=True))
-        found = []
+        rooms = []
         for i in range(self.plant.q + 1):
             s = arb(i) / self.plant.q
-            found.append(
+            rooms.append(
                 [
                     -height[i] - (first * (1 - s) + last * s) - largest(bow[max(i - 1, 0) : i + 1])
                     for height, bow, (first, last) in facets
                 ]
             )
-        return found
+        return rooms
 
 
 @dataclass(frozen=True, eq=False)

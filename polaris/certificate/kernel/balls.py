@@ -151,10 +151,10 @@ def lengths(M: arb_mat) -> list[arb]:
 
 def root(square: arb) -> arb:
     """Square root of a number that is not negative, though its ball may reach below 0."""
-    found = square.sqrt()
-    if found.is_nan() and not square.is_nan():
+    value = square.sqrt()
+    if value.is_nan() and not square.is_nan():
         return arb(0).union(square.abs_upper().sqrt())
-    return found
+    return value
 
 
 def largest(values: Iterable[arb]) -> arb:

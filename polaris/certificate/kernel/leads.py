@@ -19,4 +19,4 @@ class Lead:
     def part(self, commands: Sequence[arb]) -> list[arb]:
         """Return the part that is proportional to commands up to some sizes: subadditive in them."""
         rows = zip(self.shares, self.most, strict=True)
-        return [smallest((dot(row, commands), most)) for row, most in rows]
+        return [smallest((dot(row, commands), top)) for row, top in rows]

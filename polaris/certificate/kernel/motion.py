@@ -64,7 +64,7 @@ class Push:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What is controlled: matrices, limits, and the period between two nodes."""
+    """Controlled plant: matrices, limits, and the period between two nodes."""
 
     A: arb_mat
     B: arb_mat
@@ -105,19 +105,19 @@ class Plant:
 
     @cached_property
     def carry(self) -> list[Push]:
-        """What impulses push that are carried to the next period, and those that jitter moves, if any."""
+        """Return the pushes of impulses carried to the next period, and of those that jitter moves."""
         left, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
         rates += [self.A * self.B * self.along] if self.along > 0 else []
         return [*(Push.in_box(rate, left) for rate in rates if self.carried), *self.shifting]
 
     @property
     def shifting(self) -> list[Push]:
-        """What impulses push that jitter moves, if there is any."""
+        """Return the pushes of impulses that jitter moves, if there are any."""
         return [Push.in_box(self.A * self.B, list(self.shifted))] if self.shifted else []
 
     @property
     def prompt(self) -> Plant:
-        """The same without what stands for jitter and pulses in errors of the inputs."""
+        """Return the plant without what stands for jitter and pulses in errors of the inputs."""
         return self.on_time or self
 
     def disturbances(self, error: list[arb]) -> list[Push]:
@@ -142,11 +142,11 @@ class Plant:
         """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
         return [*self._input_part(most), *([] if self.lead is None else self.lead.part(most))]
 
-    def _input_part(self, most: Sequence[arb]) -> list[arb]:
+    def _input_part(self, sizes: Sequence[arb]) -> list[arb]:
         if self.shares:
-            return [dot(row, most) for row in self.shares]
-        others = [[*most[:i], *most[i + 1 :]] if self.across else [] for i in range(len(most))]
-        return [self.along * x + self.across * root(dot(y, y)) for x, y in zip(most, others, strict=True)]
+            return [dot(row, sizes) for row in self.shares]
+        others = [[*sizes[:i], *sizes[i + 1 :]] if self.across else [] for i in range(len(sizes))]
+        return [self.along * x + self.across * root(dot(y, y)) for x, y in zip(sizes, others, strict=True)]
 
     @cached_property
     def table(self) -> arb_mat:
@@ -282,11 +282,11 @@ class Motion:
 
     def gains_over(self, rows: arb_mat, pushes: Sequence[Push], count: int) -> tuple[list[arb], arb_mat]:
         """`push_gain` of several over so many periods, and the rows carried over all of them."""
-        found = [arb(0)] * rows.nrows()
+        gains = [arb(0)] * rows.nrows()
         for _ in range(count):
-            found = sums(found, *(self.push_gain(rows, push) for push in pushes))
+            gains = sums(gains, *(self.push_gain(rows, push) for push in pushes))
             rows = rows * self.phi
-        return found, rows
+        return gains, rows
 
     def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
         """Bound what a unit of each error of thrusters alone adds, shape (r, k)."""

@@ -1,4 +1,4 @@
-"""What a check ends with: verified, rejected with a witness, or not decided."""
+"""Outcomes of a check: verified, rejected with a witness, or not decided."""
 
 from dataclasses import dataclass, field
 
@@ -89,7 +89,7 @@ class Verdict:
     def text(self) -> str:
         """Readable report, some lines."""
         width = max((len(name) for name, _ in self.checked), default=0)
-        lines = [f"{'holds':10}{name:{width}}  {found}" for name, found in self.checked]
+        lines = [f"{'holds':10}{name:{width}}  {text}" for name, text in self.checked]
         lines += [f"{'trusted':10}{line}" for line in self.trusted]
         lines += [f"not checked: {line}" for line in self.unchecked]
         if self.claim:

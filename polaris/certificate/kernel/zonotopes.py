@@ -70,7 +70,7 @@ class Generators:
 
     @cached_property
     def widths(self) -> list[arb]:
-        """How far every coordinate may be from the centre's."""
+        """Return the largest distance of every coordinate from the centre's."""
         return sums(*(part.widths if isinstance(part, Generators) else widths(part) for part in self._parts))
 
     def image(self, rows: Directions) -> Generators:
@@ -127,7 +127,7 @@ class Zonotope:
         return Zonotope(self.c, Generators(self._made, *generators))
 
     def spread(self, rows: arb_mat) -> list[arb]:
-        """How far ``row x`` may be from its value at the centre, enclosed."""
+        """Bound how far ``row x`` may be from its value at the centre."""
         return row_sums(rows * self.G)
 
     def support(self, rows: arb_mat) -> list[arb]:
@@ -136,13 +136,13 @@ class Zonotope:
 
     @property
     def widths(self) -> list[arb]:
-        """How far every coordinate may be from the centre's."""
+        """Return the largest distance of every coordinate from the centre's."""
         return self._made.widths
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
         centre = self.c.entries()
-        return magnitude(column([abs(c) + most for c, most in zip(centre, self.widths, strict=True)]))
+        return magnitude(column([abs(c) + width for c, width in zip(centre, self.widths, strict=True)]))
 
     def reduced(self, most: int, rows: arb_mat | None = None) -> Zonotope:
         """Enclosing set with exact centre and at most `most` exact generators, n of which are a box.
@@ -181,13 +181,13 @@ def _corners(extents: Sequence[arb]) -> arb_mat:
     return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
 
 
-def _groups(columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, most: int) -> list[Group]:
+def _groups(columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, count: int) -> list[Group]:
     """Choose at most so many groups of generators (columns of G) to be merged."""
     along = times(rows, G)
     shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(along))]
     prices = [sum(map(mul, shares, map(abs, map(float, row)))) for row in rows.transpose().tolist()]
     images = [list(map(mul, shares, map(float, g))) for g in along.transpose().tolist()]
-    return grouped([list(map(mul, prices, g)) for g in columns], images, most)
+    return grouped([list(map(mul, prices, g)) for g in columns], images, count)
 
 
 @dataclass(frozen=True)
@@ -228,12 +228,12 @@ def inner_radius(G: arb_mat) -> arb:
         normals = [[-y, x] for x, y in columns]
     else:
         normals = [cross(a, b) for a, b in combinations(columns, 2)]
-    found = []
+    radii = []
     for normal, width in zip(normals, row_sums(matrix(normals) * G), strict=True):
         length = dot(normal, normal).sqrt()
         if length > 0:  # parallel generators span no facet
-            found.append(width / length)
-    return smallest(found)
+            radii.append(width / length)
+    return smallest(radii)
 
 
 def ball_cover(p: int, radius: arb) -> arb_mat:

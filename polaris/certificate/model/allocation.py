@@ -41,11 +41,11 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     if made is None:
         return
     hill = scenario["system"]["kind"] == "clohessy_wiltshire"
-    most = per_axis(scenario["system"]["thrust_max_N" if hill else "input_max"], m)
-    if any(u > top for u, top in zip(document.u_max, most, strict=True)) or m > MOST_INPUTS:
+    tops = per_axis(scenario["system"]["thrust_max_N" if hill else "input_max"], m)
+    if any(u > top for u, top in zip(document.u_max, tops, strict=True)) or m > MOST_INPUTS:
         raise Rejected("system", "limits of the inputs exceed those of the scenario")
     directions = [[float(s * (i == k)) for k in range(m)] for s in (1, -1) for i in range(m)]
-    limits = most * 2
+    limits = tops * 2
     if layout:
         directions = spec["directions"]
         limits = per_axis(spec["thrust_max_N"], len(directions))
@@ -206,7 +206,7 @@ class Nozzles:
             [largest([size(list(map(arb, mix[sign][i]))) for mix in mixes]) for i in range(m)]
             for sign in (0, 1)
         ]
-        found = [arb(0)] * m
+        bounds = [arb(0)] * m
         for signs, factors in zip(product((0, 1), repeat=m), multipliers, strict=True):
             left = [largest([arb(0), x - dot(d, factors)]) for x, d in zip(each, self.ways, strict=True)]
             pairs = zip(left, self.lengths, strict=True)
@@ -217,8 +217,8 @@ class Nozzles:
                 x * (1 - 2 * s) + rest * sizes[s][i]
                 for i, (x, s) in enumerate(zip(factors, signs, strict=True))
             ]
-            found = [largest(pair) for pair in zip(found, more, strict=True)]
-        return found
+            bounds = [largest(pair) for pair in zip(bounds, more, strict=True)]
+        return bounds
 
     @cached_property
     def bounds(self) -> list[list[arb]]:

@@ -18,7 +18,7 @@ MOVES = dict.fromkeys(("center_m", "velocity_m_s", "state", "state_half_widths")
 
 
 def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a certificate must say of the obstacles of a scenario that some inputs name, in that order."""
+    """Return the obstacles of a scenario that inputs name, in that order, as a certificate states them."""
     known = {spec["name"]: spec for spec in scenario.get("obstacles", ())}
     named = dict.fromkeys(name.partition(":")[2] for name in reads if ":" in name)
     return [{"name": x, **{key: known[x].get(key, none) for key, none in MOVES.items()}} for x in named]
@@ -26,7 +26,7 @@ def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Whereabouts:
-    """What a network may be told of bodies, as boxes at the nodes, worked out one after the other."""
+    """Motion of bodies that a network is told, as boxes at the nodes, worked out one after the other."""
 
     plant: Plant
     bodies: dict[str, dict[str, Any]]
@@ -46,11 +46,11 @@ class Whereabouts:
 
     @property
     def width(self) -> int:
-        """How many numbers it is told: position and velocity of every body."""
+        """Return how many numbers a network is told: position and velocity of every body."""
         return 2 * self.plant.C.nrows() * len(self.bodies)
 
     def less(self, name: str, x: arb_mat) -> arb_mat:
-        """What an input takes of the chaser's states: nothing, or its negative position or velocity."""
+        """Return what an input takes of the chaser's states: none, or its negative position or velocity."""
         kind, rows = name.partition(":")[0], self.plant.C
         rows = rows * self.plant.A if kind.endswith("velocity") else rows
         return -rows * x if kind.startswith("relative") else arb_mat(rows.nrows(), x.ncols())

@@ -30,7 +30,7 @@ class Target:
     whole: arb  # the room before a jump of the reference took its part: what shares refer to
 
     def less(self, taken: arb) -> Target:
-        """The same with less room."""
+        """Return the limit with less room."""
         return Target(self.row, (self.room - taken).lower(), self.name, self.whole)
 
     @cached_property
@@ -107,7 +107,7 @@ class Limits:
         return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
     def less_jump(self, needs: Needs, path: Path) -> Limits:
-        """The same limits, the tail's reduced by what the jump at its start needs."""
+        """Return the limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
         cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
         targets = self.targets[: path.planned]
@@ -121,7 +121,7 @@ class Limits:
         return Limits(self.rows, targets)
 
     def less(self, taken: Along) -> Limits:
-        """The same limits, each reduced by what is taken of it at its node, along its row."""
+        """Return the limits, each reduced by what is taken of it at its node, along its row."""
         targets = [
             [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
             for cell in zip(self.targets, taken, strict=True)
@@ -147,7 +147,7 @@ def levels_of(document: Document, needs: Needs, path: Path) -> list[list[Target]
     return [
         [
             Target(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
-            for j, top in enumerate(map(arb, most * 2))
+            for j, top in enumerate(map(arb, commands * 2))
         ]
-        for most in document.profile
+        for commands in document.profile
     ]

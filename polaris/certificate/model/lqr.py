@@ -36,10 +36,10 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
     # |(R K)_ij| <= sqrt(R_ii (Q + K' R K)_jj), in any units: entries are measured by that.
     for i, row in enumerate(rest):
         for j, off in enumerate(row):
-            most = root(R[i, i] * cost[j, j]) * GAIN_SLACK
+            slack = root(R[i, i] * cost[j, j]) * GAIN_SLACK
             if not off.is_zero():
-                told = f"the gain of {law.name} is not that of its weights Q and R, entry {i}, {j}"
-                require("controllers", most - abs(off), told)
+                text = f"the gain of {law.name} is not that of its weights Q and R, entry {i}, {j}"
+                require("controllers", slack - abs(off), text)
 
 
 def weight(values: Any) -> arb_mat:
@@ -61,8 +61,8 @@ def lyapunov(A: arb_mat, Q: arb_mat) -> arb_mat:
                 row[k * n + j] += A[k, i]
                 row[i * n + k] += A[k, j]
             rows.append(row)
-    found = matrix(rows).solve(arb_mat(n * n, 1, [-x for x in Q.entries()]))
-    return arb_mat(n, n, found.entries())
+    solution = matrix(rows).solve(arb_mat(n * n, 1, [-x for x in Q.entries()]))
+    return arb_mat(n, n, solution.entries())
 
 
 def check_hurwitz(A: arb_mat, what: str) -> None:
@@ -95,7 +95,7 @@ def _settle(verdict: bool | None, what: str, word: str) -> None:
 
 
 def positive_definite(M: arb_mat) -> bool | None:
-    """Whether every symmetric matrix within the balls is positive definite; None if that is open.
+    """Return True if every symmetric matrix within the balls is positive definite; None if that is open.
 
     Cholesky's factorisation, rounded outwards: a pivot that is certainly positive (negative) in exact
     arithmetic decides.

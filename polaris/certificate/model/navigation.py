@@ -1,4 +1,4 @@
-"""How far estimates may be off: as the scenario declares it, by phase of the flight, or an observer's."""
+"""Errors of estimates: as the scenario declares them, by phase of the flight, or an observer's."""
 
 from itertools import pairwise
 from math import inf
@@ -47,13 +47,13 @@ def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
     wrong = ("state_error",) if hill else ("position_error_m", "velocity_error_m_s")
     if any(key in spec and spec[key] != 0.0 for key in wrong):
         raise Rejected("system", "errors of estimates are given for another kind of system")
-    found: list[float] = _per_axis([spec.get(k, 0.0) for k in ("position_error_m", "velocity_error_m_s")])
+    errors: list[float] = _per_axis([spec.get(k, 0.0) for k in ("position_error_m", "velocity_error_m_s")])
     if not hill:
-        found = spec.get("state_error", [0.0] * n)
-    if len(found) != n:
+        errors = spec.get("state_error", [0.0] * n)
+    if len(errors) != n:
         raise Rejected("system", "errors of estimates are not one for every state")
     turned = [float(x.upper()) for x in turned_by(document, spec)] + [0.0] * (n - 3)
-    return [a + b if b else a for a, b in zip(found, turned, strict=True)] if any(turned) else found
+    return [a + b if b else a for a, b in zip(errors, turned, strict=True)] if any(turned) else errors
 
 
 def turned_by(document: Document, spec: dict[str, Any]) -> list[arb]:
@@ -101,7 +101,7 @@ def _phased(
 
 
 def holding(document: Document, begins: float, ends: float, k: int, oldest: arb | float = 0.0) -> bool:
-    """Whether a phase may be met in step k, or so long before; after the last step all have begun."""
+    """Return True if a phase may be met in step k, or so long before; after the last step all have begun."""
     delta = arb(document.delta)
     begun = k == document.steps or not begins >= (k + 1) * delta - INSTANT * delta
     return begun and not ends <= k * delta - oldest + INSTANT * delta
@@ -138,7 +138,7 @@ def _observed(
         return [document.measured or [0.0] * n]
     fading = filtering.by_step(document, list(map(arb, initial)), alone)
     rows = [[float(x.upper()) for x in sums(settled, more)] for more in fading]
-    for i, (bound, *most) in enumerate(zip(document.measured, *rows, strict=True)):
-        spare = bound * arb(1 + ROUNDED) - max(most)
+    for i, (bound, *needed) in enumerate(zip(document.measured, *rows, strict=True)):
+        spare = bound * arb(1 + ROUNDED) - max(needed)
         require("system", spare, f"error of the observer's state {i}: {bound}")
     return rows

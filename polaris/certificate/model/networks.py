@@ -103,7 +103,7 @@ class Policy:
 
     @cached_property
     def reads(self) -> arb_mat:
-        """How what it reads depends on the state relative to its reference, shape (r, n)."""
+        """Return the derivative of what it reads by the state relative to its reference, shape (r, n)."""
         n, m = self.plant.A.nrows(), self.plant.B.ncols()
         blocks = {"error": -identity(n), "state": identity(n)}
         blocks |= {"time": arb_mat(1, n), "reference_input": arb_mat(m, n)}
@@ -133,7 +133,7 @@ class Policy:
         return [*own, Weights(into, none), Layer("clip", low=-1.0, high=1.0), Weights(list(tops), none)]
 
     def known(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
-        """What it reads on its reference itself, at node i of step k, and generators of that."""
+        """Return what it reads on its reference itself, at node i of step k, and generators of that."""
         n = self.plant.A.nrows()
         time = self.plant.h * self.plant.q * k
         parts = {"error": arb_mat(n, 1), "state": base.nodes[i], "time": column([time])}
@@ -143,7 +143,7 @@ class Policy:
             middle, spread[name] = self.told.at(name, k * self.plant.q + i)
             parts[name] = middle + self.told.less(name, base.nodes[i])
         scale = diagonal(self.law.input_scale)
-        read, rest = (scale * above(*(found[name] for name in self.law.reads)) for found in (parts, spread))
+        read, rest = (scale * above(*(table[name] for name in self.law.reads)) for table in (parts, spread))
         return read, rest
 
     def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
@@ -173,9 +173,9 @@ class Policy:
             V = beside(scaled(slopes, V), diagonal(open_))
         V = beside(V, diagonal(off)) if off else V
         spread, middle = sums(row_sums(M * d.G), row_sums(V)), (M * d.c + c).entries()
-        most = [largest([abs(at) + x]) for at, x in zip(middle, spread, strict=True)]
+        bounds = [largest([abs(at) + x]) for at, x in zip(middle, spread, strict=True)]
         few = Zonotope(arb_mat(M.nrows(), 1), V).reduced(OWN * M.nrows()).G
-        return Command(M, c, few, most)
+        return Command(M, c, few, bounds)
 
 
 @dataclass(frozen=True, eq=False)

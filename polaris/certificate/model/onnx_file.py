@@ -65,7 +65,7 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
     names = [item.name for item in graph.input if item.name not in tensors]
     if len(names) != 1:
         raise ValueError("more than one input")
-    at, layers, most = names[0], list[Layer](), len(data)
+    at, layers, left = names[0], list[Layer](), len(data)
     for node in graph.node:
         kind, into = node.op_type, list(node.input)
         more = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
@@ -80,10 +80,10 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
             made = _layers(kind, values, more, width)
             layers += made
             width = len(made[0].W) or width
-            most -= sum(len(value[1]) for value in values if value is not None)
+            left -= sum(len(value[1]) for value in values if value is not None)
         elif (kind == "Cast" and more["to"] not in real) or (kind == "Dropout" and _trains(given, more)):
             raise ValueError(f"{kind} changes values")
-        if len(layers) > DEEPEST or most < 0:
+        if len(layers) > DEEPEST or left < 0:
             raise ValueError(
                 f"the network has more than {DEEPEST} layers, or more numbers than the file bytes"
             )

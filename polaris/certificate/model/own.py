@@ -50,8 +50,8 @@ def check_own(document: Document, law: Law, scenario: dict[str, Any], spec: dict
         _check_start(law, law.states[0], _ellipse(document, reference))
     else:
         if law.states[0] != scenario["initial_set"]["center"]:
-            told = f"the reference of {law.name} does not start where the scenario does"
-            raise Rejected("controllers", told)
+            text = f"the reference of {law.name} does not start where the scenario does"
+            raise Rejected("controllers", text)
         within_limits(document, law.inputs, "controllers", f"{law.name}'s reference")
         last = law.states[document.steps]
         check_goal(scenario["goal"], document, last, "controllers", f"the reference of {law.name}")
@@ -93,17 +93,17 @@ def _check_setpoint(document: Document, law: Law, state: list[float]) -> None:
     moved = magnitude(phi * x + push * u - x) + magnitude(plant.A * x + plant.B * u) * arb(document.delta)
     size = magnitude(K) * (magnitude(x) + magnitude(s))
     for name, value in (("is not what the state it heads for gives", off), ("drifts", magnitude(K) * moved)):
-        for i, (amount, most) in enumerate(zip(value.entries(), size.entries(), strict=True)):
+        for i, (amount, scale) in enumerate(zip(value.entries(), size.entries(), strict=True)):
             where = f"the reference of {law.name} {name} (input {i})"
-            require("controllers", most * SLACK - amount, where)
+            require("controllers", scale * SLACK - amount, where)
 
 
 def _check_start(law: Law, state: list[float], exact: arb_mat) -> None:
     size = max(float(x.mid()) for x in magnitude(exact).entries())
     for i, (stored, true) in enumerate(zip(state, exact.entries(), strict=True)):
-        most = (abs(true) + (size if i < 3 else 0) * arb(1e-6)) * SLACK
+        allowed = (abs(true) + (size if i < 3 else 0) * arb(1e-6)) * SLACK
         where = f"the reference of {law.name} does not start on its ellipse (state {i})"
-        require("controllers", most - abs(true - stored), where)
+        require("controllers", allowed - abs(true - stored), where)
 
 
 def _ellipse(document: Document, spec: dict[str, Any]) -> arb_mat:
@@ -148,13 +148,13 @@ def _elliptical(document: Document, x: list[float], spec: dict[str, Any]) -> Mis
     eta = _mean_motion(document)
     inner, outer = spec["inner_semi_minor_m"], spec["outer_semi_minor_m"]
     b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
-    most = spec.get("cross_track_max_m", 0.0)
+    top = spec.get("cross_track_max_m", 0.0)
     return [
         (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
         (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
         (b - outer, "outer ellipse"),
         (inner - b, "inner ellipse"),
-        *((abs(value) - most, "cross-track") for value in (x[2], x[5] / eta)),
+        *((abs(value) - top, "cross-track") for value in (x[2], x[5] / eta)),
     ], outer
 
 

@@ -1,4 +1,4 @@
-"""Whether the timed polytopes contain the sets that the scenario describes, at all times.
+"""Containment of the sets that the scenario describes in the timed polytopes, at all times.
 
 A polytope contains a set if each of its facets lies beyond the set's support in that direction. All
 supports are worked out here anew, from the scenario's numbers.
@@ -26,8 +26,8 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     """Check every unsafe set of the certificate, in the scenario's order; returns their number."""
     left, radius = list(document.unsafe), scenario.get("chaser", {}).get("radius_m", 0.0)
     if document.chaser_radius != radius:
-        told = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
-        raise Rejected("unsafe_sets", told)
+        text = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
+        raise Rejected("unsafe_sets", text)
     clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
     moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
     obstacles, kept = (
@@ -40,8 +40,8 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     others = any(spec["kind"] == "satellite" for spec in obstacles)
     if document.satellites != others:
         has, assumed = ("", "nothing") if others else ("no ", "something")
-        told = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
-        raise Rejected("assumptions", told)
+        text = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
+        raise Rejected("assumptions", text)
     for spec in obstacles:
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
@@ -75,14 +75,14 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
 
 
 def _speed(spec: dict[str, Any], clock: arb) -> arb:
-    """How fast a set moves."""
+    """Return the speed of a set."""
     if spec["kind"] == "satellite" and clock > 0:
         raise Rejected("unsafe_sets", f"where {spec['name']} is by another clock is not bounded")
     return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
 
 
 def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
-    """What the scenario says of a set, its facets moved outwards, or inwards if negative."""
+    """Return the scenario's entry of a set, its facets moved outwards, or inwards if negative."""
     if radius == 0 or spec["kind"] in KINDS:
         return spec
     if spec["kind"] == "box":
@@ -186,8 +186,8 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
         if len(facets) != len(spec["normals"]):
             raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-            most = _row_support(row, spec, f, name)
-            spare = most - offset + abs(most) * ROUNDED
+            reach = _row_support(row, spec, f, name)
+            spare = reach - offset + abs(reach) * ROUNDED
             require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
         return
     d = len(document.C)
@@ -209,11 +209,11 @@ def _check_within(
         outward = [(-1.0 if f < d else 1.0) * (j == f % d) for j in range(d)]
         if item.name != f"{name}[{f}]" or item.of_state or not item.keep_in or item.normals != [outward]:
             raise Rejected("unsafe_sets", f"{item.name} is no side of the box within_m of {name}")
-        most = half[f % d] - size
+        inner = half[f % d] - size
         for k in range(len(item.start)):
             if holding(document, begins, ends, min(k, document.steps)):
                 for offset in (item.start[k][0], item.end[k][0]):
-                    require("unsafe_sets", most + offset + half[f % d] * ROUNDED, f"{item.name}, step {k}")
+                    require("unsafe_sets", inner + offset + half[f % d] * ROUNDED, f"{item.name}, step {k}")
     if len(facets) != 2 * d:
         raise Rejected("unsafe_sets", f"sides of the box within_m of {name} are missing")
 

@@ -122,8 +122,8 @@ def _lead(document: Document, plant: Plant) -> Lead:
             x + size * y for x, y in zip(map(arb, plant.bits), layout.at_once(layout.sizes), strict=True)
         ]
     shares, fixed = [[half * x for x in row] for row in rows], [half * x for x in fixed]
-    most = zip(sums(fired, plant.thruster_part(fired)), fixed, strict=True)
-    return Lead(shares, fixed, [largest((x - y, arb(0))) for x, y in most])
+    pairs = zip(sums(fired, plant.thruster_part(fired)), fixed, strict=True)
+    return Lead(shares, fixed, [largest((x - y, arb(0))) for x, y in pairs])
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
@@ -141,9 +141,9 @@ def precision_for(document: Document) -> int:
     """
     plant = plant_of(document)
     step = magnitude(exponential(plant.A, arb(document.delta))[0])
-    most = largest((step**document.longest).entries())
-    bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
-    if not (most.is_finite() and bits <= MOST_BITS):
+    growth = largest((step**document.longest).entries())
+    bits = float(growth.log().mid()) / math.log(2) if growth.is_finite() and growth > 1 else 0.0
+    if not (growth.is_finite() and bits <= MOST_BITS):
         raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")
     return PRECISION + math.ceil(bits)
 

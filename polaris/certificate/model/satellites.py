@@ -48,7 +48,7 @@ class Satellite:
         self.radius = [length * spec["radius_m"] for length in norms(normals)]
         self.pushes = [(plant.D, arb(document.w_max))]
         columns = zip(plant.D.transpose().tolist(), document.bias, strict=False)
-        self.pushes += [(column(each), arb(most)) for each, most in columns if most]
+        self.pushes += [(column(each), arb(bound)) for each, bound in columns if bound]
         thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
             self.pushes.append((acceleration_input(document, item.name), arb(thrust)))
@@ -112,7 +112,7 @@ class Satellite:
 
 
 def acceleration_input(document: Document, name: str) -> arb_mat:
-    """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
+    """Return how an acceleration of the position enters the state: E with ``C E = 0``, ``C A E = I``.
 
     In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
     `Rejected` if the position obeys no equation of second order.
@@ -123,8 +123,8 @@ def acceleration_input(document: Document, name: str) -> arb_mat:
     if known.rank() < 2 * d:
         raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
     if fmpq_mat([*known.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
-        told = "the acceleration of this system's position depends on more than position and rate"
-        raise Rejected("unsafe_sets", f"{name} has thrust, but {told}")
+        text = "the acceleration of this system's position depends on more than position and rate"
+        raise Rejected("unsafe_sets", f"{name} has thrust, but {text}")
     # Any solution will do: what follows of the position depends on its products with C and C A only.
     right_inverse = known.transpose() * (known * known.transpose()).inv()
     return matrix([[arb(x) for x in row[d:]] for row in right_inverse.tolist()])

@@ -1,4 +1,4 @@
-"""What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
+"""Effects of delays, missed periods, jitter and pulses on other errors: controllers act on predictions."""
 
 from dataclasses import replace
 from math import floor
@@ -58,9 +58,9 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     spec, thrusters = scenario.get("timing", {}), scenario.get("thrusters", {})
     keys = {"delay": "delay_s", "jitter": "jitter_s", "missed": "missed_periods", "clock": "clock_error_s"}
     for key, name in keys.items():
-        found, given = document.timing.get(key, 0), spec.get(name, 0)
-        if found != given:
-            raise Rejected("system", f"{name} is {found} in the certificate, {given} in the scenario")
+        stated, given = document.timing.get(key, 0), spec.get(name, 0)
+        if stated != given:
+            raise Rejected("system", f"{name} is {stated} in the certificate, {given} in the scenario")
     delay, jitter, missed = (spec.get(keys[key], 0) for key in ("delay", "jitter", "missed"))
     plant, nothing = plant_of(document), [arb(0)] * len(document.u_max)
     stored = document.estimate or [0.0] * len(document.A)
@@ -98,8 +98,8 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         )
     if len(document.fired) != len(fired):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
-    for most, needed in zip(document.fired, fired, strict=True):
-        require("system", most - needed * (1 - ROUNDED), f"pulses of {most}")
+    for thrust, needed in zip(document.fired, fired, strict=True):
+        require("system", thrust - needed * (1 - ROUNDED), f"pulses of {thrust}")
     more, within = _pulses(plant, document.fired, placed) if pulsed else (arb(0), [arb(0)] * len(stored))
     share = 2 * arb(jitter) / plant.h * int(document.late)
     if plant.weights:  # thrusters make more than is commanded of what they have left
@@ -159,14 +159,14 @@ def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     return sums((over * column(known)).entries(), more)
 
 
-def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb]]:
-    """What a prediction under commands up to `most` makes of errors of the states, and what it adds."""
+def _carried(plant: Plant, age: arb, tops: list[arb]) -> tuple[arb_mat, list[arb]]:
+    """Return what a prediction under commands up to `tops` makes of errors of states, and what it adds."""
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    pushes = plant.disturbances(plant.thruster_error(most))
-    found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
-    return absolute(rows), found
+    pushes = plant.disturbances(plant.thruster_error(tops))
+    added, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
+    return absolute(rows), added
 
 
 def _pulses(plant: Plant, fired: list[float], placed: str) -> tuple[arb, list[arb]]:

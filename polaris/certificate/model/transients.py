@@ -1,4 +1,4 @@
-"""What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
+"""Faults until they are isolated: boxes of what they add to the states, and whether all are told."""
 
 from collections.abc import Sequence
 from math import ceil
@@ -38,10 +38,10 @@ def check_transients(document: Document, scenario: dict[str, Any]) -> None:
     """Every fault of the scenario that is isolated late is told: for how long, and how far inputs are off."""
     faults = [fault for fault in scenario.get("faults", []) if _lasts(fault) > 0]
     given = [(fault["kind"], _lasts(fault)) for fault in faults]
-    told = [(each["name"], each["lasts"]) for each in document.transients]
-    if told != given:
+    stated = [(each["name"], each["lasts"]) for each in document.transients]
+    if stated != given:
         raise Rejected(
-            "system", f"faults isolated late are {told} in the certificate, {given} in the scenario"
+            "system", f"faults isolated late are {stated} in the certificate, {given} in the scenario"
         )
     for fault, each in zip(faults, document.transients, strict=True):
         lost, pushes = fault["kind"] == "navigation_lost", each.get("pushes") or []
@@ -51,8 +51,8 @@ def check_transients(document: Document, scenario: dict[str, Any]) -> None:
         thrusters = [] if lost else zip(made["directions"], made["limits"], strict=True)
         turns = len(document.u_max) if document.placed == "staggered" and not made.get("layout") else 1
         for way, limit in thrusters:
-            most = arb(limit) * arb(fault.get("share", 1.0)) * turns * (1 - ROUNDED)
-            least = [abs(x) * most for x in way]
+            thrust = arb(limit) * arb(fault.get("share", 1.0)) * turns * (1 - ROUNDED)
+            least = [abs(x) * thrust for x in way]
             if not any(all(x >= y for x, y in zip(push, least, strict=True)) for push in pushes):
                 raise Rejected("system", f"what {fault['kind']} does to a thruster is not covered")
 
@@ -64,7 +64,7 @@ def _lasts(fault: dict[str, Any]) -> float:
 def check_withheld(
     document: Document, stored: list[dict[str, Any]] | None, limits: set[str]
 ) -> list[dict[str, Any]] | None:
-    """What is told of faults: of steps of S, names and times that there are; what is short is no claim."""
+    """Check what is told of faults: steps of S, names and times that there are; what is short is no claim."""
     laws, delta = {law.name for law in document.laws[1:]}, document.delta
     for row in (row for fault in stored or [] for row in fault["steps"]):
         k, at = row["step"], row["limit_time_s"]
@@ -87,7 +87,7 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
     plant also in the period before. A black box may answer with any command, a law with its steepest gain.
     Commands that are made without the thruster take effect as late as any do.
     """
-    plant, found = craft.plant, list[arb_mat]()
+    plant, added = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
     gains += [_steepest(policy) for policy in networks if document.transients]
     asked = any(law.kind == "black_box" for law in document.laws)
@@ -108,8 +108,8 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
             size = [arb(x) for x in push]
             off = sums(size, plant.thruster_part(size)[: len(size)])
             wrong = column([*off, *[arb(0)] * (plant.entering.ncols() - len(off))])
-            found.append(_spread(craft, gain, (first, later), wrong, count))
-    return found
+            added.append(_spread(craft, gain, (first, later), wrong, count))
+    return added
 
 
 def _spread(
@@ -123,7 +123,7 @@ def _spread(
     size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
     grown, over = (size * plant.h).exp(), exponential(size, plant.h)[1]
     pushed, off = over * absolute(plant.B), over * absolute(plant.entering)
-    z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
+    z, added, bounds = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
     for i, first in enumerate(gains[0]):
         answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
         least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
@@ -133,8 +133,8 @@ def _spread(
         within = grown * column(z.entries()[:n]) + pushed * command + off * error
         z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))
         if i + 1 >= count:
-            found += [z.entries()[:N], craft.lifted(within).entries()]
-    return column(_peak(found))
+            bounds += [z.entries()[:N], craft.lifted(within).entries()]
+    return column(_peak(bounds))
 
 
 def _steepest(policy: Policy) -> arb_mat:
@@ -237,12 +237,12 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
         inexact = seen.adds * diagonal(left)
         added = [beside(added[0], inexact), beside(added[1], inexact * 0)]
     first = second = identity(n + len(box))
-    found = []
+    pairs = []
     for _ in range(count):
         more = second * added[1] - first * added[0]
         first, second = craft.F * first, blind.F * second
-        found.append((more, (second - first) * start))
-    return found
+        pairs.append((more, (second - first) * start))
+    return pairs
 
 
 def upset(needs: Needs, boxes: list[arb_mat], others: Sequence[Differences] = ()) -> list[list[arb]]:

@@ -190,11 +190,11 @@ class Craft:
     @cached_property
     def constants(self) -> list[arb_mat]:
         """Generators of what adds in every period the same, shape (N, k) each."""
-        found = [each.adds * diagonal(each.constant) for each in self.samples if each.constant]
+        generators = [each.adds * diagonal(each.constant) for each in self.samples if each.constant]
         for push in self.plant.bias:
             each = [enters * motion.gamma * push.V * push.cover for enters, motion in self.spans]
-            found.append(sum(each[1:], each[0]))
-        return found
+            generators.append(sum(each[1:], each[0]))
+        return generators
 
     @cached_property
     def turned(self) -> arb_mat:
@@ -216,10 +216,10 @@ class Craft:
 
     def disturbed(self, rows: arb_mat) -> list[arb]:
         """Support along rows (r, N) of what enters in a period beside errors of inputs and estimates."""
-        found = [arb(0)] * rows.nrows()
+        total = [arb(0)] * rows.nrows()
         for sample in self.samples:
-            found = sums(found, (magnitude(rows * sample.adds) * column(sample.size)).entries())
-        return sums(found, self._pushed(rows, self.steady))
+            total = sums(total, (magnitude(rows * sample.adds) * column(sample.size)).entries())
+        return sums(total, self._pushed(rows, self.steady))
 
     def supports(self, rows: arb_mat) -> list[arb]:
         """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""

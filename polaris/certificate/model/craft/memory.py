@@ -66,8 +66,8 @@ class Memory:
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
                 pairs = (
-                    [smallest((arb(x), top)) for x, top in zip(most, craft.plant.u_max, strict=True)]
-                    for most in profile
+                    [smallest((arb(x), top)) for x, top in zip(level, craft.plant.u_max, strict=True)]
+                    for level in profile
                 )
                 return cls([*powers, powers[-1] * craft.F], z, c, list(pairs))
             radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z
@@ -89,13 +89,13 @@ class Gains:
         What is older than N periods is left out.
         """
         count, series = len(sizes), [arb_poly(list(each)) for each in zip(*sizes, strict=True)]
-        rows, found = len(self.each[0][0]), []
+        rows, by_row = len(self.each[0][0]), []
         for row in range(rows):
             total = arb_poly()
             for gains, size in zip(self.each, series, strict=True):
                 total += arb_poly([lag[row] for lag in gains]) * size
-            found.append([arb(0), *(total[i].upper() for i in range(count))])
-        by_node = zip(*found, strict=True) if found else [()] * (count + 1)
+            by_row.append([arb(0), *(total[i].upper() for i in range(count))])
+        by_node = zip(*by_row, strict=True) if by_row else [()] * (count + 1)
         return [[each[kind] for kind in self.which] for each in by_node]
 
     @cached_property

@@ -68,8 +68,8 @@ class Needs:
     @cached_property
     def alike(self) -> tuple[list[int], list[int]]:
         """One row of each kind, equal or opposite ones being of a kind, and the kind of every row."""
-        first, found = kinds(self.given)
-        return first, [kind for kind, _ in found]
+        first, pairs = kinds(self.given)
+        return first, [kind for kind, _ in pairs]
 
     @cached_property
     def _stacked(self) -> arb_mat:
@@ -90,11 +90,11 @@ class Needs:
     def _constant(self, added: arb_mat) -> list[list[arb]]:
         """Largest response so far at node L to constants, which may cancel, by kind of row."""
         first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), added.ncols())
-        found, held = [first], (self._stacked * added).tolist()
+        bounds, held = [first], (self._stacked * added).tolist()
         for at in range(0, len(held), len(first)):
             total = total + matrix(held[at : at + len(first)])
-            found.append(maxima(found[-1], widths(total)))
-        return found
+            bounds.append(maxima(bounds[-1], widths(total)))
+        return bounds
 
     def _by_lag(self, gains: arb_mat) -> Gains:
         """Gains of rows and lags, one over the other."""
@@ -117,13 +117,13 @@ class Needs:
         if not profile:
             return self._steady
         count, last = len(self._steady) - 1, len(profile) - 1
-        thrust = [plant.thruster_part(most) for most in profile]
+        thrust = [plant.thruster_part(commands) for commands in profile]
         parts = [self._steady, self.thrust.summed([thrust[min(lag, last)] for lag in range(count)])]
         if craft.lag:  # what is commanded before a hand-over is limited by the thrusters alone
-            most = [plant.u_max, *profile]
+            limits = [plant.u_max, *profile]
 
             def before(lag: int, periods: int) -> list[arb]:
-                return most[min(max(lag - periods + 1, 0), last + 1)]
+                return limits[min(max(lag - periods + 1, 0), last + 1)]
 
             parts.append(self.noise.summed([craft.lagged_since(partial(before, i)) for i in range(count)]))
         return [[x.upper() for x in sums(*each)] for each in zip(*parts, strict=True)]
@@ -196,14 +196,14 @@ class Needs:
         bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
         return self.late(box), bent
 
-    def _upset(self, found: list[list[arb]]) -> list[list[arb]]:
-        return [sums(*each) for each in zip(found, self.upset, strict=True)] if self.upset else found
+    def _upset(self, needs: list[list[arb]]) -> list[list[arb]]:
+        return [sums(*each) for each in zip(needs, self.upset, strict=True)] if self.upset else needs
 
     @cached_property
     def forgotten(self) -> list[arb]:
         """Need of any undisturbed state within ``z`` at the start after N periods."""
         each = (self.boxed(self.memory.z, lag) for lag in range(self.memory.periods))
-        return [most * self.memory.c for most in maxima(*each)]
+        return [need * self.memory.c for need in maxima(*each)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
@@ -268,11 +268,11 @@ class Bows:
 
 def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:
     """Support along rows of the loop state of a difference of two flights, the largest."""
-    total = most = arb_mat(rows.nrows(), 1)
+    total = peak = arb_mat(rows.nrows(), 1)
     for more, start in flights:
         total = total + magnitude(rows * more) * column([1.0] * more.ncols())
-        most = _larger(most, total + magnitude(rows * start) * column([1.0] * start.ncols()))
-    return list(most.entries())
+        peak = _larger(peak, total + magnitude(rows * start) * column([1.0] * start.ncols()))
+    return list(peak.entries())
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:

@@ -143,30 +143,30 @@ class Filtering:
 
     def after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, just after an update, by every pattern."""
-        n, found = len(first), [column(first)]
+        n, bounds = len(first), [column(first)]
         self._known(periods)
         for age in range(1, periods + 1):
             come = [arb_mat(n, 1)] * (age + 1)
             for at in range(age):
                 for kind, update in enumerate(self.updates[: age - at]):
                     to = at + update.periods
-                    more = come[at] + self.turned[at][kind] * found[age - to] if kind else come[at]
+                    more = come[at] + self.turned[at][kind] * bounds[age - to] if kind else come[at]
                     if source is not None:
                         more = more + column(self.come[at][kind][source])
                     come[to] = more if at == 0 else column(maxima(come[to].entries(), more.entries()))
-            left = magnitude(self.left(age)) * found[0]
-            found.append(column([x.upper() for x in (come[age] + left).entries()]))
-        return [each.entries() for each in found]
+            left = magnitude(self.left(age)) * bounds[0]
+            bounds.append(column([x.upper() for x in (come[age] + left).entries()]))
+        return [each.entries() for each in bounds]
 
     def fading(self, first: Bounds, document: Document) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, nothing being added, and ever after."""
         near, settled = (document.observer or {}).get("followed", 0), settled_errors(document)
-        found, usual = (self.after(each, near + self.late, None) for each in (first, settled))
+        errors, usual = (self.after(each, near + self.late, None) for each in (first, settled))
         for bounds in usual[near:]:
             for x, y in zip(bounds, settled, strict=True):
                 require("system", y - x, f"errors of an observer after {near} periods")
-        share = largest(x / y for each in found[near:] for x, y in zip(each, settled, strict=True))
-        return [*found[: near + 1], [x * share for x in maxima(*usual)]]
+        share = largest(x / y for each in errors[near:] for x, y in zip(each, settled, strict=True))
+        return [*errors[: near + 1], [x * share for x in maxima(*usual)]]
 
     def check_settled(self, document: Document) -> Bounds:
         """Check settled errors, and what a certificate states of those that thrusters make, by their age.
@@ -190,8 +190,8 @@ class Filtering:
             self.require(each[0], i + 1)
             left = self.fading(each[0], document)
             for age, newer, older in zip(ages[1:], each, each[1:], strict=False):
-                most = maxima(*left[age - self.late :])  # the first update since may be so much later
-                for x, y, z, whole in zip(newer, older, most, each[0], strict=True):
+                bound = maxima(*left[age - self.late :])  # the first update since may be so much later
+                for x, y, z, whole in zip(newer, older, bound, each[0], strict=True):
                     spare = smallest((x - y, y * arb(1 + ROUNDED) - smallest((z, whole))))
                     require("system", spare, f"errors of thrusters by input {i} of {age} periods ago: {y}")
         return rest
@@ -227,11 +227,11 @@ def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[ar
         each.append((magnitude(left) * initial).entries())
         left = left * loop
     q = document.q
-    found = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
+    steps = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
     ever, turn = (magnitude(left) * initial).entries(), loop
     for _ in range(LONGEST):  # until so many periods make no more of what they begin with
         if all(x <= y for x, y in zip((magnitude(turn) * column(ever)).entries(), ever, strict=True)):
-            return [*found, ever]
+            return [*steps, ever]
         left, turn = left * loop, turn * loop
         ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
     raise Rejected("system", "the observer does not forget its first errors")

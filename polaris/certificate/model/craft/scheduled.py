@@ -42,7 +42,7 @@ class Scheduled:
                 more[k] = maxima(more[k], more[k + 1])
             more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
             cells = zip(nu, more, self.commanded, strict=True)
-            if all(u + x <= most for each in cells for u, x, most in zip(*each, strict=True)):
+            if all(u + x <= limit for each in cells for u, x, limit in zip(*each, strict=True)):
                 return
             if any(x > top for each in more for x, top in zip(each, plant.u_max, strict=True)):
                 break  # which leaves S no thrust
@@ -58,7 +58,7 @@ class Scheduled:
             if self.craft.lag:
                 lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
-            thrust = [plant.thruster_part(self._clipped(most)) for most in self.commanded]
+            thrust = [plant.thruster_part(self._clipped(commands)) for commands in self.commanded]
             parts.append((needs.thrust, [[x.upper() for x in each] for each in thrust], False))
         if any(x > 0 for each in off for x in each):
             parts.append((needs.noise, [[x.upper() for x in each] for each in off], True))
@@ -70,9 +70,9 @@ class Scheduled:
             booked = sums(booked, older, bent) if between else sums(booked, older)
             at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
-                last, most = (maxima(*some) for some in (sizes[-constant:], sizes[T:]))
+                last, highest = (maxima(*some) for some in (sizes[-constant:], sizes[T:]))
                 more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
-                before = (gains.always(_over(most, last), constant + j) for j in range(len(more)))
+                before = (gains.always(_over(highest, last), constant + j) for j in range(len(more)))
                 later = [sums(*each, ever) for each in zip(later, more, before, strict=True)]
         tail = [maxima(*pair) for pair in zip(at[T:], later, strict=True)]
         ends = [part[i : i + q + 1] for part in (at[: T + 1], tail) for i in range(0, len(part) - 1, q)]
@@ -82,8 +82,8 @@ class Scheduled:
         """Bound commands in a step, and in so many periods before it."""
         return self._clipped(maxima(*self.commanded[max(k - ceil(periods / self.craft.plant.q), 0) : k + 1]))
 
-    def _clipped(self, most: list[arb]) -> list[arb]:
-        return [smallest(pair) for pair in zip(most, self.craft.plant.u_max, strict=True)]
+    def _clipped(self, commands: list[arb]) -> list[arb]:
+        return [smallest(pair) for pair in zip(commands, self.craft.plant.u_max, strict=True)]
 
 
 def _over(sizes: list[arb], least: list[arb]) -> list[arb]:

@@ -162,9 +162,9 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     delay, stated = document.timing.get("delay", 0.0), document.observer
     if not remembers(document):
         full = column(plant.thruster_part(plant.u_max))
-        most = sum((added * full for _, added in plant.unseen), arb_mat(n, 1))
+        worst = sum((added * full for _, added in plant.unseen), arb_mat(n, 1))
         known = list(map(arb, document.calmest or [0.0] * n))
-        off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
+        off = [(x - y).abs_upper() for x, y in zip(known, worst.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
         return States.of(plant).closed(gain, plant.disturbances([]), noise, known)
     plant = replace(plant, unseen=[])  # states hold that
