@@ -38,7 +38,7 @@ def held(A: Array, B: Array, t: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """What is done to each run.
+    """Attack on every run.
 
     Attributes
     ----------
@@ -100,14 +100,14 @@ class Loop:
 
     @property
     def remembers(self) -> bool:
-        """Whether what a law takes the state to be is worked out by a `Computer`, not drawn from a box."""
+        """Return True if a `Computer` works out the state that laws act on, instead of a draw from a box."""
         timing, phases = self.system.timing, self.system.error_by_step is not None
         known = self.system.observer is not None
         boxed = timing.missed or self.system.transients or (phases and timing.delay and not known)
         return not boxed and (known or timing.delay > 0)
 
     def noise(self, k: int) -> Array:
-        """What estimates add to commands of their own period in a cell, at most, (m,)."""
+        """Return what estimates add to commands of their own period in a cell, at most, (m,)."""
         if not self.remembers:
             return self.known[k] @ np.abs(self.gain).T
         timing, n = self.system.timing, self.system.n
@@ -117,7 +117,7 @@ class Loop:
         return np.abs(self.gain @ held(self.system.A, np.zeros((n, 1)), timing.delay)[0]) @ measured
 
     def moved(self) -> Array:
-        """How far states may be displaced when they are measured."""
+        """Return how far states may be displaced when they are measured."""
         off = self.system.timing.delay / (self.dt * self.parts)
         between = abs(off - round(off)) > 1e-9
         away = self.system.displaced if between else self.system.displaced_at_nodes
@@ -187,12 +187,12 @@ class Loop:
                 free = number and number not in self.laws
                 seen = x[mine] + wrong[mine]
                 raw[mine] = attack.free[i, mine] if free else self.command(number, k, j, seen)
-            told = np.clip(raw, -limit, limit)
-            fresh = told + off[i] * errors.error(told)
+            limited = np.clip(raw, -limit, limit)
+            fresh = limited + off[i] * errors.error(limited)
             if j % self.parts == 0:
                 if carries:
-                    fresh, rest = self.fire(told, rest, off[i])
-                u, last, command = fresh, np.abs(raw) > limit, told
+                    fresh, rest = self.fire(limited, rest, off[i])
+                u, last, command = fresh, np.abs(raw) > limit, limited
             for number, mine in parts:
                 if number not in self.laws:
                     u[mine] = fresh[mine]
@@ -221,7 +221,7 @@ class Loop:
         modes: NDArray[np.integer[Any]],
         clipped: NDArray[np.bool_] | None = None,
     ) -> Attack:
-        """What takes every run furthest along a row at an instant (step), under modes and clips as flown."""
+        """Return what takes runs furthest along a row at an instant (step), with modes and clips as flown."""
         R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
         w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
         lam, spent, eta = np.zeros((R, n)), np.zeros((R, m)), np.zeros((self.N, R, n))
@@ -294,10 +294,10 @@ class Loop:
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (mode == 0)[:: self.parts]
             raw = np.abs(self.nu[k] - need)
-            most = system.u_max - self.noise(k)
-            thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
+            limit = system.u_max - self.noise(k)
+            thrust = np.minimum(thrust, np.where(safe[..., None], limit - raw, np.inf).min(axis=0))
             for sign in (1, -1):
-                room = most + sign * self.nu[k]
+                room = limit + sign * self.nu[k]
                 free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
                 share = np.minimum(share, _least(free, taken[: self.per : self.parts]))
         return Outcome(left, thrust / system.u_max, share, printed)
@@ -407,7 +407,7 @@ class Flown:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How near runs came.
+    """Margins of runs.
 
     Attributes
     ----------
@@ -431,8 +431,8 @@ def _share(need: Array, room: Array) -> Array:
 
 
 def _least(share: Array, taken: NDArray[np.bool_]) -> Array:
-    found: Array = np.where(taken, share, np.inf).min(axis=0)
-    return found
+    least: Array = np.where(taken, share, np.inf).min(axis=0)
+    return least
 
 
 # -- one schedule, attacked -----------------------------------------------------------------------------
@@ -440,7 +440,7 @@ def _least(share: Array, taken: NDArray[np.bool_]) -> Array:
 
 @dataclass(eq=False)
 class Attacked:
-    """What attacks on one schedule came to.
+    """Result of attacks on one schedule.
 
     Attributes
     ----------
@@ -465,10 +465,10 @@ class Attacked:
 def attack(schedule: Schedule, runs: int, seed: int, rounds: int = 3, parts: int = 0) -> Attacked:
     """Fly `runs` worst cases `rounds` times, each about the clips of the last, and as many at random."""
     loop, rng = Loop(schedule, parts), np.random.default_rng(seed)
-    found = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0)
-    most = max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m)))
+    result = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0)
+    batch = max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m)))
     while runs > 0:
-        count, runs = min(runs, most), runs - most
+        count, runs = min(runs, batch), runs - batch
         over, printed, rows, targets = _aims(loop, count, rng)
         who, clipped = loop.scheduled(over), None
         modes = np.array([who(i, rows) for i in range(loop.N)])
@@ -478,19 +478,19 @@ def attack(schedule: Schedule, runs: int, seed: int, rounds: int = 3, parts: int
                 made = by_chance(loop, made, rng)
             flown = loop.fly(made, who)
             clipped = flown.clipped
-            _note(found, loop.judge(flown, over, printed))
-    return found
+            _note(result, loop.judge(flown, over, printed))
+    return result
 
 
-def _note(found: Attacked, seen: Outcome) -> None:
-    found.runs += len(seen.share)
-    found.left = np.minimum(found.left, seen.left.min(axis=0, initial=np.inf))
-    found.thrust = min(found.thrust, float(seen.thrust.min()))
-    told = np.isfinite(seen.printed) & (seen.printed >= 0) & np.isfinite(seen.share)
-    if np.any(told):
-        found.over = max(found.over, float(np.max(seen.printed[told] - seen.share[told])))
-        need = (1 - seen.share[told]) / np.maximum(1 - seen.printed[told], 1e-12)
-        found.tight = max(found.tight, float(np.max(np.where(seen.printed[told] < 1 - 1e-5, need, 0))))
+def _note(result: Attacked, seen: Outcome) -> None:
+    result.runs += len(seen.share)
+    result.left = np.minimum(result.left, seen.left.min(axis=0, initial=np.inf))
+    result.thrust = min(result.thrust, float(seen.thrust.min()))
+    known = np.isfinite(seen.printed) & (seen.printed >= 0) & np.isfinite(seen.share)
+    if np.any(known):
+        result.over = max(result.over, float(np.max(seen.printed[known] - seen.share[known])))
+        need = (1 - seen.share[known]) / np.maximum(1 - seen.printed[known], 1e-12)
+        result.tight = max(result.tight, float(np.max(np.where(seen.printed[known] < 1 - 1e-5, need, 0))))
 
 
 def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
@@ -508,10 +508,10 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
     first = np.where(over == loop.N, 0, over)
     ahead = np.exp(rng.uniform(0, np.log(np.maximum(loop.N - first, 2)))).astype(int)
     targets = np.where(rng.random(count) < 0.6, first + ahead, rng.integers(first, loop.N + 1))
-    told = np.r_[[s.margin.time for s in loop.schedule.steps], np.nan][np.minimum(step, loop.K)]
-    told = np.where(step < 0, loop.schedule.safety.start_margin.time, told)
-    near = np.isfinite(told) & (rng.random(count) < 0.3)
-    bites = np.where(near, told, 0) / loop.dt + rng.integers(0, loop.per + 1, count)
+    when = np.r_[[s.margin.time for s in loop.schedule.steps], np.nan][np.minimum(step, loop.K)]
+    when = np.where(step < 0, loop.schedule.safety.start_margin.time, when)
+    near = np.isfinite(when) & (rng.random(count) < 0.3)
+    bites = np.where(near, when, 0) / loop.dt + rng.integers(0, loop.per + 1, count)
     targets = np.where(near, bites.astype(int), targets)
     targets = np.clip(targets, np.maximum(first, 1), loop.N)
     o = len(loop.unsafe)
@@ -552,7 +552,7 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
     rows, sides = rows * weight[:, None], sides * weight
     drifts = [[2, 0, 0, 0, 1 / eta, 0]] if claim.drift is not None and eta else np.zeros((0, loop.system.n))
     aims = np.vstack([rows, drifts, -np.array(drifts), np.zeros((1, loop.system.n))])
-    who, clipped, most = loop.scheduled(np.full(len(aims), loop.N)), None, {"distance": 0.0, "delta_v": 0.0}
+    who, clipped, peak = (loop.scheduled(np.full(len(aims), loop.N)), None, {"distance": 0.0, "delta_v": 0.0})
     modes = np.array([who(i, aims) for i in range(loop.N)])
     for _ in range(rounds):
         flown = loop.fly(loop.worst(aims, np.full(len(aims), at), modes, clipped), who)
@@ -563,15 +563,15 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
             parts.append(over[:, first : first + len(N)].min(axis=1))
             first += len(N)
         error = 1e-8 * float(np.abs(x @ problem.system.position.T).max())  # of the integration [m]
-        found = {"distance": float(np.max(parts)) / (claim.distance + error)}
-        found["delta_v"] = _spent(loop, flown, at) / claim.delta_v
+        shares = {"distance": float(np.max(parts)) / (claim.distance + error)}
+        shares["delta_v"] = _spent(loop, flown, at) / claim.delta_v
         if len(drifts):
             assert claim.drift is not None
-            found["drift"] = (
+            shares["drift"] = (
                 6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max()) / (claim.drift + 60 * error)
             )
-        most = {key: max(value, most.get(key, 0.0)) for key, value in found.items()}
-    return most
+        peak = {key: max(value, peak.get(key, 0.0)) for key, value in shares.items()}
+    return peak
 
 
 def _spent(loop: Loop, flown: Flown, end: int) -> float:
@@ -618,20 +618,20 @@ class Watched:
         if j == 0 and k >= scene.decisions:
             self.flying = self.next = np.zeros_like(self.flying)
         elif j == 0:
-            told = x - np.where(self.way[i] < 0, -1, 1) * scene.half_widths
-            self.next = self.monitor.judge(k, told - scene.xi[k * scene.nodes], self.flying)[0]
+            estimate = x - np.where(self.way[i] < 0, -1, 1) * scene.half_widths
+            self.next = self.monitor.judge(k, estimate - scene.xi[k * scene.nodes], self.flying)[0]
         if delay == j:
             self.flying = self.next
         return self.flying
 
 
 def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple[Attacked, float]:
-    """The same under an online monitor: no hand-overs but its own. Also the share of time under U."""
+    """Attack under an online monitor: no hand-overs but its own. Return the share of time under U, too."""
     schedule = monitor.grid.fine_schedule
     loop, rng = Loop(schedule), np.random.default_rng(seed)
     if monitor.trust == "thrust_limits":
         loop.laws = {0: loop.laws[0]}
-    found, under = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0), []
+    result, under = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0), []
     runs = min(runs, max(8, NUMBERS // (loop.N * (2 * loop.system.n + loop.system.p + 2 * loop.system.m))))
     _, printed, rows, targets = _aims(loop, runs, rng)
     until = targets - (loop.N * rng.random(runs) ** 3).astype(int)  # U before, S after, to begin with
@@ -643,9 +643,9 @@ def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple
             made = by_chance(loop, made, rng)
         flown = loop.fly(made, Watched(loop, monitor, made.way))
         modes, clipped = flown.modes, flown.clipped
-        _note(found, loop.judge(flown, never, np.full(runs, np.nan)))
+        _note(result, loop.judge(flown, never, np.full(runs, np.nan)))
         under.append(float(np.mean(modes[: loop.K * loop.per] > 0)))
-    return found, float(np.mean(under))
+    return result, float(np.mean(under))
 
 
 def by_chance(loop: Loop, worst: Attack, rng: np.random.Generator) -> Attack:

@@ -69,8 +69,8 @@ class Forger:
             if isinstance(data, dict) and isinstance(data.get("artefacts"), dict):
                 for name in data["artefacts"]:
                     if name in files:
-                        found = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
-                        data["artefacts"][name] = found
+                        sha = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+                        data["artefacts"][name] = sha
             if "\x00" not in text:  # a text with duplicate keys is kept as it is
                 if isinstance(data, dict) and "digest" in data:
                     data["digest"] = digest(data)
@@ -361,8 +361,8 @@ def accepted(forger, cases, rules):
     wrong, used = [], set()
     for short, label, files in cases:
         if forger.judge(files).outcome == "VERIFIED":
-            found = excused(short, rules)
-            used.update(found)
-            if not found:
+            excuses = excused(short, rules)
+            used.update(excuses)
+            if not excuses:
                 wrong.append(label)
     return wrong, used

@@ -60,30 +60,30 @@ class OutOfTime(Loop):
             return 0 * on
         return np.cumsum(on, axis=1) - on if placed == "staggered" else (self.h - on) / 2
 
-    def allocated(self, told):
+    def allocated(self, thrust):
         """Return the thrusts of a layout's fixed mixes for commands (R, m), shape (R, N)."""
         mixes = self.system.nozzles.allocation.mixes[0]
-        sides = [np.maximum(sign * told, 0.0) @ mix for sign, mix in zip((1, -1), mixes, strict=True)]
+        sides = [np.maximum(sign * thrust, 0.0) @ mix for sign, mix in zip((1, -1), mixes, strict=True)]
         return sides[0] + sides[1]
 
-    def made(self, told, rest, off):
+    def made(self, thrust, rest, off):
         """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
         timing, layout, limits = self.system.timing, self.system.nozzles, self.system.u_max
         along = self.errors.along
         bit, carried, fine = self.bit, timing.carried, timing.fine
         if layout is not None:
-            told, limits = self.allocated(told), layout.allocation.limits
+            thrust, limits = self.allocated(thrust), layout.allocation.limits
             carried, bit = layout.bit * layout.carried, layout.bit / self.h * (not layout.carried)
             off, along = np.clip(off @ self.ways.T * 1e3, -1, 1), layout.along
         if carried:
-            asked = told * self.h + rest
+            asked = thrust * self.h + rest
             full = limits * self.h
             size = np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried
             size = np.minimum(np.where(size > 0, np.abs(asked), 0.0) if fine else size, full)
             u = size * np.sign(asked) / self.h
             return u, asked - u * self.h, off * along * u
-        u = np.round(told / bit) * bit if bit else told
-        u = np.where(np.abs(told) >= bit, told, u) if fine else u
+        u = np.round(thrust / bit) * bit if bit else thrust
+        u = np.where(np.abs(thrust) >= bit, thrust, u) if fine else u
         u = np.clip(u, -limits, limits)
         return u, rest, off * along * u
 
@@ -102,13 +102,13 @@ class OutOfTime(Loop):
         eta, off = (np.broadcast_to(each, (self.N, R, k)) for each, k in ((attack.eta, n), (attack.off, m)))
         sees = Computer(self, states, eta, attack.w) if self.remembers else None
         ways, count = self.ways, len(self.ways)
-        rest, told, last = np.zeros((R, count)), np.zeros((R, m)), np.zeros((R, count))
+        rest, thrust, last = np.zeros((R, count)), np.zeros((R, m)), np.zeros((R, count))
         until = np.full((R, count), -np.inf)  # end of the last pulses
         bursts = []  # of forces (R, N), and when they begin and end (R, N)
         top, jitter = self.pulses, system.timing.jitter
 
         def command(i):
-            nonlocal rest, told, last, until, bursts
+            nonlocal rest, thrust, last, until, bursts
             k, j = divmod(i, self.per)
             flying = who(i, states[i])
             if sees is not None:
@@ -125,8 +125,8 @@ class OutOfTime(Loop):
             self.most = max(self.most, float(share.max(initial=0.0)))
             clipped[i : i + self.parts] = np.abs(raw) > system.u_max
             modes[i : i + self.parts] = flying
-            told = np.clip(raw, -system.u_max, system.u_max)
-            u, rest, more = self.made(told, rest, off[i])
+            thrust = np.clip(raw, -system.u_max, system.u_max)
+            u, rest, more = self.made(thrust, rest, off[i])
             way = ((last - u - more) * (attack.way[i] @ system.B @ ways.T)).sum(axis=1, keepdims=True)
             late = jitter * np.sign(way) if i else np.zeros((R, 1))
             late = late if self.early(i) else np.maximum(late, 0.0)
@@ -147,11 +147,11 @@ class OutOfTime(Loop):
 
         for i in range(self.N):
             if sees is not None:
-                sees.told[i] = told
+                sees.told[i] = thrust
             if i % self.parts == 0 and not self.early(i):
                 command(i)
                 if sees is not None:
-                    sees.told[i] = told
+                    sees.told[i] = thrust
             now, then = i * self.dt, (i + 1) * self.dt
             if i + 1 < self.N and (i + 1) % self.parts == 0 and self.early(i + 1):
                 command(i + 1)
@@ -235,8 +235,8 @@ def canted(rng):
     count = int(rng.integers(6, 17))
     at = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
     ways = np.stack([np.cos(at), np.sin(at)], axis=1)[rng.permutation(count)]
-    most = rng.uniform(4, 8, count)
-    return [f"thrusters.directions={ways.tolist()}", f"thrusters.thrust_max_N={most.tolist()}"]
+    limits = rng.uniform(4, 8, count)
+    return [f"thrusters.directions={ways.tolist()}", f"thrusters.thrust_max_N={limits.tolist()}"]
 
 
 def judge_scene(seed, runs=12):

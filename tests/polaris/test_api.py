@@ -54,11 +54,11 @@ def test_state_space_of_python_control():
 
 
 def test_units_do_not_matter():
-    """The same scene in millimetres gives the same margins, and nearly the same plan and schedule.
+    """A scene in millimetres gives the same margins as in metres, and nearly the same plan and schedule.
 
     Nearly, because the planner books 1 mm here and a micrometre there, and U flies or not by less.
     """
-    shares, found = [], []
+    shares, results = [], []
     for scale in (1.0, 1e3):
         system = LinearSystem(A, B, B, [scale, scale], 0.01 * scale)
         theta = Zonotope(THETA.c, THETA.G * scale)
@@ -71,8 +71,8 @@ def test_units_do_not_matter():
             "soft", system, 0.3 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
         )
         shares.append(synthesize(None, safety, [law], SwitchingRules()).share())
-        found.append((safety.start_margin.value, safety.plan.delta_v / scale, safety.plan.margin / scale))
-    assert found[0] == pytest.approx(found[1], rel=1e-2)
+        results.append((safety.start_margin.value, safety.plan.delta_v / scale, safety.plan.margin / scale))
+    assert results[0] == pytest.approx(results[1], rel=1e-2)
     assert shares[0] == pytest.approx(shares[1], abs=0.15)
 
 
@@ -205,7 +205,7 @@ def test_a_claim_for_ever_needs_a_motion_that_repeats():
 
 
 def wrong_calls():
-    """What a first user hands in where something else is meant."""
+    """Calls of a first user who hands in one thing where another is meant."""
     scenario, schedule = synthesised()
     safety = schedule.safety
     other = AnyThrust("other", safety.problem.system, safety.reference, safety.tracking)

@@ -79,7 +79,7 @@ def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has
 
 
 def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
-    """What counts as reached rests on the last commands of the profile: a longer memory gives the same."""
+    """Being reached rests on the last commands of the profile: a longer memory gives the same."""
     sampled = ["feedback.period_s=0.25", "tracking.R=[60,60]"]
     scenario = load_scenario(TINY).with_assignments([*sampled, "thrusters.magnitude_error=0.2"])
     tracking, rows = get_safety(scenario.problem()).tracking, np.vstack([np.eye(4), -np.eye(4)])
@@ -171,8 +171,8 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     system = safety.problem.system
-    most = commanded(tail.commands, tail.held, tail.T, tail.T + 1)[:, 0]
-    ends = system.spent(np.minimum(most, system.u_max)).sum(axis=1)
+    bound = commanded(tail.commands, tail.held, tail.T, tail.T + 1)[:, 0]
+    ends = system.spent(np.minimum(bound, system.u_max)).sum(axis=1)
     once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
     assert ends[0] > ends[1] * 1.001
@@ -181,7 +181,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
 
 
 def test_the_middle_of_the_tube_counts_and_not_the_reference():
-    """Where U leaves flights off the reference at T, and the tail ends before S is back, it is not near."""
+    """A goal is not near if U leaves flights off the reference at T, and the tail ends before S is back."""
     _, schedule = synthesised()
     off = schedule.final + np.array([30.0, 0.0, 0.0, 0.0])
     rows = schedule.safety.problem.goal.conditions.E
@@ -214,15 +214,15 @@ def cut(safety, after):
 
 def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     """Only a claim for ever needs a coasting tail; the bound on the velocity change does not rest on one."""
-    found, _, _ = derived(forgers("reached"))
-    document = found.document
+    arrival, _, _ = derived(forgers("reached"))
+    document = arrival.document
     nodes = 2 * document.q
-    found._apart.extend([arb(1e9)] * nodes)  # S's sets are flown once, about the path as it was
-    coasting = float(found.correcting(nodes).mid())
+    arrival._apart.extend([arb(1e9)] * nodes)  # S's sets are flown once, about the path as it was
+    coasting = float(arrival.correcting(nodes).mid())
     assert document.cells >= document.steps + 2
     document.inputs[document.steps] = [0.05, 0.0]
-    del found._summed[1:]  # what is kept of the tail that coasts
-    more = float(found.correcting(nodes).mid()) - coasting
+    del arrival._summed[1:]  # what is kept of the tail that coasts
+    more = float(arrival.correcting(nodes).mid()) - coasting
     assert more == pytest.approx(0.05 * document.delta / document.mass, rel=1e-9)
 
 
@@ -241,7 +241,7 @@ def derived(forger):
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     nodes = [k * document.q for k in (last, document.steps)]
     held = tuple(checked.HandOver(sets[node // document.q], node, node) for node in nodes)
-    found = checked.Arrival(
+    arrival = checked.Arrival(
         Continuation(document, path, tracker),
         held,
         taken,
@@ -249,7 +249,7 @@ def derived(forger):
         Merging(80, argument.n, argument.craft.ahead),
         flown,
     )
-    return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
+    return arrival, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 
 @pytest.fixture(scope="module")
@@ -259,8 +259,8 @@ def judged(forgers):
     def judge(kind):
         if kind not in kept:
             kept[kind] = derived(forgers(kind))
-        found, goal, spec = kept[kind]
-        return found, dict(goal), dict(spec)
+        arrival, goal, spec = kept[kind]
+        return arrival, dict(goal), dict(spec)
 
     return judge
 
@@ -301,21 +301,21 @@ FORGED = {
 
 @pytest.mark.parametrize("how", FORGED)
 def test_a_goal_that_is_forged_is_refused(judged, how):
-    found, goal, spec = judged("reached")
-    found.check(goal, spec)
+    arrival, goal, spec = judged("reached")
+    arrival.check(goal, spec)
     with pytest.raises(Rejected) as caught:
-        found.check(goal | FORGED[how](goal, found.document.delta / found.document.q), spec)
+        arrival.check(goal | FORGED[how](goal, arrival.document.delta / arrival.document.q), spec)
     assert caught.value.claim == "goal"
 
 
 def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
-    found, goal, spec = judged("reached")
-    later = {"by_s": goal["by_s"] + found.document.delta, "distance_m": goal["tolerance_m"]}
-    exact = found.spent, found.until(found.node_at(later["by_s"]))
+    arrival, goal, spec = judged("reached")
+    later = {"by_s": goal["by_s"] + arrival.document.delta, "distance_m": goal["tolerance_m"]}
+    exact = arrival.spent, arrival.until(arrival.node_at(later["by_s"]))
     without, until = (float(x.upper()) * (1 + 1e-5) / (1 + TOLD_SLACK) for x in exact)
-    found.check(goal | later | {"delta_v_max_m_s": until}, spec)
+    arrival.check(goal | later | {"delta_v_max_m_s": until}, spec)
     with pytest.raises(Rejected, match="velocity change"):
-        found.check(goal | later | {"delta_v_max_m_s": without}, spec)
+        arrival.check(goal | later | {"delta_v_max_m_s": without}, spec)
 
 
 def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
@@ -338,10 +338,10 @@ def test_numbers_that_are_none_are_refused(forgers, key, value):
 
 
 def test_a_weaker_claim_is_as_true(judged):
-    found, goal, spec = judged("reached")
+    arrival, goal, spec = judged("reached")
     goal |= {key: goal[key] * 1.5 for key in ("distance_m", "delta_v_max_m_s")}
-    assert "reached by" in found.check(goal, spec)
-    assert "not claimed" in found.check(goal | {"reached": "not_proven", "by_s": None}, spec)
+    assert "reached by" in arrival.check(goal, spec)
+    assert "not claimed" in arrival.check(goal | {"reached": "not_proven", "by_s": None}, spec)
 
 
 @pytest.mark.parametrize(
@@ -359,16 +359,16 @@ def test_a_weaker_claim_is_as_true(judged):
     ids=str,
 )
 def test_a_goal_that_is_not_reached_is_not_claimed(judged, forged):
-    found, goal, spec = judged("too narrow")
-    found.check(goal, spec)
+    arrival, goal, spec = judged("too narrow")
+    arrival.check(goal, spec)
     with pytest.raises(Rejected):
-        found.check(goal | forged, spec)
+        arrival.check(goal | forged, spec)
 
 
 def test_a_scenario_that_tolerates_less_makes_the_claim_false(judged):
-    found, goal, spec = judged("too narrow")
+    arrival, goal, spec = judged("too narrow")
     with pytest.raises(Rejected, match="tolerance"):
-        found.check(goal, spec | {"tolerance_m": 0.001})
+        arrival.check(goal, spec | {"tolerance_m": 0.001})
 
 
 @pytest.mark.parametrize("file", ["schedule", "summary"])
@@ -397,10 +397,10 @@ def test_rules_are_the_scenario_s(forgers, key):
 
 def test_a_drift_needs_hill_s_frame(forgers):
     document = SimpleNamespace(system_kind="linear", mean_motion=1e-3)
-    found = checked.Arrival(Continuation(document, None, None), (), arb(0))
-    found._drift(None, 0)
+    arrival = checked.Arrival(Continuation(document, None, None), (), arb(0))
+    arrival._drift(None, 0)
     with pytest.raises(Rejected, match="Hill"):
-        found._drift(5.0, 0)
+        arrival._drift(5.0, 0)
 
 
 # -- random scenes --------------------------------------------------------------------------------------
@@ -418,16 +418,16 @@ def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path)
             continue
         verdict = verify(folder)
         assert verdict.outcome == "VERIFIED", (seed, verdict.text())
-        found, goal, spec = derived(Forger(folder, tmp_path / f"scratch-{seed}"))
+        arrival, goal, spec = derived(Forger(folder, tmp_path / f"scratch-{seed}"))
         for key in ("distance_m", "delta_v_max_m_s", "drift_m_per_orbit"):
             if goal[key] is None or goal[key] <= 1e-6:
                 continue
             with pytest.raises(
                 Failed
             ):  # where much is booked between nodes, the claim is far from what is so
-                found.check(goal | {key: 0.005 * goal[key]}, spec)
+                arrival.check(goal | {key: 0.005 * goal[key]}, spec)
             with suppress(Failed):
-                found.check(goal | {key: 0.3 * goal[key]}, spec)
+                arrival.check(goal | {key: 0.3 * goal[key]}, spec)
                 loose += 1
             some += 1
     assert some and loose <= some / 5
@@ -435,7 +435,7 @@ def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path)
 
 def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_change_is_claimed():
     """However many later nodes seem nearer to the goal."""
-    rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda found: 1 / (1 + found[0]))
+    rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda over: 1 / (1 + over[0]))
     tail = SimpleNamespace(
         held=(),
         flight=SimpleNamespace(need=lambda needs, held, node: [arb(0)]),

@@ -1,4 +1,4 @@
-"""What a proof rests on is said in one list: on the screen, in the summary, the report, the certificate."""
+"""Assumptions of a proof: one list on the screen, in the summary, the report and the certificate."""
 
 import json
 import tomllib
@@ -107,10 +107,10 @@ def test_satellites_that_are_none_need_no_assumption():
     data = certificate(schedule, scenario.name)
     safety = schedule.safety
     end = {"horizon": "one_period", "until": safety.end.until}
-    found = Premises(
+    premises = Premises(
         0.02, schedule.safety.tracking.flow.h, satellites=True, position=safety.problem.system.C, **end
     )
-    data["assumptions"] = found.told()
+    data["assumptions"] = premises.told()
     data["digest"] = digest(data)
     rejected_beside(scenario, data)
 

@@ -27,14 +27,14 @@ def functions(path):
 
 def claims_of_the_checker():
     """First arguments of what confirms, refutes or leaves open a claim."""
-    found = set()
+    claims = set()
     for path in (ROOT / "polaris" / "certificate").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
                 name = getattr(node.func, "attr", getattr(node.func, "id", ""))
                 if name in ("holds", "Rejected", "Undecided"):
-                    found.add(node.args[0].value)
-    return found
+                    claims.add(node.args[0].value)
+    return claims
 
 
 def test_the_assumptions_are_those_that_runs_carry():
@@ -51,9 +51,9 @@ def test_the_assumptions_are_those_that_runs_carry():
 
 def test_every_claim_of_the_checker_serves_a_requirement():
     served = {claim for claims, _, _ in REQUIREMENTS.values() for claim in claims}
-    found = claims_of_the_checker()
-    assert len(found) > 10
-    assert found - served - {"assumptions"} == set()
+    checked = claims_of_the_checker()
+    assert len(checked) > 10
+    assert checked - served - {"assumptions"} == set()
     documented = (ROOT / "docs" / "certificate.md").read_text()
     assert [claim for claim in served if f"`{claim}`" not in documented] == []
 

@@ -51,13 +51,13 @@ LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
 
 
 def document(**table):
-    found = load_scenario(TINY, {"feedback": {"period_s": PERIOD}}).to_dict()
-    return found | {"experimental": [TABLE | table], "simulation": {"runs": 3}}
+    scene = load_scenario(TINY, {"feedback": {"period_s": PERIOD}}).to_dict()
+    return scene | {"experimental": [TABLE | table], "simulation": {"runs": 3}}
 
 
 @cache
 def hasty():
-    """What the box of these tests asks in secret: the affine law of the scene, by time."""
+    """Return what the box of these tests asks in secret: the affine law of the scene, by time."""
     scenario = load_scenario(TINY, {"feedback": {"period_s": PERIOD}})
     law = scenario.controllers(polaris.get_safety(scenario))[0]
     nodes = law.own.fine(4)[:, :-1].reshape(-1, 4)
@@ -110,9 +110,9 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
     """Over all numbers of flights outside, weighted by how probable each is."""
     for probability in (0.001, 0.01, 0.1, 0.5, 0.9):
         for flights, doubt in ((40, 0.05), (300, 0.01)):
-            found = np.arange(flights + 1)
-            wrong = np.array([at_most(int(k), flights, doubt) < probability for k in found])
-            assert binom.pmf(found, flights, probability) @ wrong <= doubt
+            counts = np.arange(flights + 1)
+            wrong = np.array([at_most(int(k), flights, doubt) < probability for k in counts])
+            assert binom.pmf(counts, flights, probability) @ wrong <= doubt
 
 
 def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
@@ -127,14 +127,14 @@ def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
         due = runs.inputs[:, node] * PERIOD + left
         left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
         stands[:, node + 1] += left @ held.T
-    arcs, told = part.reference.fine(4), outside(runs)
+    arcs, far = part.reference.fine(4), outside(runs)
     assert schedule.sampled_steps
     for step in schedule.steps:
         if step.mode:
             at = slice(4 * step.k, 4 * step.k + 4)
             errors = stands[:, at] - arcs[step.k, :-1]
             off = step.tube.outside(errors, runs.inputs[:, at], np.zeros(system.n))
-            assert np.all(off <= told * (1 + 1e-9))
+            assert np.all(off <= far * (1 + 1e-9))
 
 
 # -- sets -------------------------------------------------------------------------------------------
@@ -155,9 +155,9 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
     for i in range(q):
         asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
         K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
-        told = (x - xi[i * parts]) @ K.T + c
-        u = np.clip(np.clip(asked, -system.u_max, system.u_max), told - r, told + r)
-        u[::2] = told[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
+        fitted = (x - xi[i * parts]) @ K.T + c
+        u = np.clip(np.clip(asked, -system.u_max, system.u_max), fitted - r, fitted + r)
+        u[::2] = fitted[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
         w = rng.normal(size=(len(x), system.p))
         w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
         u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
@@ -166,8 +166,8 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
         for part in range(1, parts + 1):
             x = x @ Ad.T + u @ Bd.T + w @ Dd.T + drift
             s, e = part / parts, x - xi[i * parts + part]
-            most = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
-            assert np.all(e @ rows.T <= most + 1e-9)
+            bound = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
+            assert np.all(e @ rows.T <= bound + 1e-9)
 
 
 def test_an_affine_box_is_fitted_to_rounding():
@@ -205,7 +205,7 @@ def follower(t, x, xi, part=None):
 
 
 def faulty(width):
-    """The same, but full thrust the wrong way where x starts within a narrow strip."""
+    """Return the follower, but with full thrust the wrong way where x starts within a narrow strip."""
 
     def ask(t, x, xi):
         wrong = (np.abs(x[:, 0] - 0.02) < width) & (t < 0.1)
@@ -225,7 +225,7 @@ def leaving(schedule, n=4000, seed=10**8):
 
 
 def started(schedule, x):
-    """How far flights leave their sets that start at a given position along the first axis."""
+    """Return how far flights leave their sets that start at a given position along the first axis."""
     flight = Integrator(schedule, schedule.modes, 1)
     x0 = initial_states(schedule, 50, np.random.default_rng(0), "random")
     x0[:, 0] = x
@@ -234,11 +234,11 @@ def started(schedule, x):
 
 def test_a_rare_fault_is_within_what_is_said_and_not_found():
     """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
-    found = sampled(faulty(5e-5), probability=0.02)
-    schedule, said = found.schedule, found.schedule.statement
+    result = sampled(faulty(5e-5), probability=0.02)
+    schedule, said = result.schedule, result.schedule.statement
     assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
     assert 0.001 <= said.probability <= 0.02
-    assert found.worst.failure is None and found.adverse < 0.05
+    assert result.worst.failure is None and result.adverse < 0.05
     assert np.all(started(schedule, 0.02) > 1)
     assert np.mean(started(schedule, 0.03) > 1) < 0.1
 
@@ -255,8 +255,8 @@ def test_no_attempt_counts_flights_of_another(monkeypatch):
     monkeypatch.setattr("polaris.simulation.sampled.synthesize", lambda *_, **__: made)
     monkeypatch.setattr("polaris.simulation.sampled.simulate", flown)
     monkeypatch.setattr("polaris.simulation.sampled.outside", lambda runs: runs)
-    found = synthesize_sampled(None, safety(), [box()], probability=1e-5)
-    assert found.schedule is found.proven and found.worst is None
+    result = synthesize_sampled(None, safety(), [box()], probability=1e-5)
+    assert result.schedule is result.proven and result.worst is None
     assert sum(map(len, drawn)) > 4_000_000 and min(map(min, drawn)) > 0
     ends = sorted((part.start, part.stop) for part in drawn)
     assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
@@ -277,12 +277,12 @@ def test_the_page_shows_what_becomes_of_a_fault():
     )
     assert len(rows) == 4
     for share, *shown, by in rows:
-        found = sampled(faulty(float(share) / 100 * 0.05), probability=0.02)
-        said, schedule = found.schedule.statement, found.schedule
+        result = sampled(faulty(float(share) / 100 * 0.05), probability=0.02)
+        said, schedule = result.schedule.statement, result.schedule
         near = leaving(schedule, 5000)
-        told = [said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)]
-        assert [float(x) for x in shown] == told and near <= said.probability <= 0.02
-        assert by == ("box", "S")[int(schedule.modes[0] == 0)] and found.worst.failure is None
+        row = [said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)]
+        assert [float(x) for x in shown] == row and near <= said.probability <= 0.02
+        assert by == ("box", "S")[int(schedule.modes[0] == 0)] and result.worst.failure is None
         assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
 
 
@@ -291,12 +291,12 @@ def test_errors_are_flown_and_covered(errors):
     def ask(t, x, xi):
         return follower(t, x, xi, safety(errors)) + 0.02 * np.sin(40 * (x - xi)[:, :2])
 
-    found = sampled(ask, errors, probability=0.02)
-    assert found.schedule.guarantee == "statistical" and found.schedule.share() > 0.2
+    trial = sampled(ask, errors, probability=0.02)
+    assert trial.schedule.guarantee == "statistical" and trial.schedule.share() > 0.2
     assert (
-        leaving(found.schedule, 2000) <= found.schedule.statement.probability and found.worst.failure is None
+        leaving(trial.schedule, 2000) <= trial.schedule.statement.probability and trial.worst.failure is None
     )
-    verdict = verify_document(certificate(found.schedule, "tiny"))
+    verdict = verify_document(certificate(trial.schedule, "tiny"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
 
 
@@ -320,7 +320,7 @@ class Lagging:
 
 
 class Forgetful:
-    """The same, but nobody is told that it has memory."""
+    """Box with memory of which nobody is told that it has one."""
 
     def __init__(self):
         self.box = Lagging()
@@ -333,10 +333,10 @@ class Forgetful:
 
 def test_what_a_box_recalls_is_part_of_its_bands():
     """Of every flight it is asked once a period from the start on, whoever flies; what is said holds."""
-    found = sampled(Lagging(), probability=0.02)
-    schedule, ask = found.schedule, found.schedule.controllers[1].ask
+    result = sampled(Lagging(), probability=0.02)
+    schedule, ask = result.schedule, result.schedule.controllers[1].ask
     assert (
-        found.repeats
+        result.repeats
         and schedule.statement.attempts == 1
         and not any(schedule.modes[:2])
         and schedule.modes[2]
@@ -346,7 +346,7 @@ def test_what_a_box_recalls_is_part_of_its_bands():
     assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
     unaware = sampled(Forgetful(), probability=0.02).schedule
     assert leaving(unaware, 2000) <= 0.02 and unaware.share() < schedule.share()
-    assert any("asked once in every control period" in told for told in schedule.assumptions)
+    assert any("asked once in every control period" in line for line in schedule.assumptions)
 
 
 def test_a_drift_from_flight_to_flight_breaks_the_condition_and_is_noticed():
@@ -357,12 +357,12 @@ def test_a_drift_from_flight_to_flight_breaks_the_condition_and_is_noticed():
         flown[0] += len(x) * (t == 0)
         return follower(t, x, xi) + 0.02 * np.sin(40 * (x - xi)[:, :2]) + 1e-6 * flown[0]
 
-    found = sampled(ask, probability=0.02)
-    assert found.schedule.guarantee == "statistical" and not found.repeats
+    result = sampled(ask, probability=0.02)
+    assert result.schedule.guarantee == "statistical" and not result.repeats
     assert sampled(follower, probability=0.02).repeats
     flown[0] = 10**6
-    assert leaving(found.schedule, 100) > 0.9
-    assert any(told.startswith("no drift") for told in found.schedule.assumptions)
+    assert leaving(result.schedule, 100) > 0.9
+    assert any(line.startswith("no drift") for line in result.schedule.assumptions)
 
 
 def test_a_box_that_mixes_up_flights_is_noticed():
@@ -371,8 +371,8 @@ def test_a_box_that_mixes_up_flights_is_noticed():
     def ask(t, x, xi):
         return follower(t, x, xi) - 0.5 * (len(x) < 100)
 
-    found = sampled(ask, probability=0.02)
-    assert found.schedule.guarantee == "statistical" and not found.repeats
+    result = sampled(ask, probability=0.02)
+    assert result.schedule.guarantee == "statistical" and not result.repeats
 
 
 # -- campaigns, comparisons and trade-offs --------------------------------------------------------------
@@ -382,10 +382,10 @@ def test_a_comparison_asks_once_a_period_for_all_flights():
     grid = DecisionGrid.of(sampled(Lagging(), probability=0.02).schedule)
     ask = grid.controllers[1].ask
     before = len(ask.asked)
-    found = compare_methods(grid, 6, methods=["experimental", "schedule", "monitor", "simplex_implicit"])
-    claims = {key: one.claim.kind for key, one in found.results.items()}
+    compared = compare_methods(grid, 6, methods=["experimental", "schedule", "monitor", "simplex_implicit"])
+    claims = {key: one.claim.kind for key, one in compared.results.items()}
     assert claims == {"experimental": "none", "schedule": "statistical", "monitor": "proved"}
-    assert "memory" in found.refused["simplex_implicit"]
+    assert "memory" in compared.refused["simplex_implicit"]
     whole = [times for times in ask.asked[before:] if times[-1] == 12 - PERIOD]
     assert len(whole) >= 6 and all(np.allclose(np.diff(times), PERIOD) for times in ask.asked[before:])
     forgetful = replace(grid.schedule, controllers=(grid.controllers[0], box(follower)))
@@ -401,8 +401,8 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
     boxes = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}
     folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
-    told = folder.summary["cases"][0]["modes"]
-    assert [told[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
+    modes = folder.summary["cases"][0]["modes"]
+    assert [modes[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
     assert read_campaign(folder.path).plan.data()["boxes"] == ["box"], "its name, and nothing to run"
     more = replace(plan, runs=6)
     with pytest.raises(PolarisError, match="different schedules"):
@@ -445,8 +445,8 @@ def test_without_a_statement_nothing_is_guaranteed():
 
 
 def test_a_box_that_is_never_followed_leaves_the_proven_schedule():
-    found = sampled(lambda t, x, xi: np.tile([1.0, -1.0], (len(x), 1)))
-    assert found.schedule.guarantee == "proved" and found.worst is None
+    result = sampled(lambda t, x, xi: np.tile([1.0, -1.0], (len(x), 1)))
+    assert result.schedule.guarantee == "proved" and result.worst is None
 
 
 # -- runs and their certificates ----------------------------------------------------------------------
@@ -465,7 +465,7 @@ def test_the_run_is_statistical_and_so_is_its_verdict(made):
     assert folder.summary["synthesis"]["worst_found"]["violated"] is False
     assert (verdict.outcome, verdict.exit_code) == ("STATISTICAL", 7), verdict.text()
     assert "VERIFIED" not in verdict.text()
-    assert any("rest on samples" in told for _, told in verdict.checked)
+    assert any("rest on samples" in text for _, text in verdict.checked)
     assert any(line.startswith("distribution") for line in verdict.trusted)
     assert any("other seeds" in line for line in verdict.trusted)
     assert any(line.startswith("no drift") for line in verdict.trusted)
@@ -591,9 +591,9 @@ HASTY = ("silent", "half a line, and waits", "never reads")
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_program_that_does_not_answer_is_one_error(name):
-    text, told = BAD[name]
+    text, rule = BAD[name]
     states = np.zeros((40_000 if name == "never reads" else 2, 4))  # more than a pipe holds
-    with python(text, 0.3 if name in HASTY else 20.0) as asked, pytest.raises(NoAnswer, match=told) as error:
+    with python(text, 0.3 if name in HASTY else 20.0) as asked, pytest.raises(NoAnswer, match=rule) as error:
         for t in range(9):
             asked(t % 3.0, states, np.zeros(4))
     assert "\n" not in str(error.value)
@@ -621,10 +621,10 @@ def test_an_answer_that_is_no_command_is_one_error(answer):
 
 
 def test_what_was_found_besides_says_nothing_else(made, tmp_path):
-    found = json.loads((made / "summary.json").read_text(encoding="utf-8"))
-    found["synthesis"]["worst_found"]["guarantee"] = "proved"
+    summary = json.loads((made / "summary.json").read_text(encoding="utf-8"))
+    summary["synthesis"]["worst_found"]["guarantee"] = "proved"
     copied = shutil.copytree(made, tmp_path / "run")
-    (copied / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+    (copied / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     assert verify(copied).outcome == "REJECTED"
 
 
@@ -680,14 +680,14 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
     assert "proven for anything within the thrust limits" in " ".join(given.output.split())
     wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
     assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
-    for arguments, told in (
+    for arguments, reason in (
         (["run", place[0], "--black-box", "box"], "NAME=COMMAND"),
         (["run", place[0], "--black-box", "box='open"], "has no command"),
         (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "asked by one process"),
         (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "for switching schedules"),
     ):
         refused = CliRunner().invoke(app, arguments)
-        assert refused.exit_code == 2 and told in " ".join(refused.output.split()), refused.output
+        assert refused.exit_code == 2 and reason in " ".join(refused.output.split()), refused.output
 
 
 @pytest.mark.slow
@@ -701,10 +701,10 @@ def test_statements_hold_of_other_boxes(seed):
         d = xi - x
         return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ bend))
 
-    found = sampled(ask, probability=0.02, seed=seed)
-    if found.schedule.sampled_steps:
-        flown = simulate(found.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
-        assert np.mean(outside(flown) > 1) <= found.schedule.statement.probability
+    result = sampled(ask, probability=0.02, seed=seed)
+    if result.schedule.sampled_steps:
+        flown = simulate(result.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
+        assert np.mean(outside(flown) > 1) <= result.schedule.statement.probability
 
 
 def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
@@ -722,9 +722,9 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
         assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
     asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
-    found = synthesize_sampled(scenario, part, [box(part=part)], **asked)
-    assert found.schedule.sampled_steps and found.worst.failure is None
-    verdict = verify_document(certificate(found.schedule, "scene"))
+    result = synthesize_sampled(scenario, part, [box(part=part)], **asked)
+    assert result.schedule.sampled_steps and result.worst.failure is None
+    verdict = verify_document(certificate(result.schedule, "scene"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
     unknown = replace(part.problem, system=replace(system, transients=(replace(known, asked=False),)))
     plain = polaris.get_safety(unknown)
@@ -760,9 +760,9 @@ def test_random_scenes(seed):
         return nu[min(int(t / part.problem.delta + 1e-9), len(nu) - 1)] + u + 0.02 * top * np.sin(5 * u / top)
 
     laws = scenario.controllers(part, {"box": ask})
-    found = synthesize_sampled(scenario, part, laws, probability=0.05, confidence=0.99, attacks=100)
-    schedule = found.schedule
-    assert schedule.sampled_steps and found.worst.failure is None
+    result = synthesize_sampled(scenario, part, laws, probability=0.05, confidence=0.99, attacks=100)
+    schedule = result.schedule
+    assert schedule.sampled_steps and result.worst.failure is None
     verdict = verify_document(certificate(schedule, scenario.name))
     assert verdict.outcome == "STATISTICAL", verdict.text()
     flown = simulate(schedule, 2000, 10**9 + seed, initial="random", disturbance="random")

@@ -16,11 +16,11 @@ from .tiny import synthesised
 def under(scenario, budget):
     """The schedule within a budget, or what the message says is the least that was found."""
     try:
-        found = synthesize(scenario.with_assignments([f"schedule.delta_v_max_m_s={budget!r}"]))
+        schedule = synthesize(scenario.with_assignments([f"schedule.delta_v_max_m_s={budget!r}"]))
     except NotCertified as error:
         assert error.exit_code == 4
         return None, float(re.search(r"proven to keep is ([\d.e+-]+) m/s", str(error))[1])
-    return found, found.spent
+    return schedule, schedule.spent
 
 
 def judge(scenario, free):

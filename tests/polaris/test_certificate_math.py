@@ -141,9 +141,9 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     reached = (runs.states[:, :-1] - reference) @ gain.T
     count = min(len(reference), memory.periods)
     parts = ((sets[0].support(needs.carried[i]), bows.next_to(i), disturbed[i]) for i in range(count))
-    most = np.array([[float(x) for x in sums(*each)] for each in parts])
-    assert np.all(reached[:, :count].max(axis=0) <= most + 1e-9)
-    assert np.max(reached[:, :count].max(axis=0) / most) > 0.7
+    needed = np.array([[float(x) for x in sums(*each)] for each in parts])
+    assert np.all(reached[:, :count].max(axis=0) <= needed + 1e-9)
+    assert np.max(reached[:, :count].max(axis=0) / needed) > 0.7
 
 
 def test_exponentials_over_an_interval_contain_all_of_them():
@@ -181,8 +181,8 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend():
         done = cumulative_trapezoid(rates, fine, initial=0)
         for push in (plant.disturbance, Push.in_box(BB, [arb(0.5)])):
             bend, gain = motion.push_bend(R, push), motion.push_gain(R, push)
-            most = fine / 0.4 * float(gain[0]) + float(bend[0])
-            assert np.all(done <= most * (1 + 1e-6))
+            bound = fine / 0.4 * float(gain[0]) + float(bend[0])
+            assert np.all(done <= bound * (1 + 1e-6))
             lagging = max(lagging, float(np.max(done - fine / 0.4 * float(gain[0]))))
     assert lagging > 1e-3  # without the bend it would be no bound
 
@@ -206,8 +206,8 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
         for k, z in enumerate(sets):
             errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
             rows = np.vstack([np.eye(argument.n), -np.eye(argument.n)])
-            most = [float(x) for x in z.support(matrix(rows.tolist()))]
-            assert np.all(errors @ rows.T <= np.array(most) + 1e-9)
+            bounds = [float(x) for x in z.support(matrix(rows.tolist()))]
+            assert np.all(errors @ rows.T <= np.array(bounds) + 1e-9)
 
 
 @pytest.mark.parametrize("name", ["clipped", "clipped, given period"])
@@ -342,11 +342,11 @@ def test_sums_and_lengths_from_above_are_above_and_close():
     M = rng.normal(size=(7, 90)) * 10.0 ** rng.uniform(-9, 3, size=(7, 90))
     balls = matrix([[arb(x, 1e-5 * abs(x)) for x in row] for row in M.tolist()])
     sizes = matrix(rng.uniform(0, 9, size=(90, 2)).tolist())
-    most = magnitude(balls)
+    upper = magnitude(balls)
     pairs = [
-        *zip(row_sums(most), widths(balls), strict=True),
-        *zip((most * sizes).entries(), spans(balls, sizes).entries(), strict=True),
-        *zip(norms(most), lengths(balls), strict=True),
+        *zip(row_sums(upper), widths(balls), strict=True),
+        *zip((upper * sizes).entries(), spans(balls, sizes).entries(), strict=True),
+        *zip(norms(upper), lengths(balls), strict=True),
     ]
     assert all(exact.lower() <= bound <= exact.upper() * (1 + arb(1e-6)) for exact, bound in pairs)
     assert all(bound.is_exact() for _, bound in pairs)
@@ -397,9 +397,9 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     recovery = Recovery(SimpleNamespace(), limits, needs)
     (target,) = limits.at(0, first=True)
     recovery._leaves(0.5, target, arb(0), "the start")
-    with pytest.raises(Rejected) as told:
+    with pytest.raises(Rejected) as error:
         recovery._leaves(0.6, target, arb(0), "the start")
-    assert told.value.claim == "margins"
+    assert error.value.claim == "margins"
 
 
 @pytest.mark.parametrize("steady", [False, True])
@@ -443,8 +443,8 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     loop = MeanCommands(craft, [arb(e)], arb_mat(1, 1))
     answers = [abs(float(x.mid())) + 1e-9 for x in (craft.commands * loop.enter).entries()]
     each = [1.2 * sum(answers[i] for i in group) for group in loop.groups]
-    most = together([flight], [[sum(answers), *each, 1.0, 1.0]], 2)
-    assert float(most) >= (2 * e + k * 4 * e) * h
+    bound = together([flight], [[sum(answers), *each, 1.0, 1.0]], 2)
+    assert float(bound) >= (2 * e + k * 4 * e) * h
 
 
 def test_a_gain_that_bends_upwards_is_more_than_its_trapezoid():
@@ -472,8 +472,8 @@ def test_nearly_parallel_generators_are_merged_with_each_other():
         ranked = np.argsort(np.abs(G).max(axis=0) - np.abs(G).sum(axis=0))
         kept, rest = G[:, ranked[:40]], G[:, ranked[40:]]
         boxed = np.abs(rows @ kept).sum(axis=1) + np.abs(rows) @ np.abs(rest).sum(axis=1)
-        truth, found = np.abs(rows @ G).sum(axis=1), np.array([float(x) for x in merged[:500]])
-        assert (found - truth).mean() <= max(10 * turn, 0.02) * (boxed - truth).mean()
+        truth, supports = np.abs(rows @ G).sum(axis=1), np.array([float(x) for x in merged[:500]])
+        assert (supports - truth).mean() <= max(10 * turn, 0.02) * (boxed - truth).mean()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -503,13 +503,13 @@ def test_merged_sets_contain_the_set_in_exact_arithmetic():
         parallel = rng.normal(size=(3, 3))[:, rng.integers(0, 3, g)] * rng.choice([-1, 1, 3, 0.1], g)
         full = Zonotope(arb_mat(3, 1), matrix(parallel.tolist()))
         small = full.reduced(6)
-        truth, found = (list(zip(*exact(z.G), strict=True)) for z in (full, small))
-        for (a, b, c), (d, e, f) in combinations(found, 2):
+        truth, outer = (list(zip(*exact(z.G), strict=True)) for z in (full, small))
+        for (a, b, c), (d, e, f) in combinations(outer, 2):
             normal = b * f - c * e, c * d - a * f, a * e - b * d
-            most, merged = (
-                sum(abs(sum(map(mul, normal, each))) for each in columns) for columns in (truth, found)
+            whole, merged = (
+                sum(abs(sum(map(mul, normal, each))) for each in columns) for columns in (truth, outer)
             )
-            assert most <= merged
+            assert whole <= merged
 
 
 def test_merged_generators_are_rounded_upwards_at_any_precision():
@@ -518,10 +518,10 @@ def test_merged_generators_are_rounded_upwards_at_any_precision():
     rng = np.random.default_rng(2)
     for _ in range(20):
         G = rng.integers(1, 2**12, (2, 6)) / 2.0**12
-        found = Zonotope(arb_mat(2, 1), matrix(G.tolist())).reduced(2)
-        assert found.G.ncols() == 2
+        merged = Zonotope(arb_mat(2, 1), matrix(G.tolist())).reduced(2)
+        assert merged.G.ncols() == 2
         for i, row in enumerate(G):
-            assert found.G[i, i].mid() >= arb(float(row.sum()))  # a sum of few bits, exact in doubles
+            assert merged.G[i, i].mid() >= arb(float(row.sum()))  # a sum of few bits, exact in doubles
 
 
 def test_a_facet_leaves_room_at_both_ends_of_every_part_of_a_drift_in_which_it_is_named():

@@ -1,4 +1,4 @@
-"""What a run claims beside safety, against what its scenario demands and against the rest of its folder."""
+"""Claims of a run beside safety, against what its scenario demands and the rest of its folder."""
 
 import json
 import math
@@ -78,20 +78,20 @@ def test_flights_are_inside_the_sets_of_the_file_at_nodes_and_between(kind, tmp_
     at = np.arange(K)[:, None] * q + np.arange(q + 1)
     errors = runs.states[:, at] - schedule.safety.reference.fine(q)[:K]
     within = between(runs, schedule, parts=20).reshape(len(errors), K, q, -1, system.n)
-    most, rng = 0.0, np.random.default_rng(0)
+    largest, rng = 0.0, np.random.default_rng(0)
     for row in [*np.eye(system.n), *rng.normal(size=(20, system.n))]:
         middle, bow = file["center_error"] @ row, file["bow"] @ np.abs(row)
         half = np.abs(file["generators"].astype(float) @ row).sum(axis=1).T
         share = np.abs(errors @ row - middle) / half
         assert np.all(share <= 1 + 1e-6)
-        most = max(most, float(share[:, :, 1:].max()))
+        largest = max(largest, float(share[:, :, 1:].max()))
         low, high, along = middle - half, middle + half, within @ row
         off = system.w_max * schedule.safety.tracking.flow.h  # `between` knows of none
         assert np.all(along >= (np.minimum(low[:, :-1], low[:, 1:]) - bow - off)[..., None])
         assert np.all(along <= (np.maximum(high[:, :-1], high[:, 1:]) + bow + off)[..., None])
     last = np.abs(errors[:, -1, -1] - file["final_center_error"])
     assert np.all(last <= np.abs(file["final_generators"]).sum(axis=1) + 1e-9)
-    assert most > (0.4 if "carried" in kind else 0.02)  # of what is carried at the start, too
+    assert largest > (0.4 if "carried" in kind else 0.02)  # of what is carried at the start, too
 
 
 def between(runs, schedule, parts):
@@ -135,13 +135,13 @@ CART = {
 
 
 def in_order(scenario, order):
-    """The same scenario, its states in another order."""
+    """Return the scenario with its states in another order."""
     scenario = {**scenario}
     system, place = scenario["system"], [order.index(i) for i in range(len(order))]
-    told = {"A": [[system["A"][i][j] for j in order] for i in order]}
-    told |= {key: [system[key][i] for i in order] for key in "BD"}
+    matrices = {"A": [[system["A"][i][j] for j in order] for i in order]}
+    matrices |= {key: [system[key][i] for i in order] for key in "BD"}
     first = system.get("position_states", range(len(order) // 2))
-    scenario["system"] = system | told | {"position_states": [place[i] for i in first]}
+    scenario["system"] = system | matrices | {"position_states": [place[i] for i in first]}
 
     def turned(table):
         """Lists with a number for every state; tables within, too."""
@@ -189,7 +189,7 @@ def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
     ("most", "reached"), [(0.5, True), pytest.param(0.005, "not_proven", marks=pytest.mark.slow)]
 )
 def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
-    """What is claimed as reached is within both, to the checker too, which refuses a narrower one."""
+    """A goal claimed as reached is within both, to the checker too, which refuses a narrower one."""
     near = ["goal.tolerance_m=2.0", f"goal.velocity_tolerance_m_s={most}", "schedule.bound_programs=0"]
     forger = Forger(make([QUARTER, *near], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
@@ -208,9 +208,9 @@ def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
 def test_flights_keep_both_tolerances():
     near = [QUARTER, "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.1"]
     schedule = synthesize(load_scenario(TINY).with_assignments(near))
-    runs, found = simulate(schedule, 200, 0, disturbance="worst", tail=True), schedule.arrival
-    off = np.abs(runs.states[:, round(found.by / 0.25)] - [8.0, 6.0, 0.0, 0.0]).max(axis=0)
-    assert found.distance <= 0.5 and np.all(off[:2] <= 0.5) and 0.03 < off[2:].max() <= 0.1
+    runs, arrival = simulate(schedule, 200, 0, disturbance="worst", tail=True), schedule.arrival
+    off = np.abs(runs.states[:, round(arrival.by / 0.25)] - [8.0, 6.0, 0.0, 0.0]).max(axis=0)
+    assert arrival.distance <= 0.5 and np.all(off[:2] <= 0.5) and 0.03 < off[2:].max() <= 0.1
 
 
 def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
@@ -278,11 +278,11 @@ def test_a_tolerance_of_velocities_needs_one_of_lengths():
 @pytest.mark.parametrize("drift", [None, 73.7])
 def test_the_line_of_the_goal_says_when_how_near_and_what_holds_it(drift):
     claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "velocity_time_s": 450.0}
-    told = _goal(claim | {"drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3})
-    assert told.startswith(
+    line = _goal(claim | {"drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3})
+    assert line.startswith(
         "reached at 1958 s, within 3.9 m (velocities count as the length they make in 450 s"
     )
-    assert "To stay there S must fly on" in told and ("m per orbit" in told) == (drift is not None)
+    assert "To stay there S must fly on" in line and ("m per orbit" in line) == (drift is not None)
 
 
 # -- what a scenario demands ------------------------------------------------------------------------
@@ -344,10 +344,10 @@ def demanding(tmp_path_factory):
 def test_what_is_demanded_and_not_checked_is_printed(demanding):
     verdict = demanding.judge({})
     assert verdict.outcome == "VERIFIED", verdict.text()
-    told = [line for line in verdict.text().splitlines() if line.startswith("not checked: ")]
-    assert any(line.endswith(": planner.extra_margin_m, planner.thrust_reserve") for line in told)
-    assert "not checked: that no plan is better: planner.objective, planner.gap" in told
-    assert not any(key in line for line in told for key in ("orbit", "delta_v_max", "bound_programs"))
+    lines = [line for line in verdict.text().splitlines() if line.startswith("not checked: ")]
+    assert any(line.endswith(": planner.extra_margin_m, planner.thrust_reserve") for line in lines)
+    assert "not checked: that no plan is better: planner.objective, planner.gap" in lines
+    assert not any(key in line for line in lines for key in ("orbit", "delta_v_max", "bound_programs"))
 
 
 @pytest.mark.parametrize("key", TIGHTER)

@@ -108,7 +108,7 @@ def test_figures_can_wait(invoke, tmp_path, monkeypatch):
 
 
 def test_python_runs_what_the_command_runs(invoke, tmp_path):
-    """The same files but for times, the overrides noted in both, figures only where they are asked for."""
+    """Files are the same but for times, overrides are noted in both, figures only where asked for."""
     assert invoke("run", TINY, "--out", "typed", "--set", "planner.gap=0.01", "-q").exit_code == 0
     written = polaris.run(TINY, "called", overrides=["planner.gap=0.01"])
     assert not (written.path / "figures").exists() and written.picture().modes.size
@@ -419,8 +419,8 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
 
     options = ["--no-figures", "--set", "simulation.runs=2", "--set", QUARTER]
     CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(tmp_path / "in time"), "-q", *options])
-    told = json.loads((tmp_path / "in time" / "summary.json").read_text(encoding="utf-8"))
-    planner = told["synthesis"]["planner"]
+    summary = json.loads((tmp_path / "in time" / "summary.json").read_text(encoding="utf-8"))
+    planner = summary["synthesis"]["planner"]
     assert planner["cut_by_clock"] == [] and planner["status"] == "optimal"
     assert [(stage["name"], stage["status"]) for stage in planner["stages"]][-1] == ("fuel", "optimal")
     assert all("HiGHS" in stage["by"] for stage in planner["stages"])

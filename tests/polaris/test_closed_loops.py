@@ -1,4 +1,4 @@
-"""What S (Theorem 1), schedules (Theorem 2) and monitors claim, against closed loops flown at their worst."""
+"""Claims of S (Theorem 1), schedules (Theorem 2) and monitors, against closed loops flown at their worst."""
 
 from dataclasses import replace
 from functools import cache
@@ -61,7 +61,7 @@ def judge(seed, found):
 
 
 def reckless(schedule):
-    """The same schedule with U all the way, called proved."""
+    """Return the schedule with U all the way, called proved."""
     search, start, steps = (
         Search(schedule.safety, schedule.controllers, SwitchingRules()),
         schedule.safety.start,
@@ -106,24 +106,24 @@ def test_the_integrator_agrees_with_the_packages():
 def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
     viewed = FEW[:1]  # the others are as printed; with U in view it stays well inside
     for seeds, assignments, least in ((FEW, (PRINTED,), 0.8), (viewed, (), 0.6)):
-        found = {seed: attack(schedule, 40, seed) for seed, schedule in proved(seeds, *assignments)}
-        assert len(found) == len(seeds)
-        for seed, one in found.items():
+        attacked = {seed: attack(schedule, 40, seed) for seed, schedule in proved(seeds, *assignments)}
+        assert len(attacked) == len(seeds)
+        for seed, one in attacked.items():
             judge(seed, one)
-        assert np.median([one.tight for one in found.values()]) > least
+        assert np.median([one.tight for one in attacked.values()]) > least
 
 
 def arrives(seed, schedule):
     """No flight is further from the goal, drifts more or has spent more than claimed; how near it comes."""
-    found = arrivals(schedule)
-    assert all(share <= 1 + (1e-4 if key == "delta_v" else EXACT) for key, share in found.items()), seed
-    return found
+    shares = arrivals(schedule)
+    assert all(share <= 1 + (1e-4 if key == "delta_v" else EXACT) for key, share in shares.items()), seed
+    return shares
 
 
 def test_a_few_claims_of_the_goal_hold_at_their_worst_and_leave_little_idle():
-    found = [arrives(seed, schedule) for seed, schedule in proved((5000, 5050))]
+    shares = [arrives(seed, schedule) for seed, schedule in proved((5000, 5050))]
     for key, least in (("distance", 0.99), ("delta_v", 0.99), ("drift", 0.5)):
-        assert max(one.get(key, 0.0) for one in found) > least, key
+        assert max(one.get(key, 0.0) for one in shares) > least, key
 
 
 def test_a_schedule_that_ignores_its_proof_is_broken():
@@ -139,8 +139,8 @@ def test_round_off_is_booked_where_a_law_runs_away():
     own = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
     law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, own, safety.tracking, True)
     schedule = synthesize(safety, experimental=[law])
-    found = attack(schedule, 20, 0)
-    judge(5050, found)
+    result = attack(schedule, 20, 0)
+    judge(5050, result)
     assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3
     pytest.importorskip("flint")
     from polaris.certificate.checker import verify_document
@@ -153,17 +153,17 @@ def test_falsify_looks_beyond_the_end_however_few_its_runs():
     """U all the way: what is broken is S's thrust after T."""
     ((_, schedule),) = proved((5055,))
     assert schedule.safety.end.proven
-    found = falsify(reckless(schedule), 300)
-    assert found.failure is not None and found.failure.kind == "saturation"
-    assert found.failure.time_s >= schedule.safety.problem.K * schedule.safety.problem.delta
+    result = falsify(reckless(schedule), 300)
+    assert result.failure is not None and result.failure.kind == "saturation"
+    assert result.failure.time_s >= schedule.safety.problem.K * schedule.safety.problem.delta
     assert falsify(schedule, 300).failure is None
 
 
 def test_a_few_monitors_hold_at_their_worst():
     under = []
     for seed, schedule in proved((5024,), PRINTED):
-        found, share = attack_monitor(monitored(seed, schedule), 40, seed)
-        judge(seed, found)
+        result, share = attack_monitor(monitored(seed, schedule), 40, seed)
+        judge(seed, result)
         under.append(share)
     assert min(under) > 0
 
@@ -174,10 +174,10 @@ def test_many_worst_cases_break_nothing():
     scenes, runs, tight, near = 0, 0, [], []
     seeds = range(FIRST, FIRST + fewer(130, 30))
     for seed, schedule in proved(seeds):
-        found = attack(schedule, 260, seed)
-        judge(seed, found)
-        scenes, runs = scenes + 1, runs + found.runs
-        tight += [found.tight] * (schedule.safety.recoverable.kind == "polytope")
+        result = attack(schedule, 260, seed)
+        judge(seed, result)
+        scenes, runs = scenes + 1, runs + result.runs
+        tight += [result.tight] * (schedule.safety.recoverable.kind == "polytope")
         near.append(arrives(seed, schedule).get("distance", 0.0))
     print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
     assert scenes >= fewer(46, len(seeds) / 4) and runs >= fewer(100_000, 400 * len(seeds))
@@ -191,7 +191,7 @@ def test_many_monitors_hold_at_their_worst():
         monitor = monitored(seed, schedule) if len(schedule.controllers) > 1 else None
         if monitor is None:
             continue
-        found, _ = attack_monitor(monitor, 120, seed)
-        judge(seed, found)
+        result, _ = attack_monitor(monitor, 120, seed)
+        judge(seed, result)
         scenes += 1
     assert scenes >= fewer(30, len(seeds) / 3)

@@ -82,15 +82,15 @@ def worst_spent(schedule, rounds=4, seed=0):
     system, theta = schedule.safety.problem.system, schedule.safety.problem.initial_set
     M, rng = corners(system, seed=seed), np.random.default_rng(seed)
     nodes = len(schedule.modes) * schedule.safety.tracking.feedback.nodes_per_cell
-    most = 0.0
+    spent = 0.0
     for number in range(rounds):
         start = theta.c + rng.choice([-1.0, 1.0], (len(M), theta.G.shape[1])) @ theta.G.T
         hold = int(np.exp(rng.uniform(0, np.log(nodes / 2))))
         push = rng.normal(size=(-(-nodes // hold), len(M), system.p))
         push *= system.w_max / np.linalg.norm(push, axis=2, keepdims=True)
         push = np.repeat(push, hold, axis=0)[:nodes] * (number > 0)
-        most = max(most, float(spent_in(schedule, M, start, push).max()))
-    return most
+        spent = max(spent, float(spent_in(schedule, M, start, push).max()))
+    return spent
 
 
 def bound(schedule, constant):
@@ -109,19 +109,19 @@ def bound(schedule, constant):
 def test_known_commands_with_the_worst_constant_spend_what_is_proven_to_a_few_per_cent():
     """Nothing but constant shares is uncertain: to first order the bound is the worst corner's."""
     schedule = tiny(*WRONG, *QUIET, NEVER)
-    most, proven = worst_spent(schedule, 1), bound(schedule, True)
-    assert most <= proven <= 1.15 * most
+    spent, proven = worst_spent(schedule, 1), bound(schedule, True)
+    assert spent <= proven <= 1.15 * spent
     assert proven < 0.95 * bound(schedule, False)
 
 
 @pytest.mark.parametrize("extra", [(), CARRIED[:1], CARRIED], ids=["held", "bit", "carried"])
 def test_constants_spend_less_than_errors_that_vary(extra):
     schedule = tiny(*WRONG, *extra, NEVER)
-    most = schedule.delta_v[1]
-    assert worst_spent(schedule) <= most < bound(schedule, False)
+    proven = schedule.delta_v[1]
+    assert worst_spent(schedule) <= proven < bound(schedule, False)
     attacker = Attacker.of(schedule, False, np.random.default_rng(1))
     flown = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
-    assert 0.6 * most < flown <= most * (1 + 1e-9)
+    assert 0.6 * proven < flown <= proven * (1 + 1e-9)
 
 
 @pytest.mark.slow
@@ -143,8 +143,8 @@ def test_random_scenes_spend_no_more_than_is_proven_under_any_constant(tmp_path)
         linear = all(isinstance(law, AffineController) for law in schedule.controllers)
         if schedule.guarantee != "proved" or not linear:
             continue
-        most = worst_spent(schedule, seed=seed)
-        assert most <= schedule.delta_v[1], seed
+        spent = worst_spent(schedule, seed=seed)
+        assert spent <= schedule.delta_v[1], seed
         assert falsify(schedule, 100, seed).failure is None, seed
         verdict = verify(write_run(tmp_path / str(seed), scenario, schedule).path)
         assert verdict.outcome == "VERIFIED", (seed, verdict.text())
@@ -227,8 +227,8 @@ def test_synthesis_and_checker_store_alike(more, tmp_path, monkeypatch):
     assert all(step.inputs[0].matrix for step in steps)
     count = sum(len(step.middle) for step in steps)
     system, weights = schedule.safety.tracking.system, schedule.spending.weights[: len(steps)]
-    most = together(system, steps, weights, schedule._spells[0].start) * schedule.safety.tracking.flow.h
-    assert any(periods == count and 0.98 < bound / most < 1 for periods, bound in bounds)
+    bounded = together(system, steps, weights, schedule._spells[0].start) * schedule.safety.tracking.flow.h
+    assert any(periods == count and 0.98 < bound / bounded < 1 for periods, bound in bounds)
 
 
 # -- forged -----------------------------------------------------------------------------------------
@@ -248,9 +248,9 @@ def test_forged_constants_of_thrusters_are_refused(forger):
     def varying(lie):
         """Say in certificate and guarantee that errors vary."""
         del lie.certificate["system"]["thrusters"]["constant"]
-        for told in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
-            assert any(words in line for line in told)
-            told[:] = [line.replace(words, "") for line in told]
+        for lines in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
+            assert any(words in line for line in lines)
+            lines[:] = [line.replace(words, "") for line in lines]
         lie.summary["guarantee"] = lie.schedule["guarantee"]
         return lie
 

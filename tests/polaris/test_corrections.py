@@ -1,4 +1,4 @@
-"""What S spends in a whole flight (Proposition 15 (d)): driven to its worst, and derived by the checker."""
+"""Spending of S in a whole flight (Proposition 15 (d)): driven to its worst, and derived by the checker."""
 
 from dataclasses import replace
 from pathlib import Path

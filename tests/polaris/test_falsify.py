@@ -60,16 +60,16 @@ def flight_of(schedule, tail=False, substeps=1):
 )
 def test_nothing_breaks_a_proven_schedule(name):
     schedule = synthesised(name, *quick(name))[1]
-    found = falsify(schedule, 250, seed=1)
-    assert found.failure is None and found.runs == 250
+    result = falsify(schedule, 250, seed=1)
+    assert result.failure is None and result.runs == 250
     obstacles = len(schedule.safety.clearance.unsafe)
-    assert np.all(found.least[:obstacles] >= found.proven[:obstacles] - EXACT_M)
-    assert np.all(found.least >= 0)
+    assert np.all(result.least[:obstacles] >= result.proven[:obstacles] - EXACT_M)
+    assert np.all(result.least >= 0)
 
 
 def test_the_bound_is_neither_violated_nor_idle():
-    found = falsify(printed("static", CHOSEN)[1], 1500, seed=0)
-    assert 0.6 < found.ratio[0] <= 1, "the debris is approached to within what the proof leaves open"
+    result = falsify(printed("static", CHOSEN)[1], 1500, seed=0)
+    assert 0.6 < result.ratio[0] <= 1, "the debris is approached to within what the proof leaves open"
 
 
 @pytest.mark.slow
@@ -77,13 +77,13 @@ def test_the_bound_is_neither_violated_nor_idle():
 def test_many_trajectories_violate_nothing(name):
     """20,000 of each of five scenes; a million in a campaign."""
     count = fewer(200_000, 20_000)
-    found = falsify(synthesised(name)[1], count, seed=7)
-    told = found.summary()
-    print(f"\n{name}: {found.runs} trajectories, {told['runs_per_s']:.0f} per second")
-    for row in told["limits"]:
+    result = falsify(synthesised(name)[1], count, seed=7)
+    summary = result.summary()
+    print(f"\n{name}: {result.runs} trajectories, {summary['runs_per_s']:.0f} per second")
+    for row in summary["limits"]:
         least, proven = row["least"], row["proven"]
         print(f"  {row['limit']:20} {least:10.4g} of {proven:10.4g} {row['proven_share']:6.1%}")
-    assert found.failure is None and found.runs == count
+    assert result.failure is None and result.runs == count
 
 
 def test_same_seed_same_search():
@@ -178,23 +178,23 @@ def test_printed_ball_without_thrust_limits_is_caught(tmp_path, monkeypatch):
     take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)
     schedule = synthesize(scenario)
-    found = falsify(schedule, 3000)
-    assert found.failure is not None and found.failure.kind == "saturation"
-    assert found.failure.margin < 0 and found.runs < 3000
-    path = write_case(tmp_path / "ball.json", scenario, found)
+    result = falsify(schedule, 3000)
+    assert result.failure is not None and result.failure.kind == "saturation"
+    assert result.failure.margin < 0 and result.runs < 3000
+    path = write_case(tmp_path / "ball.json", scenario, result)
     failure, again = replay(path)
-    assert failure == found.failure and again.to_dict() == scenario.to_dict()
+    assert failure == result.failure and again.to_dict() == scenario.to_dict()
     done = CliRunner().invoke(app, ["replay", str(path)])
-    assert done.exit_code == 5 and f"at t = {found.failure.time_s:g} s" in done.stdout
+    assert done.exit_code == 5 and f"at t = {result.failure.time_s:g} s" in done.stdout
 
 
 def test_a_schedule_that_ignores_its_proof_collides():
     schedule = synthesised("static", CHOSEN)[1]
     step = next(step for step in schedule.steps if step.mode == 1)
     reckless = replace(schedule, steps=tuple(replace(s, mode=step.mode) for s in schedule.steps))
-    found = falsify(reckless, 500)
-    assert found.failure is not None and found.failure.kind == "unsafe set"
-    assert found.failure.limit == "debris" and found.failure.margin < 0
+    result = falsify(reckless, 500)
+    assert result.failure is not None and result.failure.kind == "unsafe set"
+    assert result.failure.limit == "debris" and result.failure.margin < 0
 
 
 def test_a_tube_that_is_too_thin_is_caught():
@@ -209,9 +209,9 @@ def test_a_tube_that_is_too_thin_is_caught():
         for step in schedule.steps
     )
     assert falsify(schedule, 600).failure is None
-    found = falsify(replace(schedule, steps=thin), 600)
-    assert found.failure is not None and found.failure.kind == "margin"
-    assert found.failure.margin > 0, "it enters nothing; it only comes closer than was claimed"
+    result = falsify(replace(schedule, steps=thin), 600)
+    assert result.failure is not None and result.failure.kind == "margin"
+    assert result.failure.margin > 0, "it enters nothing; it only comes closer than was claimed"
 
 
 def springy(**more):
@@ -274,8 +274,8 @@ def test_errors_of_estimates_are_steered_through_a_network():
 
 def test_gradients_of_a_network_find_what_chance_does_not(monkeypatch):
     schedule = springy()
-    found = falsify(schedule, 300)
-    assert found.failure is not None and found.failure.kind == "margin"
+    result = falsify(schedule, 300)
+    assert result.failure is not None and result.failure.kind == "margin"
     claims, flight = flight_of(schedule)
     chance = Attacker(claims, flight, np.random.default_rng(0)).random(3000)
     assert attained(claims, chance.fly(flight)).below.max() < -EXACT_M
@@ -300,17 +300,17 @@ def test_where_there_is_nothing_to_hit_the_thrust_limits_are_attacked():
     scenario, schedule = tiny()
     safety = get_safety(replace(schedule.safety.problem, unsafe=()))
     law = AnyThrust("anything", scenario.system(), safety.reference, safety.tracking)
-    found = falsify(synthesize(safety, experimental=[law]), 200)
-    assert found.failure is None and found.names == scenario.system().input_names
-    assert (found.proven <= found.least).all()
+    result = falsify(synthesize(safety, experimental=[law]), 200)
+    assert result.failure is None and result.names == scenario.system().input_names
+    assert (result.proven <= result.least).all()
 
 
 def test_case_that_was_changed_is_refused(tmp_path):
     scenario, schedule = tiny()
-    found = falsify(replace(schedule, steps=tuple(replace(s, mode=1) for s in schedule.steps)), 400)
-    assert found.failure is not None
-    data = json.loads(write_case(tmp_path / "case.json", scenario, found).read_text(encoding="utf-8"))
-    assert data["x0"] == found.case[0].x0[0].tolist()
+    result = falsify(replace(schedule, steps=tuple(replace(s, mode=1) for s in schedule.steps)), 400)
+    assert result.failure is not None
+    data = json.loads(write_case(tmp_path / "case.json", scenario, result).read_text(encoding="utf-8"))
+    assert data["x0"] == result.case[0].x0[0].tolist()
     changes = {"schedule": ["0" * 64], "version": [1], "format": ["other"]}
     changes["x0"] = [["nan?"], [None] * len(data["x0"])]
     changes |= {"violation": [{**data["violation"], "kind": "abort"}, {}], "failing": [{"begins": 0}]}
@@ -348,8 +348,8 @@ def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["falsify", str(TINY), "--runs", "200", "--json"])
     assert done.exit_code == 0
-    told = json.loads(done.stdout)
-    assert told["runs"] == 200 and not told["violated"] and len(told["limits"]) >= 3
+    summary = json.loads(done.stdout)
+    assert summary["runs"] == 200 and not summary["violated"] and len(summary["limits"]) >= 3
     take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)
     (tmp_path / "stiff.toml").write_text(scenario.to_toml(), encoding="utf-8")

@@ -29,15 +29,15 @@ def tracking(given):
 @pytest.mark.parametrize("name", MOST)
 def test_what_s_needs_for_ever_is_little_more_than_its_fixed_point(name):
     """The fixed point of commands and errors bounds a flight that has always been under S alone."""
-    given, most, command = MOST[name]
-    found = tracking(given)
-    C, limits = found.system.position, found.tightening
-    needed = found.settled(C).max()
-    assert needed <= most
+    given, bound, command = MOST[name]
+    tracker = tracking(given)
+    C, limits = tracker.system.position, tracker.tightening
+    needed = tracker.settled(C).max()
+    assert needed <= bound
     alone = limits.settled()
-    least = limits.from_rest(found.whole(C), alone)[-1].max()
+    least = limits.from_rest(tracker.whole(C), alone)[-1].max()
     assert least <= needed * (1 + 1e-9) and needed <= 1.06 * least
-    last = alone if found.profile is None else found.profile[-1]
+    last = alone if tracker.profile is None else tracker.profile[-1]
     assert (
         np.all(alone <= last * (1 + 1e-9)) and np.all(last <= 1.06 * alone) and last.max() <= command * 1e-3
     )
@@ -45,8 +45,8 @@ def test_what_s_needs_for_ever_is_little_more_than_its_fixed_point(name):
 
 def test_a_bound_of_an_axis_is_reached_by_the_signs_that_count():
     """Without errors that grow with commands the bound at a node is a sum that an adversary attains."""
-    found = tracking((*ESTIMATE, *DELAY))
-    limits, row = found.tightening, found.whole(found.system.position[:1])
+    tracker = tracking((*ESTIMATE, *DELAY))
+    limits, row = tracker.tightening, tracker.whole(tracker.system.position[:1])
     F, z = limits.closed.F, np.zeros(limits.closed.loop.N)
     channel = next(c for c in limits.closed.loop.channels if c.name == "estimate")
     adds = limits.closed.sampled(channel)
@@ -55,6 +55,6 @@ def test_a_bound_of_an_axis_is_reached_by_the_signs_that_count():
         z = F @ z + adds @ (channel.size * np.sign(rows[age] @ adds))
     quiet = sum(float(np.abs(r @ adds) @ channel.size) for r in rows)
     assert row[0] @ z == pytest.approx(quiet, rel=1e-9)
-    assert limits.response(channel, row, found.system.position[:1]).at(np.tile(channel.size, (200, 1)))[
+    assert limits.response(channel, row, tracker.system.position[:1]).at(np.tile(channel.size, (200, 1)))[
         200
     ] == pytest.approx(quiet, rel=1e-6)

@@ -29,7 +29,7 @@ def cells(name):
 
 
 def numbers(text):
-    return [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?", text)]
+    return [float(digits) for digits in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
 def test_every_file_has_a_figure_a_row_a_section_and_a_picture():
@@ -147,11 +147,11 @@ def test_a_leg_of_twelve_hours_is_proved_within_two_minutes():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_what_a_run_gives(name, tmp_path):
-    found = missions.run(name, tmp_path)
-    parts = [cell.strip() for cell in found.row.strip("|").split("|")]
+    result = missions.run(name, tmp_path)
+    parts = [cell.strip() for cell in result.row.strip("|").split("|")]
     shown = cells(name)
     for head, real in zip(missions.HEADS, parts, strict=True):
         if head not in ("Synthesis [CPU-s]", "Mission"):
             assert numbers(real) == pytest.approx(numbers(shown[head]), rel=0.03, abs=0.06), head
             assert re.sub(r"[-\d.]+", "", real) == re.sub(r"[-\d.]+", "", shown[head])
-    assert found.seconds <= 60
+    assert result.seconds <= 60

@@ -1,4 +1,4 @@
-"""What S needs after a hand-over, against a flight computer of its own: every unit of every error is flown.
+"""Needs of S after a hand-over, against a flight computer of its own: every unit of error is flown.
 
 Another law flies before node `BEFORE`, S after it, and neither is told what disturbs. The loop is linear in
 the errors, so the worst case is the sum of what a unit of each of them does, times the largest size that it
@@ -113,7 +113,7 @@ class Flight:
 def worst(s):
     """Largest ``e - M(t) e_0`` at all parts of periods after a hand-over, of commands alike."""
     system, p, m, n = s.system, s.system.p, s.system.m, s.system.n
-    most = np.minimum(s._since(s.profile), system.u_max)
+    limits = np.minimum(s._since(s.profile), system.u_max)
     shift = hold(system.A, system.B, H)[1] / H  # sets of other laws leave carried impulses out
     states, commands = np.zeros((AFTER * PARTS + 1, n)), np.zeros((AFTER, m))
     for k in range(BEFORE + AFTER):
@@ -129,7 +129,7 @@ def worst(s):
             if i < AFTER:
                 u[i] += e @ s.gain.T
             e = e @ (place[0] - place[1] @ s.gain).T
-        before = system.u_max if k < BEFORE else most[k - BEFORE]
+        before = system.u_max if k < BEFORE else limits[k - BEFORE]
         thrust = system.thrusters.error(before)
         if system.observer is not None:
             noise = system.observer.noise + np.abs(system.observer.measures) @ (
@@ -137,7 +137,7 @@ def worst(s):
             )
         elif system.timing.missed:
             lag = k - BEFORE - system.timing.unseen[0][0]
-            noise = system.estimate_off(system.u_max if lag < 0 else most[lag])
+            noise = system.estimate_off(system.u_max if lag < 0 else limits[lag])
         else:
             noise = np.array(system.timing.measured) + system.displaced - system.carried_away
         for moved, total in ((x - own, states), (u, commands)):
@@ -151,11 +151,11 @@ def worst(s):
 
 
 def stated(s):
-    """What a certificate would state of the system, as the checker reads it."""
+    """Return what a certificate would state of the system, as the checker reads it."""
     system, errors, timing = s.system, s.system.thrusters, s.system.timing
     seen, nothing = system.observer, [0.0] * system.n
     estimate = system.navigation.tolist()
-    found = SimpleNamespace(
+    document = SimpleNamespace(
         **{name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")},
         C=system.position.tolist(),
         w_max=system.w_max,
@@ -184,18 +184,18 @@ def stated(s):
         profile=[],
     )
     if seen is not None:
-        found.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
-        found.observer["noise"] = seen.noise.tolist()
+        document.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
+        document.observer["noise"] = seen.noise.tolist()
     if s.profile is not None:
-        found.profile = s.profile.tolist()
-    return found
+        document.profile = s.profile.tolist()
+    return document
 
 
 def checker_needs(s, rows):
     """Build what the checker needs along rows of the error, of commands without rows."""
     document = stated(s)
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
-    profile = [[arb(x) for x in most] for most in document.profile]
+    profile = [[arb(x) for x in level] for level in document.profile]
     memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
     return Needs(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
 
@@ -211,8 +211,8 @@ def checked(s, rows):
     nodes = [(magnitude(rows) * box).entries() for rows in needs.carried[: AFTER + 1]]
     handed = [nodes, [needs.boxed(box, lag) for lag in range(AFTER + 1)]]
     parts = zip((needs.at_nodes, needs.disturbed), handed, strict=True)
-    found = [[sums(*pair) for pair in zip(a[: AFTER + 1], b, strict=True)] for a, b in parts]
-    each = (np.array([[float(x) for x in need] for need in some]) for some in found)
+    total = [[sums(*pair) for pair in zip(a[: AFTER + 1], b, strict=True)] for a, b in parts]
+    each = (np.array([[float(x) for x in need] for need in some]) for some in total)
     return *each, np.array([float(x) for x in noise])
 
 
@@ -256,8 +256,8 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
     K = s.commands[: s.system.m]
     by_tracking = s.responses(rows, s.profile)[ages] + handed(s, rows)[ages], needed(s, rows, ages)
     by_checker = checked(s, rows)
-    told = (s.responses(K, s.profile)[:-1] + handed(s, K))[:AFTER] + s.noise
-    asked = told, checked(s, None)[0][:AFTER] + by_checker[2]
+    demand = (s.responses(K, s.profile)[:-1] + handed(s, K))[:AFTER] + s.noise
+    asked = demand, checked(s, None)[0][:AFTER] + by_checker[2]
     within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
     for nodes, disturbance in (by_tracking, by_checker[:2]):
         share = states[::PARTS] / np.maximum(nodes, 1e-12)
@@ -294,22 +294,22 @@ def along(s, nu, planned, by_step=(), between=True):
     """Return needs along states at nodes, and commands that they are bounded for, on both sides."""
     cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
     own = Scheduled(s, SimpleNamespace(nu=nu, cells=cells), planned)
-    found, commanded = own.along(rows, between), [own.commanded]
+    needs, commanded = own.along(rows, between), [own.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
     document.known_to = lambda k: document.estimate
     if len(by_step):
         document.calmest = np.min(by_step, axis=0).tolist()
         document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
-    profile = [[arb(x) for x in most] for most in document.profile]
+    profile = [[arb(x) for x in level] for level in document.profile]
     memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
     arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
     path = SimpleNamespace(planned=planned, arcs=arcs)
     checks = CheckedSchedule(document, craft, memory, path)
-    commanded.append(np.array([[float(x) for x in most] for most in checks.commanded]))
+    commanded.append(np.array([[float(x) for x in level] for level in checks.commanded]))
     checked_along = checks.along(Needs(craft, memory, matrix(rows.tolist())), between)
     other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
-    nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (found, np.array(other))]
+    nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (needs, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
 
 
@@ -331,14 +331,14 @@ def test_scheduled_commands_count_until_they_are_measured():
     ((hidden, unseen),) = system.timing.unseen
     assert hidden == 3
     thrust, noise = units(s, cells)
-    for found, commanded in along(s, nu, cells):
+    for needs, commanded in along(s, nu, cells):
         assert np.all(commanded >= np.abs(nu)) and np.all(commanded[3:] < commanded[2])
         part, late = system.thrusters.part(commanded), np.zeros((cells, 4))
         for k in range(1, cells):
             late[k] = np.array(unseen) @ part[max(k - 3, 0) : k].max(axis=0)
         exact = [sum(part[k] @ thrust[L - k] + late[k] @ noise[L - k] for k in range(L)) for L in (5, 6, 7)]
-        assert np.all(found[5:8] >= np.array(exact) * (1 - 1e-6))
-        assert np.all(found[5:8] <= np.array(exact) * 2)
+        assert np.all(needs[5:8] >= np.array(exact) * (1 - 1e-6))
+        assert np.all(needs[5:8] <= np.array(exact) * 2)
 
 
 def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
@@ -349,13 +349,13 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
     cells, planned = 9, 5
     more = np.vstack([by_step[:5], np.tile(by_step[5], (4, 1))]) - base
     noise = units(s, 60)[1]
-    for found, _ in along(s, np.zeros((cells, 2)), planned, by_step):
+    for needs, _ in along(s, np.zeros((cells, 2)), planned, by_step):
         for L in range(1, cells + 1):
             exact = sum(more[k] @ noise[L - k] for k in range(L))
             if planned <= L:  # as if the tail had always been flown
                 exact = np.maximum(exact, np.einsum("tri,r->i", noise[1:], more[-1]))
-            assert np.all(found[L] >= exact * (1 - 1e-6)), L
-            assert np.all(found[L] <= exact * 1.2 + 1e-2), L
+            assert np.all(needs[L] >= exact * (1 - 1e-6)), L
+            assert np.all(needs[L] <= exact * 1.2 + 1e-2), L
 
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():
@@ -364,12 +364,12 @@ def test_later_turns_of_the_tail_are_bounded_by_the_first():
     nu = np.zeros((planned + tail, 2))
     nu[planned:], nu[planned] = [0.2, -0.3], [0.5, -0.6]
     thrust, _ = units(s, planned + 4 * tail)
-    for found, commanded in along(s, nu, planned, between=False):
+    for needs, commanded in along(s, nu, planned, between=False):
         assert np.all(commanded[planned + tail // 2 :] == commanded[-1]) and commanded[-1].max() > 0
         part = s.system.thrusters.part(np.vstack([commanded[:planned], *[commanded[planned:]] * 4]))
         exact = np.array([sum(part[k] @ thrust[L - k] for k in range(L)) for L in range(1, len(part) + 1)])
         turns = exact[planned:].reshape(4, tail, -1).max(axis=0)
-        assert np.all(found[planned + 1 :] >= turns * (1 - 1e-6))
+        assert np.all(needs[planned + 1 :] >= turns * (1 - 1e-6))
 
 
 def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
@@ -439,7 +439,7 @@ def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters
 def test_what_holds_ever_after_is_the_largest_of_all_later_nodes():
     s = tracking(delay=1.0)
     falling = np.linspace(2.0, 1.0, s.tightening.horizon + 3)[:, None]
-    found = s._by_age(falling)
-    assert found[-1, 0] == falling[s.memory + 2, 0] and np.all(
-        found[: s.memory + 2] == falling[: s.memory + 2]
+    needs = s._by_age(falling)
+    assert needs[-1, 0] == falling[s.memory + 2, 0] and np.all(
+        needs[: s.memory + 2] == falling[: s.memory + 2]
     )

@@ -236,10 +236,10 @@ def test_a_key_of_many_parts_is_never_parsed(text, tmp_path, monkeypatch):
 
 def test_dots_in_comments_and_texts_do_not_count(tmp_path):
     dots = "." * 2000 + " a.b" * 100
-    told = TINY.read_text(encoding="utf-8").replace("title", f"# {dots}\ntitle", 1)
-    (tmp_path / "x.toml").write_text(told, encoding="utf-8")
+    text = TINY.read_text(encoding="utf-8").replace("title", f"# {dots}\ntitle", 1)
+    (tmp_path / "x.toml").write_text(text, encoding="utf-8")
     assert load_scenario(tmp_path / "x.toml").name == "tiny"
-    (tmp_path / "scenario.toml").write_text(told, encoding="utf-8")
+    (tmp_path / "scenario.toml").write_text(text, encoding="utf-8")
     read_scenario(tmp_path)
     assert parse_toml(f'x = \'{dots}\'\ny = """\n{dots}"""')["x"] == dots
     assert parse_toml(f'x = """{dots}"""""')["x"] == dots + '""'
@@ -274,7 +274,7 @@ def test_tables_are_measured_before_they_are_loaded(made, monkeypatch):
     assert campaign_formats.Parquet().check(part)[1] == 2
     monkeypatch.setattr(campaign_formats, "LARGEST", part.stat().st_size)
     with pytest.raises(ValueError, match="its columns take more"):
-        monkeypatch.setattr(campaign_formats, "open_regular", lambda path, most: path.open("rb"))
+        monkeypatch.setattr(campaign_formats, "open_regular", lambda path, limit: path.open("rb"))
         monkeypatch.setattr(campaign_formats, "LARGEST", 8)
         campaign_formats.Parquet().check(part)
 
@@ -324,9 +324,9 @@ def test_names_in_traces_reach_no_terminal(tmp_path, changed, more):
 
 
 def test_titles_of_scenarios_reach_neither_terminal_nor_page(made, tmp_path):
-    told = TINY.read_text(encoding="utf-8").splitlines()
-    told = [f"title = {json.dumps(NAME)}" if line.startswith("title") else line for line in told]
-    (tmp_path / "x.toml").write_text("\n".join(told) + "\n", encoding="utf-8")
+    lines = TINY.read_text(encoding="utf-8").splitlines()
+    lines = [f"title = {json.dumps(NAME)}" if line.startswith("title") else line for line in lines]
+    (tmp_path / "x.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     done = polaris(
         "run", tmp_path / "x.toml", "--out", tmp_path / "r", "--no-figures", "--set", "simulation.runs=1"
     )

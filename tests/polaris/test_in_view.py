@@ -84,9 +84,9 @@ def test_a_followed_path_is_that_of_the_law():
 def test_windows_and_their_neighbours():
     mask = in_windows([(2, 5), (9, 10)], 12)
     assert stretches(mask) == [(2, 5), (9, 10)]
-    found = {other.tobytes() for other in neighbours(mask)}
+    masks = {other.tobytes() for other in neighbours(mask)}
     for parts in ([(3, 5), (9, 10)], [(2, 5)], [(2, 10)], [(2, 5), (8, 9)], [(1, 4), (9, 10)]):
-        assert in_windows(parts, 12).tobytes() in found
+        assert in_windows(parts, 12).tobytes() in masks
     assert stretches(np.zeros(4, dtype=bool)) == []
 
 
@@ -141,10 +141,10 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
     hand_overs = HandOvers(tracking, unsafe, K)
     sets = reached_sets([schedule.controllers[1]] * K, safety.start, safety.controller)
     for handed in (sets[0], sets[K // 2]):
-        for body, found in zip(unsafe, hand_overs.since(handed), strict=True):
+        for body, needs in zip(unsafe, hand_overs.since(handed), strict=True):
             rows = -body.normals @ safety.problem.system.position
             exact = error_tube(tracking, handed, rows).over_cells(K, q)
-            assert np.all(found <= exact + 1e-6) and np.all(found >= exact - 0.2 * np.abs(exact).max())
+            assert np.all(needs <= exact + 1e-6) and np.all(needs >= exact - 0.2 * np.abs(exact).max())
     along = hand_overs.along(safety.reference, {k: sets[k] for k in range(K)})
     for i, (body, (need, lack)) in enumerate(zip(unsafe, along, strict=True)):
         tables = (hand_overs.since(sets[k])[i][: K - k] for k in range(K))
@@ -245,8 +245,8 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
 def test_a_budget_comes_first():
     scenario, schedule = printed()
     free, tight = (
-        Worth.beside(schedule, SwitchingRules(delta_v_max=most), schedule.safety)
-        for most in (None, schedule.delta_v[1] / 2)
+        Worth.beside(schedule, SwitchingRules(delta_v_max=budget), schedule.safety)
+        for budget in (None, schedule.delta_v[1] / 2)
     )
     assert free(schedule)[0] and not tight(schedule)[0]
     assert scenario.switching_rules().delta_v_max is None
@@ -269,22 +269,22 @@ def flights(schedule, n=60):
 
 def check_claims(schedule):
     """Every flight keeps the bound on the velocity change and is as near to the goal as is claimed."""
-    problem, found = schedule.safety.problem, schedule.arrival
-    middle, most = schedule.delta_v
-    assert middle <= most
+    problem, arrival = schedule.safety.problem, schedule.arrival
+    middle, bound = schedule.delta_v
+    assert middle <= bound
     alone = simulate(schedule, 60, 3)
-    assert alone.delta_v.max() <= most * (1 + 1e-9)
+    assert alone.delta_v.max() <= bound * (1 + 1e-9)
     runs = flights(schedule)
-    if found.by is None:
+    if arrival.by is None:
         return False
-    node = round(found.by / schedule.safety.tracking.flow.h)
+    node = round(arrival.by / schedule.safety.tracking.flow.h)
     goal = problem.goal.conditions
     rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
     weight = _weights(problem, rows)
     off = distance(goal, (runs.states[:, node] @ rows.T - sides) * weight)
     integrated = 1e-8 * np.abs(runs.states).max()
-    assert off.max() <= found.distance + integrated and found.distance <= found.tolerance
+    assert off.max() <= arrival.distance + integrated and arrival.distance <= arrival.tolerance
     assert runs.delta_v.max() >= alone.delta_v.max() - 1e-12
     return True
 
@@ -304,9 +304,9 @@ def test_the_goal_of_the_small_scene_is_reached():
 def test_a_goal_that_is_too_narrow_is_not_claimed():
     scenario, schedule = synthesised()
     narrow = replace(scenario.problem(), goal_tolerance=1e-9)
-    found = synthesize(narrow, experimental=[])
-    assert found.arrival.reached == "not_proven"
-    assert found.arrival.by is None and found.arrival.distance > 1e-9
+    tried = synthesize(narrow, experimental=[])
+    assert tried.arrival.reached == "not_proven"
+    assert tried.arrival.by is None and tried.arrival.distance > 1e-9
 
 
 @pytest.mark.slow

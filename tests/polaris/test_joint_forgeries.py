@@ -48,8 +48,8 @@ def test_a_set_at_rest_may_not_move_by_a_bit_so_that_nothing_is_assumed_of_it(li
     pillar = lie.certificate["unsafe_sets"][0]
     rows = pillar["offsets"][3][0]
     pillar["offsets"][3][0] = [np.nextafter(float.fromhex(x), np.inf).hex() for x in rows]
-    told = lie.schedule["guarantee"]
-    told["reason"] = told["reason"].replace("(trolley)", "(pillar, trolley)")
+    claim = lie.schedule["guarantee"]
+    claim["reason"] = claim["reason"].replace("(trolley)", "(pillar, trolley)")
     lie.guarantee()
     assert not any(line.startswith("sets at rest") for line in lie.certificate["assumptions"])
     refused(lie.verdict(), "unsafe_sets")

@@ -48,7 +48,7 @@ def module(path):
 def imports(root, packages=("polaris", "reach")):
     """All imports between files of some packages: {(importer, imported): names}."""
     paths = [path for p in packages for path in (root / p).rglob("*.py*") if path.suffix in (".py", ".pyi")]
-    files, found = {module(path.relative_to(root)) for path in paths}, defaultdict(set)
+    files, edges = {module(path.relative_to(root)) for path in paths}, defaultdict(set)
     for path in paths:
         name = module(path.relative_to(root))
         package = name.split(".") if path.stem == "__init__" else name.split(".")[:-1]
@@ -66,8 +66,8 @@ def imports(root, packages=("polaris", "reach")):
                 continue
             for target, what in targets:
                 if target in files and target != name:
-                    found[name, target].add(what)
-    return dict(found)
+                    edges[name, target].add(what)
+    return dict(edges)
 
 
 def room(name):
@@ -101,15 +101,15 @@ def of_the_tree():
     return imports(ROOT)
 
 
-def violations(found):
-    """What breaks the rules."""
-    return upward(found) | circular(found)
+def violations(edges):
+    """Return the imports that break the rules."""
+    return upward(edges) | circular(edges)
 
 
 def test_no_room_imports_upwards_and_no_files_import_in_a_circle():
-    found = of_the_tree()
-    broken = violations(found)
-    assert not broken, f"these imports go upwards or in a circle:\n{told(broken, found)}"
+    edges = of_the_tree()
+    broken = violations(edges)
+    assert not broken, f"these imports go upwards or in a circle:\n{told(broken, edges)}"
 
 
 def test_a_room_has_at_most_fifteen_files_at_one_level():
@@ -126,8 +126,8 @@ def test_there_are_at_most_thirteen_rooms_and_nothing_lies_between_them():
 
 
 def test_the_certificate_imports_nothing_of_the_packages_it_judges():
-    found = of_the_tree()
-    assert not [edge for edge in found if room(edge[0]) == "polaris.certificate" != room(edge[1])]
+    edges = of_the_tree()
+    assert not [edge for edge in edges if room(edge[0]) == "polaris.certificate" != room(edge[1])]
 
 
 TREE = {
@@ -177,7 +177,7 @@ def test_the_walker_finds(name, line, targets, tmp_path):
     assert violations(imports(tmp_path)) == set()
     with (tmp_path / name.replace(".", "/")).with_suffix(".py").open("a", encoding="utf-8") as out:
         out.write(f"\n{line}\n")
-    found = imports(tmp_path)
-    broken = violations(found)
+    edges = imports(tmp_path)
+    broken = violations(edges)
     assert {(name, target) for target in targets} <= broken
-    assert all(part in told(broken, found) for part in (name, *targets))
+    assert all(part in told(broken, edges) for part in (name, *targets))

@@ -11,8 +11,8 @@ LONG = 200  # periods in which all responses die out
 
 def lasting(s):
     """The storage of a loop, and what a period costs."""
-    most, none = s.tightening.settled(), np.zeros(s.system.n)
-    return Inputs.of(s.tightening.closed, s.system, (most, most), none, none).lasting()
+    bound, none = s.tightening.settled(), np.zeros(s.system.n)
+    return Inputs.of(s.tightening.closed, s.system, (bound, bound), none, none).lasting()
 
 
 def peaks(s):
@@ -33,11 +33,11 @@ def test_a_period_costs_no_more_than_with_every_error_at_its_own_worst_frequency
     """Nor less than the square wave of one error, the worst for one command."""
     s = tracking(**case)
     system, p, m = s.system, s.system.p, s.system.m
-    found = peaks(s)
+    highest = peaks(s)
     noise = system.observer.noise if system.observer else np.array(system.timing.measured)
     sizes = np.concatenate([noise, np.full(m, system.timing.carried)])
-    apart = sizes @ found[p + m :] + system.w_max * found[:p].max(axis=0)
-    least = 8 / np.pi**2 * (sizes[:, None] * found[p + m :]).max()
+    apart = sizes @ highest[p + m :] + system.w_max * highest[:p].max(axis=0)
+    least = 8 / np.pi**2 * (sizes[:, None] * highest[p + m :]).max()
     assert least <= lasting(s)[1] <= 1.05 * apart.sum()
 
 

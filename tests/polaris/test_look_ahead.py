@@ -121,16 +121,16 @@ def test_a_wide_beam_finds_the_best_of_all_schedules(seed):
 
 def test_the_default_beam_is_nearly_as_good():
     """Over 200 scenes: how often the best is missed, and by how much on average."""
-    found, best = [], []
+    worths, best = [], []
     for seed in range(200):
         rng = np.random.default_rng(seed)
         scene = Scene.draw(rng, 10, 1 + seed % 2)
         rules = int(rng.integers(1, 5)), int(rng.integers(2, 6))
-        found.append(scene.look_ahead(*rules, beam=SwitchingRules().beam))
+        worths.append(scene.look_ahead(*rules, beam=SwitchingRules().beam))
         best.append(scene.best_of_all(*rules))
-    found, best = np.array(found), np.array(best)
-    assert np.mean(found < best - 1e-9) <= 0.05
-    assert found.sum() >= 0.99 * best.sum()
+    worths, best = np.array(worths), np.array(best)
+    assert np.mean(worths < best - 1e-9) <= 0.05
+    assert worths.sum() >= 0.99 * best.sum()
 
 
 @settings(max_examples=6, deadline=None)
@@ -169,20 +169,20 @@ def share(safety, laws, *rules, **options):
 def test_looser_rules_are_never_worse_in_a_real_scene():
     schedule = tiny()[1]
     safety, laws = schedule.safety, schedule.controllers[1:]
-    found = np.array([[share(safety, laws, "look_ahead", d, c) for c in (1, 2, 4)] for d in (1, 3)])
+    shares = np.array([[share(safety, laws, "look_ahead", d, c) for c in (1, 2, 4)] for d in (1, 3)])
     plain = np.array([[share(safety, laws, "greedy", d, c) for c in (1, 2, 4)] for d in (1, 3)])
-    assert np.all(found >= plain) and found.max() > 0
-    assert np.all(np.diff(found, axis=0) <= 0) and np.all(np.diff(found, axis=1) >= 0)
+    assert np.all(shares >= plain) and shares.max() > 0
+    assert np.all(np.diff(shares, axis=0) <= 0) and np.all(np.diff(shares, axis=1) >= 0)
 
 
 @pytest.mark.slow
 def test_looser_rules_are_never_worse_over_a_grid_in_a_real_scene():
     safety, laws = small_safety(), [small_controllers()[name] for name in ("coasting", "any")]
     for names in (laws[:1], laws, laws[::-1]):
-        found = np.array([[share(safety, names, "look_ahead", d, c) for c in (1, 3, 6)] for d in (1, 4, 9)])
+        shares = np.array([[share(safety, names, "look_ahead", d, c) for c in (1, 3, 6)] for d in (1, 4, 9)])
         plain = np.array([[share(safety, names, "greedy", d, c) for c in (1, 3, 6)] for d in (1, 4, 9)])
-        assert np.all(found >= plain)
-        assert np.all(np.diff(found, axis=0) <= 0) and np.all(np.diff(found, axis=1) >= 0)
+        assert np.all(shares >= plain)
+        assert np.all(np.diff(shares, axis=0) <= 0) and np.all(np.diff(shares, axis=1) >= 0)
 
 
 @pytest.mark.slow

@@ -567,13 +567,13 @@ def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
 
 
 def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
-    """What hardly damps turns: at the horizon a row may be near zero that is larger again later."""
+    """A row may be near zero at the horizon and larger again later, where what hardly damps turns."""
     A, B = np.array([[0, 1], [-1, -0.02]]), np.array([[0.0], [1]])
     limits = Tightening(Loop.of(A, B, 0.5).under(np.array([[0, 0.02]])), np.ones(1), np.array([1.0, 0.02]))
     rows, N = np.array([[1.0, 0], [0, 1], [1, 1], [1, -1]]), limits.horizon
     left = np.abs(rows @ powers(limits.closed.F, 3 * N)[N:]) @ limits.v
-    most = limits.remainder(rows)
-    assert np.all(left.max(axis=0) <= most) and np.all(most <= 40 * left.max(axis=0))
+    bound = limits.remainder(rows)
+    assert np.all(left.max(axis=0) <= bound) and np.all(bound <= 40 * left.max(axis=0))
 
 
 def test_a_loop_that_hardly_settles_is_bounded_for_ever_or_refused():

@@ -93,9 +93,9 @@ def test_no_other_solution_of_the_riccati_equation_passes(seed):
     rng = np.random.default_rng(seed)
     n, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
     A, B, Q, R = rng.normal(size=(n, n)), rng.normal(size=(n, m)), np.eye(n), np.eye(m)
-    found = list(all_solutions(A, B, Q, R))
-    assert sum(stable for _, stable in found) == 1 and len(found) >= 2
-    for K, stable in found:
+    solutions = list(all_solutions(A, B, Q, R))
+    assert sum(stable for _, stable in solutions) == 1 and len(solutions) >= 2
+    for K, stable in solutions:
         assert (judged(A, B, Q, R, K) == "holds") == stable
 
 

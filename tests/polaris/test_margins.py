@@ -42,8 +42,8 @@ def worst_share(schedule, k, substeps):
         modes = np.append(schedule.modes[:last], np.zeros(clearance.cells - last, dtype=int))
         flight = Integrator(schedule, modes, substeps)
         ahead = np.unique(np.geomspace(1, clearance.cells * q, NODES).astype(int)) - 1
-        told = int(schedule.steps[k].margin.time / safety.tracking.flow.h + 0.5) + np.arange(q + 1)
-        nodes = np.unique(np.concatenate([last * q + ahead, told]))
+        bites = int(schedule.steps[k].margin.time / safety.tracking.flow.h + 0.5) + np.arange(q + 1)
+        nodes = np.unique(np.concatenate([last * q + ahead, bites]))
         nodes = nodes[(nodes >= max(last * q, 1)) & (nodes < clearance.cells * q)]
         if not len(nodes):
             continue
@@ -63,14 +63,14 @@ def rooms(safety, node):
     clearance, system, q = safety.clearance, safety.problem.system, safety.clearance.q
     cell, place = divmod(int(node), q)
     normals, index = clearance.obstacle_rows
-    found = np.full(len(normals), np.inf)
+    least = np.full(len(normals), np.inf)
     x = safety.reference.fine(q)[cell, place]
     for o, unsafe in enumerate(clearance.unsafe):
         facet = clearance.facets[cell, o]
         room = unsafe.normals[facet] @ system.position @ x - unsafe.fine(q)[cell, place, facet]
-        found[index[cell, o]] = min(found[index[cell, o]], room)
+        least[index[cell, o]] = min(least[index[cell, o]], room)
     u = safety.reference.nu[cell]
-    return np.concatenate([found, system.u_max + u, system.u_max - u])
+    return np.concatenate([least, system.u_max + u, system.u_max - u])
 
 
 def looked_at(schedule):
@@ -80,14 +80,14 @@ def looked_at(schedule):
 
 
 def linear(schedule, k):
-    """Whether nothing can have clipped up to a step, so that the worst case flown is the worst there is."""
+    """Return True if nothing can have clipped up to a step: the worst case flown is the worst there is."""
     steps = schedule.steps[: k + 1]
     laws = [schedule.controllers[step.mode] for step in steps]
     return all(isinstance(law, AffineController) for law in laws) and not clipped(steps)
 
 
 def clipped(steps):
-    """Whether anything may have clipped in some steps."""
+    """Return True if anything may have clipped in some steps."""
     return any(step.tube.slopes is not None for step in steps)
 
 
@@ -114,17 +114,17 @@ def judge(found):
 
 
 def test_margins_of_random_scenes(tmp_path):
-    found = list(examined((2, 10, 33, 43), tmp_path))
-    assert len(found) >= 10 and len({kind for kind, *_ in found}) == 2
-    judge(found)
+    cases = list(examined((2, 10, 33, 43), tmp_path))
+    assert len(cases) >= 10 and len({kind for kind, *_ in cases}) == 2
+    judge(cases)
 
 
 @pytest.mark.slow
 def test_margins_of_many_random_scenes(tmp_path):
     seeds = range(fewer(100, 50), fewer(200, 80))
-    found = list(examined(seeds, tmp_path))
-    assert len(found) > fewer(150, len(seeds)) and len({kind for kind, *_ in found}) == 2
-    judge(found)
+    cases = list(examined(seeds, tmp_path))
+    assert len(cases) > fewer(150, len(seeds)) and len({kind for kind, *_ in cases}) == 2
+    judge(cases)
 
 
 # -- a share of everything but next to nothing --------------------------------------------------------
@@ -228,11 +228,11 @@ def test_limits_that_are_not_worked_out_are_never_the_tightest(period, monkeypat
     """Margins are those with the exact needs of all limits, of small sets and of sets that reach outside."""
     safety = small_safety(period)
     starts = [share * safety.start for share in (0.0, 0.5, 1.0, 2.0, 5.0, 20.0)]
-    told = [safety.recoverable.margin_at(k, each) for each in starts for k in (0, 5)]
-    assert {margin.inside for margin in told} == {True, False}
+    margins = [safety.recoverable.margin_at(k, each) for each in starts for k in (0, 5)]
+    assert {margin.inside for margin in margins} == {True, False}
     monkeypatch.setattr(continuation, "FIRST", 10**9)
     for margin, whole in zip(
-        told, [safety.recoverable.margin_at(k, x) for x in starts for k in (0, 5)], strict=True
+        margins, [safety.recoverable.margin_at(k, x) for x in starts for k in (0, 5)], strict=True
     ):
         assert (margin.limit, margin.time) == (whole.limit, whole.time)
         assert margin.value == pytest.approx(whole.value, rel=1e-12)
@@ -258,11 +258,11 @@ def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_
     rows, rng = tracking.gain @ tracking.transitions, np.random.default_rng(0)
     ways = np.vstack([rng.normal(size=(60, 4)), *(rows[lag] for lag in (0, 3, 10, 20))])
     ways = ways / np.linalg.norm(ways @ tracking.W.T, axis=1, keepdims=True)
-    most, above = np.full(len(ways), 0.5 * sets.radius(0)), np.full(len(ways), 1e3 * sets.radius(0))
+    below, above = np.full(len(ways), 0.5 * sets.radius(0)), np.full(len(ways), 1e3 * sets.radius(0))
     for _ in range(24):
-        inside = sets.contains(0, (middle := (most * above) ** 0.5)[:, None] * ways)
-        most, above = np.where(inside, middle, most), np.where(inside, above, middle)
-    commanded = np.abs(np.einsum("lmn,rn->rlm", rows, most[:, None] * ways)) + need
+        inside = sets.contains(0, (middle := (below * above) ** 0.5)[:, None] * ways)
+        below, above = np.where(inside, middle, below), np.where(inside, above, middle)
+    commanded = np.abs(np.einsum("lmn,rn->rlm", rows, below[:, None] * ways)) + need
     share = (commanded / tracking.profile).max(axis=(1, 2))
     assert np.all(share <= 1) and share.max() > 0.9
 
@@ -280,8 +280,8 @@ def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path)
         off = size * np.abs(safety.reference.chi).max(axis=0)
         reference = replace(safety.reference)
         vars(reference)["rounding"] = np.tile(off, (reference.cells, 1))
-        found = get_recover(kind, replace(clearance, reference=reference), safety.bounds)
-        printed = found.margin_at(0, 0 * safety.start).value
+        sets = get_recover(kind, replace(clearance, reference=reference), safety.bounds)
+        printed = sets.margin_at(0, 0 * safety.start).value
         assert 1 - 1e6 * size < printed <= np.min(1 - worst @ off / room)
 
 
@@ -301,8 +301,8 @@ def test_proven_numbers_are_rounded_to_their_safe_side(value, form, down, up):
 
 
 def test_what_is_missing_has_the_unit_of_its_limit():
-    told = [missing(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
-    assert told == ["0.1235 m", "0.1235 N", "0.1235"]
+    texts = [missing(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
+    assert texts == ["0.1235 m", "0.1235 N", "0.1235"]
 
 
 def test_a_need_too_small_to_show_beside_one_leaves_less_than_everything():

@@ -79,9 +79,9 @@ def test_tour_is_verified_leg_by_leg_and_at_its_joints(flown):
 def summary_agrees(folder, data):
     """Let the summary repeat what the certificate says."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    told = [{key: value for key, value in each.items() if key != "digest"} for each in data["legs"]]
+    legs = [{key: value for key, value in each.items() if key != "digest"} for each in data["legs"]]
     summary["mission"] |= {key: data[key] for key in ("joints", "delta_v_max_m_s", "assumptions")} | {
-        "legs": told
+        "legs": legs
     }
     (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
 
@@ -346,8 +346,8 @@ def later_nodes(loop, joint, rng, most=3):
     nodes = np.arange(end + 1, end + (400 if n is None else int(4 * np.pi / n / loop.h)))
     phases = nodes if n is None else nodes % (2 * np.pi / n / loop.h)
     given = [nodes[(a <= phases) & (phases <= b)] for a, b in joint["later"] if n is not None or a == 0]
-    found = np.concatenate([[], *given]).astype(int)
-    return rng.choice(found, min(most, len(found)), replace=False).tolist() if len(found) else []
+    later = np.concatenate([[], *given]).astype(int)
+    return rng.choice(later, min(most, len(later)), replace=False).tolist() if len(later) else []
 
 
 def beside_the_pillar(states):
@@ -450,9 +450,9 @@ REFUSED = {
 def test_a_mission_with_a_mistake_is_refused(field, tmp_path):
     document = tour()
     REFUSED[field](document["legs"])
-    with pytest.raises(ScenarioError) as told:
+    with pytest.raises(ScenarioError) as error:
         load_scenario(written(document, tmp_path))
-    assert told.value.field == field
+    assert error.value.field == field
 
 
 TWO_CRAFT = {

@@ -252,8 +252,8 @@ def test_what_is_written_is_read_and_interpolated(tmp_path):
     times = np.arange(0.0, 7200.1, 60.0)
     states = propagate(env, state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5), times)
     read = read_oem(written(tmp_path / "a.oem", Track("a", times[::5], states[::5])))
-    found = read.at([read.epochs[0] + round(t) * SECOND for t in times])
-    assert np.abs(found - states)[:, :3].max() < 1e-3 and np.abs(found - states)[:, 3:].max() < 1e-6
+    again = read.at([read.epochs[0] + round(t) * SECOND for t in times])
+    assert np.abs(again - states)[:, :3].max() < 1e-3 and np.abs(again - states)[:, 3:].max() < 1e-6
     with pytest.raises(ScenarioError, match="covers 2026-01-31T12:00:00"):
         read.at([read.epochs[-1] + 1])
 
@@ -363,8 +363,8 @@ def test_start_sets_hold_every_error_within_sigma(frame):
         Ephemeris("x", "EME2000", "UTC", (0, SECOND), np.array([state, state]), {0: (axes_of, root @ root.T)})
         for state, root in zip((target, chaser), roots, strict=True)
     ]
-    centre, spans, told = start_set(*files, 0, 2.0, rotating)
-    assert np.allclose(centre, to_hill(target, chaser)) and "2 sigma" in told
+    centre, spans, text = start_set(*files, 0, 2.0, rotating)
+    assert np.allclose(centre, to_hill(target, chaser)) and "2 sigma" in text
     draws = rng.normal(size=(4000, 12))
     draws *= 2.0 / np.linalg.norm(draws, axis=1, keepdims=True)
     moved = []
@@ -417,9 +417,9 @@ def test_the_run_covers_its_model_error_and_verifies(client):
     done = CliRunner().invoke(app, ["verify", str(client)])
     assert done.exit_code == 0, done.stdout
     done = CliRunner().invoke(app, ["model-error", str(client), "--json"])
-    told = json.loads(done.stdout)
-    assert done.exit_code == 0 and told["covered"] and told["sampled_m_s2"] < told["bound_m_s2"]
-    assert told["parts_m_s2"]["eccentricity"] > told["parts_m_s2"]["oblateness"] > 0
+    summary = json.loads(done.stdout)
+    assert done.exit_code == 0 and summary["covered"] and summary["sampled_m_s2"] < summary["bound_m_s2"]
+    assert summary["parts_m_s2"]["eccentricity"] > summary["parts_m_s2"]["oblateness"] > 0
     done = CliRunner().invoke(app, ["model-error", str(client), "--set", "orbit.eccentricity_max=0.02"])
     assert done.exit_code == 5 and "TOO SMALL" in done.stdout
     done = CliRunner().invoke(app, ["model-error", str(client), "--set", "planner.gap=0.1"])

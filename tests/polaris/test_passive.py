@@ -92,7 +92,7 @@ def test_drifts_from_clear_steps_stay_clear(seed):
 
 @pytest.mark.slow
 def test_many_drifts_stay_clear():
-    told, tight, seeds = 0, [], range(5000, fewer(5060, 5025))
+    count, tight, seeds = 0, [], range(5000, fewer(5060, 5025))
     for seed in seeds:
         try:
             schedule = drifting(exact(seed), 0.7)
@@ -101,8 +101,8 @@ def test_many_drifts_stay_clear():
         if schedule.passive.least is not None:
             least, _ = flown_drifts(schedule, 20, seed)
             assert least >= schedule.passive.least - 1e-3, seed
-            told, tight = told + 1, [*tight, schedule.passive.least / least]
-    assert told >= len(seeds) / 3 and np.median(tight) > 0.2
+            count, tight = count + 1, [*tight, schedule.passive.least / least]
+    assert count >= len(seeds) / 3 and np.median(tight) > 0.2
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +136,9 @@ def test_a_claim_that_is_too_wide_is_refuted(tiny):
 def test_a_drift_that_comes_too_close_can_be_flown_again(tiny, monkeypatch, tmp_path):
     scenario = load_scenario(TINY).with_assignments([f"abort.drift_s={tiny.passive.flight.abort.horizon}"])
     monkeypatch.setattr(PassiveSafety, "least", 3.0)
-    found = falsify(synthesize(scenario), 200, 0)
-    assert found.failure.kind == "drift" and found.failure.margin < 3
-    assert str(replay(write_case(tmp_path / "case.json", scenario, found))[0]) == str(found.failure)
+    result = falsify(synthesize(scenario), 200, 0)
+    assert result.failure.kind == "drift" and result.failure.margin < 3
+    assert str(replay(write_case(tmp_path / "case.json", scenario, result))[0]) == str(result.failure)
     monkeypatch.setattr(PassiveSafety, "least", 0.0)
     assert replay(tmp_path / "case.json")[0] is None
 
@@ -157,8 +157,8 @@ def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
 def test_what_is_required_is_kept_or_refused_with_the_witness():
     kept = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
     assert kept.passive.clear.all() and kept.passive.witness() is None
-    told = drift_told(kept.passive.told())
-    assert "from 0 to 12 s" in told and told.endswith("all of the flight.")
+    text = drift_told(kept.passive.told())
+    assert "from 0 to 12 s" in text and text.endswith("all of the flight.")
     with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
         drifting(load_scenario(TINY), 10 / 12, "abort.required=true")
     assert error.value.exit_code == 3 and error.value.shortfall > 0
@@ -258,14 +258,14 @@ def test_s_spends_no_more_than_its_upkeep_for_ever():
     loop, K = safety.tracking, safety.tracking.gain
     rng, h = np.random.default_rng(0), 0.05
     A, D = held(safety.problem.system.A - safety.problem.system.B @ K, safety.problem.system.D, h)
-    e, w, spent, most = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
+    e, w, spent, largest = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
     for step in range(4000):
         w = rng.normal(size=(200, 2)) if step % 40 == 0 else w
         w[:50] = np.sign(e[:50, 2:]) + 1e-9  # pushes on where it goes
         e = e @ A.T + loop.system.w_max * (w / np.linalg.norm(w, axis=1, keepdims=True)) @ D.T
         spent = spent + np.abs(e @ K.T).sum(axis=1) * h
-        most = max(most, float(np.abs(e @ K.T).sum(axis=1).max()))
-    assert (spent / (4000 * h)).max() <= upkeep.rate and most <= upkeep.rate * (1 + 1e-9)
+        largest = max(largest, float(np.abs(e @ K.T).sum(axis=1).max()))
+    assert (spent / (4000 * h)).max() <= upkeep.rate and largest <= upkeep.rate * (1 + 1e-9)
     assert (spent / (4000 * h)).max() > 0.3 * upkeep.rate
 
 

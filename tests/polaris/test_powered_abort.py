@@ -70,8 +70,8 @@ def attacked(schedule, runs, seed, steps):
         spent = np.abs(tried.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
         tight = max(tight, spent / problem.system.mass / way.delta_v)
         if min(flown.margins[flown.modes > 0], default=0) >= 0:  # else other branches serve the steps before
-            found = attack(flown, runs, seed)
-            assert found.left.min() >= -1e-3 and found.over <= 1e-6, (seed, k)
+            worst = attack(flown, runs, seed)
+            assert worst.left.min() >= -1e-3 and worst.over <= 1e-6, (seed, k)
     return tight
 
 
@@ -92,12 +92,12 @@ def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkey
     ways = tuple(replace(way, delta_v=0.4 * way.delta_v) for way in tiny.powered.ways)
     bold = replace(tiny)
     vars(bold)["powered"] = replace(tiny.powered, ways=ways)
-    found = falsify(bold, 2000, 0)
-    assert found.failure.kind == "abort" and found.abort is not None
-    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN, QUARTER]), found)
+    result = falsify(bold, 2000, 0)
+    assert result.failure.kind == "abort" and result.abort is not None
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN, QUARTER]), result)
     assert replay(case)[0] is None
     monkeypatch.setattr("polaris.runs.case.synthesize", lambda scenario: bold)
-    assert str(replay(case)[0]) == str(found.failure)
+    assert str(replay(case)[0]) == str(result.failure)
     sooner = tuple(replace(way, cell=max(way.cell - 4, k + 1)) for k, way in enumerate(tiny.powered.ways))
     vars(bold)["powered"] = replace(tiny.powered, ways=sooner)
     assert falsify(bold, 2000, 0).failure.limit == "orbit"
@@ -321,8 +321,8 @@ def test_no_branch_is_safe_for_ever_past_a_set_that_moves(forger):
     forged, rests = copy.deepcopy(forger.honest), "the reference does not end on a natural motion trajectory"
     for item in forged["unsafe_sets"]:
         rows = [row for pair in item["offsets"] for row in pair]
-        most = [max(each, key=float.fromhex) for each in zip(*rows, strict=True)]
-        item["offsets"] = [[most, most] for _ in item["offsets"]]
+        highest = [max(each, key=float.fromhex) for each in zip(*rows, strict=True)]
+        item["offsets"] = [[highest, highest] for _ in item["offsets"]]
     for branch in forged["powered"]["branches"]:
         branch["horizon"] = "infinite"
     files = {CERTIFICATE: json.dumps(forged)}

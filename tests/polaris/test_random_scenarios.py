@@ -101,7 +101,7 @@ def changed(data, change):
 
 
 def end_of(data):
-    """What the checker says of the end alone; raises as it does."""
+    """Let the checker judge the end alone; raises as it does."""
     with flint.ctx.workprec(PRECISION):
         argument = Argument(Document(data), Record())
         check_end(argument.document, argument.reference())
@@ -117,7 +117,7 @@ def document(seed):
 
 @pytest.mark.slow
 def test_a_tolerance_that_both_sides_bound_differently_is_no_reason_to_refuse(tmp_path):
-    """What S needs for ever is bounded by the synthesis 1.24 times as high as by the checker here."""
+    """The synthesis bounds what S needs for ever 1.24 times as high as the checker here."""
     errors = ["thrusters.magnitude_error=0.00462", "thrusters.mass_error=0.00549"]
     errors += ["thrusters.impulse_bit_N_s=0.0039", "thrusters.remainder=carried"]
     errors += ["navigation.state_error=[0.003353,0.000428,0.000586]", "tracking.thrust_share=0.908"]
@@ -160,25 +160,25 @@ def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
         for item in copy["unsafe_sets"]:
             item["offsets"] = item["offsets"][:-1]
 
-    told = certificate(schedule, scenario.name)
-    end_of(told)
+    data = certificate(schedule, scenario.name)
+    end_of(data)
     with pytest.raises(Rejected, match="less than one turn") as refused:
-        end_of(altered(told, change))
+        end_of(altered(data, change))
     assert refused.value.claim == "end"
 
 
 def test_nothing_is_safe_for_ever_where_a_set_moves():
     scenario, schedule = tiny()
-    told = certificate(schedule, scenario.name)
-    assert told["horizon"] == "one_period"
-    end_of(told)
+    data = certificate(schedule, scenario.name)
+    assert data["horizon"] == "one_period"
+    end_of(data)
 
     def change(copy):
         copy["horizon"] = "infinite"
         restate(copy)
 
     with pytest.raises(Rejected, match="unsafe sets move: trolley"):
-        end_of(altered(told, change))
+        end_of(altered(data, change))
 
 
 @pytest.mark.slow
@@ -196,15 +196,15 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
 
 
 def is_late(schedule, k, margin):
-    """Whether what limits a step lies beyond the loop's memory."""
+    """Return True if what limits a step lies beyond the loop's memory."""
     tracking = schedule.safety.tracking
     return margin.time > (k + 1) * tracking.delta + tracking.memory * tracking.flow.h
 
 
 def test_a_few_random_proofs_verify(tmp_path):
-    found = list(verdicts(FEW[:2], tmp_path))
-    assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in found) == 2
-    judge(found)
+    proofs = list(verdicts(FEW[:2], tmp_path))
+    assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in proofs) == 2
+    judge(proofs)
 
 
 def clipped_verdicts(seeds, folder):
@@ -232,24 +232,24 @@ def clipped_verdicts(seeds, folder):
 
 
 def test_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts((0,), tmp_path))
-    assert len(found) == 1
-    assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
+    proofs = dict(clipped_verdicts((0,), tmp_path))
+    assert len(proofs) == 1
+    assert {seed: verdict.text() for seed, verdict in proofs.items() if verdict.exit_code} == {}
 
 
 @pytest.mark.slow
 def test_many_clipped_proofs_verify(tmp_path):
     seeds = range(fewer(250, 80))
-    found = dict(clipped_verdicts(seeds, tmp_path))
-    assert len(found) >= fewer(20, 0.03 * len(seeds))
-    assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
+    proofs = dict(clipped_verdicts(seeds, tmp_path))
+    assert len(proofs) >= fewer(20, 0.03 * len(seeds))
+    assert {seed: verdict.text() for seed, verdict in proofs.items() if verdict.exit_code} == {}
 
 
 @pytest.mark.slow
 def test_many_random_proofs_verify(tmp_path):
-    found = list(verdicts((*range(MANY), *FEW[1:], MERGED), tmp_path))
-    judge(found)
-    proved = [schedule for _, schedule, _ in found if schedule and schedule.guarantee == "proved"]
+    proofs = list(verdicts((*range(MANY), *FEW[1:], MERGED), tmp_path))
+    judge(proofs)
+    proved = [schedule for _, schedule, _ in proofs if schedule and schedule.guarantee == "proved"]
     assert len(proved) >= fewer(100, MANY // 2)
     mixed = sum(0 < schedule.share() < 1 for schedule in proved)
     assert mixed >= len(proved) / 3, "U flies a part of the time in many of them"

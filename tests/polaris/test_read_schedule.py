@@ -95,9 +95,9 @@ def check(folder, scenario, schedule):
     """Check that a written schedule is read as it was, without any search; return it as it is read."""
     place = written(folder, scenario, schedule)
     with no_search(*SOLVERS):
-        found = read_schedule(place)
-        assert_equal(found, schedule, scenario)
-    return found
+        again = read_schedule(place)
+        assert_equal(again, schedule, scenario)
+    return again
 
 
 @pytest.mark.slow
@@ -149,19 +149,19 @@ LONG = "errors, in view", "passive abort required", "powered abort to the goal",
 def test_every_kind_of_choice_is_read(name, tmp_path):
     scenario = load_scenario(TINY).with_assignments(list(VARIANTS[name]))
     schedule = synthesize(scenario)
-    found = check(tmp_path, scenario, schedule)
+    again = check(tmp_path, scenario, schedule)
     assert schedule.share() > 0 or name == "balls"
     assert schedule.safety.tracking.level == SHARES[name.startswith("errors")]  # the second of those tried
-    assert found.safety.tracking.level == schedule.safety.tracking.level
+    assert again.safety.tracking.level == schedule.safety.tracking.level
     if schedule.powered is not None:
-        assert found.powered.told() == schedule.powered.told()
+        assert again.powered.told() == schedule.powered.told()
     with no_search(*SOLVERS):
-        library = list(found.library)
+        library = list(again.library)
     for one, other in zip(library, schedule.library, strict=True):
         assert_equal(one, other, scenario)
     if schedule.worth is not None:
         assert library or name == "budget"
-        assert found.worth({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.worth({0: 0.2, 1: 0.8}, 1.5, 3)
+        assert again.worth({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.worth({0: 0.2, 1: 0.8}, 1.5, 3)
 
 
 MORE = [pytest.param(seed, marks=pytest.mark.slow) for seed in (5000, 5003, 5005, 5006, 5034)]
@@ -198,12 +198,12 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
     scenario = ScheduleScenario.from_dict(box_document())
     sampled = with_boxes(scenario, {"box": hasty()})
     schedule = sampled.schedule if kind == "flies" else sampled.proven
-    found = check(tmp_path, scenario, schedule)
-    assert found.guarantee == ("statistical" if kind == "flies" else "proved")
-    assert found.statement == schedule.statement
+    again = check(tmp_path, scenario, schedule)
+    assert again.guarantee == ("statistical" if kind == "flies" else "proved")
+    assert again.statement == schedule.statement
     if kind == "flies":
         with pytest.raises(ScenarioError, match="box.*must be given"):
-            simulate(found, 2, 0)
+            simulate(again, 2, 0)
         with pytest.raises(ScenarioError, match="must be given where it is run"):
             load_target(str(tmp_path / "run")).schedule()
         given = load_target(str(tmp_path / "run")).schedule({"box": hasty()})
@@ -332,9 +332,9 @@ def test_a_library_that_is_not_proven_is_refused_when_it_is_needed(copied):
 
 def test_a_folder_without_choices_is_read_but_without_a_library(run, copied):
     forge(copied, lambda data: data.pop("choices"))
-    found = read_schedule(copied)
-    assert found.worth is None and len(found.library) == 0
-    assert found.modes.tolist() == read_schedule(run).modes.tolist()
+    again = read_schedule(copied)
+    assert again.worth is None and len(again.library) == 0
+    assert again.modes.tolist() == read_schedule(run).modes.tolist()
 
 
 def test_a_share_of_thrust_that_is_not_told_is_not_guessed(tmp_path):
@@ -395,11 +395,11 @@ def test_controllers_of_ones_own_are_refused(tmp_path):
 
 
 def test_a_schedule_that_is_read_can_be_pickled_and_written_again(run, tmp_path):
-    found = read_schedule(run)
-    again = pickle.loads(pickle.dumps(found))
+    first = read_schedule(run)
+    again = pickle.loads(pickle.dumps(first))
     scenario = load_scenario(run / "scenario.toml")
-    assert_equal(again, found, scenario)
-    assert len(again.library) == len(found.library) > 0
+    assert_equal(again, first, scenario)
+    assert len(again.library) == len(first.library) > 0
     other = written(tmp_path, scenario, again)
     for name in ("certificate.json", "schedule.json", "tubes.npz", "sets.npz", "gains.json"):
         assert (other / name).read_bytes() == (run / name).read_bytes(), name
@@ -430,15 +430,15 @@ def test_a_schedule_that_is_read_flies_and_is_monitored_like_the_one_that_was_wr
     scenario = polaris.load_scenario(run / "scenario.toml")
     made = synthesize(scenario)
     with no_search(*SOLVERS):
-        found = read_schedule(run)
-        flown = polaris.simulate(found, n=4, seed=1)
-        aboard = polaris.Monitor.on(polaris.DecisionGrid.of(found, half_widths=0.001))
+        read = read_schedule(run)
+        flown = polaris.simulate(read, n=4, seed=1)
+        aboard = polaris.Monitor.on(polaris.DecisionGrid.of(read, half_widths=0.001))
     assert np.array_equal(flown.states, polaris.simulate(made, n=4, seed=1).states)
     ground = polaris.Monitor.on(polaris.DecisionGrid.of(made, half_widths=0.001))
     assert np.array_equal(aboard.grid.xi, ground.grid.xi)
     at = polaris.Measurement(0.0, made.safety.problem.initial_set.c)
-    told = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
-    assert told[0] == told[1]
+    answers = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
+    assert answers[0] == answers[1]
 
 
 def test_policies_train_from_a_run_folder(run):

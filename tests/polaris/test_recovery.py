@@ -50,10 +50,10 @@ def check(found, step, after=0):
 
 
 def test_wide_limits_are_met():
-    found = recovery()
-    assert found.needs.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
-    check(found, 0)
-    check(found, 3)
+    limits = recovery()
+    assert limits.needs.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
+    check(limits, 0)
+    check(limits, 3)
 
 
 @pytest.mark.parametrize("step", [0, 3])
@@ -68,8 +68,8 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
 def test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed(cell):
     """Without a claimed share the limits beyond the memory are those of all sets together."""
     flight = Continuation(None, None, None)
-    flight.__dict__["recovery"] = found = recovery((cell, 1))
-    assert found.needs.memory.periods < (CELLS - 1) * Q
+    flight.__dict__["recovery"] = limits = recovery((cell, 1))
+    assert limits.needs.memory.periods < (CELLS - 1) * Q
     with pytest.raises(Rejected):
         flight.keeps({0: Zonotope(column([arb(0)]), identity(1))})
 
@@ -86,12 +86,12 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
 
 
 def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
-    found, start = recovery(), Zonotope(column([arb(0)]), identity(1))
-    room = found.needs.disturbed[-1][0] * 1.2 + 1e-3
-    found.limits.targets[CELLS - 3][1] = [Target(0, room, "wall", room)]
-    found.check_sets({0: start}, {0: 0.1})
+    limits, start = recovery(), Zonotope(column([arb(0)]), identity(1))
+    room = limits.needs.disturbed[-1][0] * 1.2 + 1e-3
+    limits.limits.targets[CELLS - 3][1] = [Target(0, room, "wall", room)]
+    limits.check_sets({0: start}, {0: 0.1})
     with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
-        found.check_sets({0: start}, {0: 0.5})
+        limits.check_sets({0: start}, {0: 0.5})
 
 
 def test_from_rest_a_push_leaves_the_chord_of_its_nodes_by_no_more_than_is_booked():
@@ -109,15 +109,15 @@ def test_from_rest_a_push_leaves_the_chord_of_its_nodes_by_no_more_than_is_booke
 def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at():
     start = Zonotope(column([arb(0)]), identity(1))
     for lag in range(4):
-        found = recovery()
-        exact = start.support(found.needs.carried[lag])[0] + found.needs.disturbed[lag][0]
-        bow = Bows(found.needs, start).next_to(lag)[0]
+        limits = recovery()
+        exact = start.support(limits.needs.carried[lag])[0] + limits.needs.disturbed[lag][0]
+        bow = Bows(limits.needs, start).next_to(lag)[0]
         for share, kept in ((1 + 1e-6, True), (0.99, False)):
             room = exact + bow * share
             cell, place = divmod(lag, Q)
-            found.limits.targets[cell][place] = [Target(0, room, "wall", room)]
+            limits.limits.targets[cell][place] = [Target(0, room, "wall", room)]
             with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
-                found.check_sets({0: start}, {})
+                limits.check_sets({0: start}, {})
 
 
 def test_what_is_over_is_over():
@@ -150,7 +150,7 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
 @pytest.mark.parametrize("node", [0, 3, 100])
 def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not(node):
     """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
-    needs, found = recovery().needs, []
+    needs, needed = recovery().needs, []
     start = Zonotope(column([arb(0)]), identity(1))
     for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
         document = SimpleNamespace(at_nodes=[away], profile=[], error_by_step=[], steps=2, q=3, cells=2)
@@ -158,8 +158,8 @@ def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
         flight, handed = Continuation(document, path, tracker), (HandOver(start, 6, 6),)
         arrival = Arrival(flight, handed, arb(0))
         both = [float(flight.need(needs, handed, 6 + node, around)[0]) for around in (False, True)]
-        found.append((*both, float(arrival.holding(needs))))
-    (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = found
+        needed.append((*both, float(arrival.holding(needs))))
+    (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = needed
     assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
     assert asked_too == asked
     left = 0.2 * abs(float(needs.craft.F[0, 0])) ** node  # of a step of the reference at T
@@ -175,12 +175,12 @@ def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
         boxed=lambda box, lag: [arb(grown[lag])],
         still=lambda box: [arb(0.5)],
     )
-    steps = [float(most) for (most,) in upset(needs, [column([arb(1)])])]
+    steps = [float(largest) for (largest,) in upset(needs, [column([arb(1)])])]
     assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
 
 
 def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
-    """What a unit in every period adds in a scalar loop is a geometric series."""
+    """A unit in every period of a scalar loop adds up to a geometric series."""
     needs = recovery().needs
     factor, periods = needs.craft.F[0, 0], needs.memory.periods
     assert 0 < factor < 1 and needs.late(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()

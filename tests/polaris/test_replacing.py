@@ -77,12 +77,12 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
         (beside / "report.html").write_bytes(b"of the older run")
     other = scenario.with_assignments(["simulation.seed=5"])
     write_run(target, other, schedule, flown())
-    found = contents(target)
-    assert mine.items() <= found.items() and (target / "empty").is_dir()
+    files = contents(target)
+    assert mine.items() <= files.items() and (target / "empty").is_dir()
     assert read_run(target).scenario.simulation.seed == 5
     # figures and report of the older run would belong to nothing any more
-    assert [name for name in found if name.startswith("figures/")] == ["figures/annotated.png"]
-    assert "report.html" not in found
+    assert [name for name in files if name.startswith("figures/")] == ["figures/annotated.png"]
+    assert "report.html" not in files
     draw_run(read_run(target))
     assert (target / "figures" / "annotated.png").read_bytes() == b"mine too"
     assert (target / "figures" / "scene.pdf").read_bytes() == b"drawn"
@@ -154,13 +154,13 @@ def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, seco
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_bytes(f"theirs {name}".encode())
     write(target, dict.fromkeys(second, b"second"))
-    found = contents(target)
-    del found[ownership.MANIFEST]
-    assert {name for name, text in found.items() if text == b"second"} == second
-    assert b"first" not in found.values()
-    kept = sorted(text for text in found.values() if text != b"second")
+    files = contents(target)
+    del files[ownership.MANIFEST]
+    assert {name for name, text in files.items() if text == b"second"} == second
+    assert b"first" not in files.values()
+    kept = sorted(text for text in files.values() if text != b"second")
     assert kept == sorted(f"theirs {name}".encode() for name in theirs)
-    assert {name for name in theirs if together({name}, second)} - second <= set(found)
+    assert {name for name in theirs if together({name}, second)} - second <= set(files)
     assert [path.name for path in target.parent.iterdir()] == ["run"]
 
 
@@ -391,9 +391,9 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
         command = [sys.executable, "-c", KILLED, "new", str(step), "replacing"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
         tidy(tmp_path)
-        found = contents(target)
-        assert found.pop("notes") == b"mine"
-        assert (found["a"], found["b"]) in {(b"old", b"old"), (b"new", b"new")}, step
+        files = contents(target)
+        assert files.pop("notes") == b"mine"
+        assert (files["a"], files["b"]) in {(b"old", b"old"), (b"new", b"new")}, step
         assert [path.name for path in tmp_path.iterdir()] == ["run"], step
         if done.returncode == 0:
             break
@@ -413,8 +413,8 @@ def test_killed_at_any_moment_files_that_are_added_are_whole_and_listed(tmp_path
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
         code, step = done.returncode, step + 1
         assert code in (0, -signal.SIGKILL), done.stderr
-        found = contents(target)
-        assert found["notes"] == b"mine" and {found["a"], found["b"]} <= {b"old", b"new"}
+        files = contents(target)
+        assert files["notes"] == b"mine" and {files["a"], files["b"]} <= {b"old", b"new"}
         for word in (b"newer", b"old"):
             with replacing.adding(target) as beside:
                 for name in ("a", "b"):
@@ -470,11 +470,11 @@ def test_a_full_disk_names_the_path_and_the_way_on(tmp_path, size):
 )
 def test_every_way_a_disk_refuses_is_one_message(tmp_path, error, said):
     nested = tmp_path / "out" / "run"
-    with pytest.raises(CannotWrite) as told, replacing.replacing(tmp_path / "out") as beside:  # noqa: SIM117
+    with pytest.raises(CannotWrite) as refusal, replacing.replacing(tmp_path / "out") as beside:  # noqa: SIM117
         with replacing.replacing(beside / "run"):
             raise error
-    assert str(tmp_path / "out") in str(told.value) and "nothing is left there" in str(told.value)
-    assert ("Free some space" in str(told.value)) == said and ".new-" not in str(told.value)
+    assert str(tmp_path / "out") in str(refusal.value) and "nothing is left there" in str(refusal.value)
+    assert ("Free some space" in str(refusal.value)) == said and ".new-" not in str(refusal.value)
     assert list(tmp_path.iterdir()) == [] and not nested.exists()
     with pytest.raises(CannotWrite, match="nothing is left"), replacing.replacing_file(tmp_path / "x.csv"):
         raise error

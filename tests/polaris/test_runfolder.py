@@ -60,7 +60,7 @@ def test_same_seed_same_bytes_times_apart(folder, tmp_path):
 
 
 def belong_somewhere(seconds):
-    """Whether all times but the total add up to it, and none is negative but by rounding."""
+    """Return True if all times but the total add up to it, and none is negative but by rounding."""
     named = [spent for stage, spent in seconds.items() if stage not in ("total", "plan_parts")]
     return math.isclose(sum(named), seconds["total"], rel_tol=1e-9) and min(named) > -1e-6
 
@@ -117,10 +117,10 @@ def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_p
     assert list(compared.results) == list(alone)
     folder = write_comparison(tmp_path / "compared", scenario, compared)
     for name in alone.values():
-        told = f"U alone ({name})"
-        assert told in str({key: text for key, _, text in shown.sections}["numbers"])
-        assert told in [pilot["name"] for pilot in shown.data["pilots"]]
-        assert told in [method["name"] for method in folder.summary["methods"]]
+        title = f"U alone ({name})"
+        assert title in str({key: text for key, _, text in shown.sections}["numbers"])
+        assert title in [pilot["name"] for pilot in shown.data["pilots"]]
+        assert title in [method["name"] for method in folder.summary["methods"]]
     assert {one.metrics.switches.max() for one in compared.results.values()} == {0}
     show_summary(run.summary, "here")
     words = capsys.readouterr().out
@@ -142,8 +142,8 @@ def test_summary_holds_the_promised_keys(folder):
         assert set(summary[who]) - {"controller", "drift_horizon_s"} <= set(summary["definitions"])
     assert {"bounds", "plan", "recoverable", "schedule", "total"} <= set(summary["synthesis"]["seconds"])
     assert {"status", "gap", "solver", "delta_v_m_s", "margin_m"} <= set(summary["synthesis"]["planner"])
-    told = {"kind", "horizon", "until_s", "reason", "assumptions", "goal", "upkeep"}
-    assert set(summary["guarantee"]) == told
+    claims = {"kind", "horizon", "until_s", "reason", "assumptions", "goal", "upkeep"}
+    assert set(summary["guarantee"]) == claims
     assert summary["guarantee"]["kind"] == "proved" and summary["seed"] == 0
     assert summary["experimental"]["collided"] and summary["experimental"]["min_distance_m"] < 0
     for who in ("safety", "polaris"):
@@ -273,9 +273,9 @@ def test_damaged_file_is_one_readable_error(folder, tmp_path, name, damage):
     copy = tmp_path / "copy"
     shutil.copytree(folder.path, copy)
     (copy / name).write_bytes(damage)
-    with pytest.raises(ScenarioError) as told:
+    with pytest.raises(ScenarioError) as error:
         read_run(copy).picture()
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 def test_pickled_arrays_are_refused(folder, tmp_path):

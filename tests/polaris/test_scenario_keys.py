@@ -111,7 +111,7 @@ def _joined(options):
 
 
 def differences(ours, theirs, at="scenario"):
-    """Where two forms differ, for the message."""
+    """Yield the places at which two forms differ, for the message."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         for key in sorted({*ours, *theirs}):
             yield from differences(
@@ -123,8 +123,8 @@ def differences(ours, theirs, at="scenario"):
 
 def test_the_table_is_that_of_the_models():
     """A key that is new in the models: does a claim rest on it? Then check it; then add it to the table."""
-    found = schema()
-    assert not list(differences(of_shape(SCENARIO), of_schema(found, found["$defs"])))
+    tables = schema()
+    assert not list(differences(of_shape(SCENARIO), of_schema(tables, tables["$defs"])))
 
 
 def test_every_kind_that_is_known_is_checked():
@@ -135,9 +135,9 @@ def test_every_kind_that_is_known_is_checked():
 
 
 def test_the_comparison_sees_a_key_that_is_missing_or_changed():
-    found = schema()
+    tables = schema()
     for change in ("horizon.step_s", "gone"):
-        other = copy.deepcopy(found)
+        other = copy.deepcopy(tables)
         if change == "gone":
             del other["$defs"]["SatelliteObstacle"]["properties"]["facets"]
         else:

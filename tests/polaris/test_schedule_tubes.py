@@ -62,7 +62,7 @@ def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name, more
         assert np.all(stored.end.support(rows) - shift[-1] >= nodes[-1] - grain), f"step {k}, at its end"
         between = np.maximum(holds[1:], holds[:-1]) + stored.bow @ np.abs(rows).T
         assert np.all(inside <= between[:, None] + grain), f"step {k}, between the nodes"
-        widths = [found[1:, :n] + found[1:, n : 2 * n] for found in (holds, nodes)]
+        widths = [bounds[1:, :n] + bounds[1:, n : 2 * n] for bounds in (holds, nodes)]
         wider.append((widths[0] / widths[1]).max())
     assert len(wider) > len(schedule.steps) / 3
     assert max(wider) <= WIDER, f"up to {max(wider):.4f} times as wide"

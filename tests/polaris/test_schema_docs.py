@@ -45,9 +45,9 @@ def test_writing_gives_the_page_and_both_schemas(tmp_path):
 
 
 def _tables():
-    found = schema()
-    yield "top level", found
-    yield from found["$defs"].items()
+    tables = schema()
+    yield "top level", tables
+    yield from tables["$defs"].items()
     yield from inspection_schema()["$defs"].items()
 
 

@@ -49,7 +49,7 @@ def flights_of(problem, law, held, count, seed):
     A, B = discretize(system.A, system.B, problem.delta / parts)
     own = law.own.fine(parts)
     x = np.repeat(np.asarray(problem.initial_set.c)[None], count, axis=0)
-    found = np.zeros((count, K, system.n))
+    states = np.zeros((count, K, system.n))
     one = rng.uniform(-1.5, 1.5, (count, 1, m)).clip(-1, 1)
     each = rng.uniform(-1.5, 1.5, (count, K, m)).clip(-1, 1)
     thrust = np.where(rng.random((count, 1, 1)) < 0.5, one, each)
@@ -62,8 +62,8 @@ def flights_of(problem, law, held, count, seed):
             else:
                 u = np.clip(law.own.nu[k] + (own[k, j] - x) @ law.gain.T, -system.u_max, system.u_max)
             x = x @ A.T + u @ B.T
-        found[:, k] = x
-    return found
+        states[:, k] = x
+    return states
 
 
 def least_room(flights, states):
@@ -147,7 +147,7 @@ def test_the_word_of_a_solver_is_not_enough(monkeypatch):
 
 
 def kept(modes, rules, demands):
-    """Whether modes keep the dwell time from every switch to the next, the cap, and every demand."""
+    """Return True if modes keep the dwell time between switches, the cap, and every demand."""
     edges = [k for k in range(1, len(modes)) if modes[k] != modes[k - 1]]
     cap = rules.max_switches
     dwelt = all(b - a >= rules.min_dwell for a, b in zip(edges, edges[1:], strict=False))
@@ -170,9 +170,9 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
     for demand in demands:
         master.demand(demand)
     every = [m for m in product(range(modes), repeat=K) if kept(m, rules, demands)]
-    fewest, found = master.solve()
+    fewest, chosen = master.solve()
     assert fewest == min((m.count(FREE) for m in every), default=K + 1)
-    assert found is None if not every else found in every
+    assert chosen is None if not every else chosen in every
     worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
     best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
     assert best <= master.worth(worths) <= best + 1e-3

@@ -34,10 +34,10 @@ def tiny(*more):
 def test_the_worst_flights_spend_most_of_what_is_proven(errors):
     schedule = tiny(*errors)
     attacker = Attacker.of(schedule, False, np.random.default_rng(1))
-    most = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
+    spent = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
     by_chance = float(attacker.random(20).fly(attacker.flight).delta_v.max())
-    assert by_chance < most <= schedule.delta_v[1] * (1 + 1e-9)
-    assert most > 0.6 * schedule.delta_v[1]
+    assert by_chance < spent <= schedule.delta_v[1] * (1 + 1e-9)
+    assert spent > 0.6 * schedule.delta_v[1]
 
 
 def test_periods_cannot_all_be_the_worst():
@@ -57,10 +57,10 @@ def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp
     without = replace(schedule)  # nothing of what was worked out
     middles = lambda law, steps, *more: sum(np.abs(step.middle).sum() for step in steps)  # noqa: E731
     monkeypatch.setattr(spending, "together", middles)
-    found = falsify(without, 700, seed=3)
-    assert found.failure.kind == "velocity change" and "velocity change" in str(found.failure)
-    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments(NOISY), found)
-    assert str(replay(case)[0]) == str(found.failure)
+    result = falsify(without, 700, seed=3)
+    assert result.failure.kind == "velocity change" and "velocity change" in str(result.failure)
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments(NOISY), result)
+    assert str(replay(case)[0]) == str(result.failure)
     monkeypatch.undo()
     assert replay(case)[0] is None
 
@@ -93,12 +93,12 @@ def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_al
     """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
     from benchmarks import tightness
 
-    told = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
+    table = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
     page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN)[1].split(tightness.END)[0]
-    assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in told]
-    shares = np.array([[float(cell.strip(" %")) for cell in cells[3:]] for cells in told])
+    assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in table]
+    shares = np.array([[float(cell.strip(" %")) for cell in cells[3:]] for cells in table])
     assert np.all(shares <= 100)
-    for cells, (used, *_, alike, unmerged, _) in zip(told, shares, strict=True):
+    for cells, (used, *_, alike, unmerged, _) in zip(table, shares, strict=True):
         assert alike <= used <= unmerged + 1, cells[0]  # each lets a flight do more
 
 
@@ -108,12 +108,12 @@ def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
     """Until the goal and per orbit: the figures of docs/guarantees.md."""
     from benchmarks import tightness
 
-    found = tightness.sums(scene)
-    assert all(1 <= ratio <= most for ratio, most in zip(found.ratios, (1.75, 2.5), strict=True)), found
+    sums = tightness.sums(scene)
+    assert all(1 <= ratio <= limit for ratio, limit in zip(sums.ratios, (1.75, 2.5), strict=True)), sums
     page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN_SUMS)[1]
     row = next(row for row in page.splitlines() if row.startswith(f"| {scene} |"))
     known = [float(cell) for cell in row.split("|")[2:-1]]
-    assert [*found.until_goal, *found.per_orbit] == pytest.approx([known[i] for i in (0, 1, 3, 4)], abs=0.02)
+    assert [*sums.until_goal, *sums.per_orbit] == pytest.approx([known[i] for i in (0, 1, 3, 4)], abs=0.02)
 
 
 @pytest.mark.slow

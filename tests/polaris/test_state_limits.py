@@ -107,8 +107,8 @@ def test_the_covering_cosine_is_the_least_largest_cosine(d, count):
     given = None if d == 1 else count
     e, c = directions(d, given), covering_cosine(d, count)
     v = np.random.default_rng(0).normal(size=(200_000, d))
-    most = (v / np.linalg.norm(v, axis=1, keepdims=True) @ e.T).max(axis=1)
-    assert c - 1e-12 <= most.min() <= c + 0.02
+    cosines = (v / np.linalg.norm(v, axis=1, keepdims=True) @ e.T).max(axis=1)
+    assert c - 1e-12 <= cosines.min() <= c + 0.02
     exact, cosine = exact_directions(d, given)
     assert abs(float(cosine) - c) < 1e-14
     assert np.allclose([[float(x) for x in way] for way in exact], e, atol=1e-15)
@@ -246,7 +246,7 @@ def forger(tmp_path_factory):
 def test_an_honest_run_is_verified(forger):
     verdict = Lie(forger).verdict()
     assert verdict.outcome == "VERIFIED", verdict.text()
-    assert any(told.startswith("limits on the whole state") for told in forger.honest["assumptions"])
+    assert any(line.startswith("limits on the whole state") for line in forger.honest["assumptions"])
 
 
 def _sets(lie, name):
@@ -326,7 +326,7 @@ def test_a_limit_that_is_left_out_everywhere_but_in_the_scenario_is_missed(forge
 @pytest.mark.parametrize("seed", range(fewer(12, 2)))
 def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed, tmp_path):
     """Scenes are first synthesised without limits, to know which speeds their references have."""
-    found = 0
+    count = 0
     for attempt in range(40 * seed, 40 * seed + 40):
         rng, document = np.random.default_rng(attempt), tomllib.loads(random_scenario(attempt))
         path = tmp_path / "scene.toml"
@@ -353,7 +353,7 @@ def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed,
         except PolarisError as error:
             assert error.exit_code in (2, 3, 4), attempt
             continue
-        found += 1
+        count += 1
         verdict = verify(write_run(tmp_path / f"run-{attempt}", scenario, schedule).path)
         assert verdict.exit_code in (0, 7) or schedule.guarantee == "none", (attempt, verdict.text())
         if schedule.guarantee == "proved":
@@ -363,15 +363,15 @@ def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed,
             worst = attack(schedule, 40, attempt)
             assert worst.left.min() > 0 and worst.thrust >= 0, attempt
         break
-    assert found
+    assert count
 
 
 @pytest.mark.parametrize("limits", [f"keep_in=[{OCTAGON}]", f"obstacles=[{PILLAR},{AWAY}]"])
 def test_methods_that_prove_keep_limits_between_nodes(limits):
     scenario = load_scenario(TINY, [SOFT, limits])
-    found = compare_methods(synthesize(scenario), 30, 0, methods=["monitor", "schedule", "experimental"])
-    hit = {key: bool(each.metrics.collided.any()) for key, each in found.results.items()}
-    assert hit == {"monitor": False, "schedule": False, "experimental": True} and not found.refused
+    compared = compare_methods(synthesize(scenario), 30, 0, methods=["monitor", "schedule", "experimental"])
+    hit = {key: bool(each.metrics.collided.any()) for key, each in compared.results.items()}
+    assert hit == {"monitor": False, "schedule": False, "experimental": True} and not compared.refused
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -539,8 +539,8 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_meant_is_refused(name):
-    overrides, told = REFUSED[name]
-    with pytest.raises(ScenarioError, match=told):
+    overrides, reason = REFUSED[name]
+    with pytest.raises(ScenarioError, match=reason):
         scenario = load_scenario(TINY, overrides)
         scenario.obstacles()[-1].timed_polytopes(scenario.system(), 1.0, 1)
         synthesize(scenario)

@@ -56,23 +56,23 @@ class Scene:
         inputs = 0.3 * rng.uniform(-1, 1, (2, K, self.system.m)) * self.system.u_max
         if self.clips:
             inputs[1] = 0.97 * np.sign(inputs[1]) * self.system.u_max
-        start, found = np.array([1.0, -0.5, 0.02, 0.03]), []
+        start, references = np.array([1.0, -0.5, 0.02, 0.03]), []
         for nu in inputs:
             states = [start]
             for u in nu:
                 Ad, _, G = self.held(H * Q)
                 states.append(Ad @ states[-1] + G @ u)
-            found.append((np.array(states), nu))
+            references.append((np.array(states), nu))
         away = np.array([0.02, 0.03, 0.0, 0.01])
-        return found[0], (found[1][0] + away, found[1][1])
+        return references[0], (references[1][0] + away, references[1][1])
 
     @property
     def document(self):
-        found = stated(self.s)
+        document = stated(self.s)
         slopes = np.random.default_rng(2).uniform(0.3, 1, (K, Q, self.system.m)).tolist()
-        found.q, found.delta, found.fits, found.steps = Q, H * Q, [None] * K, K
-        found.slopes = [None if k != 1 or not self.clips else slopes[k] for k in range(K)]
-        return found
+        document.q, document.delta, document.fits, document.steps = Q, H * Q, [None] * K, K
+        document.slopes = [None if k != 1 or not self.clips else slopes[k] for k in range(K)]
+        return document
 
     @property
     def craft(self):
@@ -90,12 +90,12 @@ class Scene:
         path = Path.propagate(
             pilot.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
         )
-        reached, found = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
+        reached, sets = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
         for k in range(K):
             flown = fly(pilot, reached, k, path, None, Merging(1000, 4))
-            found += [reached, *flown.nodes]
+            sets += [reached, *flown.nodes]
             reached = flown.end
-        return [*found, reached]
+        return [*sets, reached]
 
     @property
     def law(self):
@@ -107,12 +107,12 @@ class Scene:
     def synthesised(self):
         """Loop states at the nodes of all steps, as the controllers of the synthesis make them."""
         law = self.law
-        reached, found = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
+        reached, sets = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
         for k in range(K):
             tube = law.fly(reached, k)
-            found += [tube.states[i] for i in range(Q)]
+            sets += [tube.states[i] for i in range(Q)]
             reached = tube.end
-        return [*found, reached]
+        return [*sets, reached]
 
     # -- flying ---------------------------------------------------------------------------------------
 
@@ -146,14 +146,14 @@ class Scene:
             k, j = divmod(i, Q)
             now = (age + i) * PARTS
             seen = track[now - lag]
-            told = [u for u in known for _ in range(PARTS)]  # command of every part of a period so far
+            commands = [u for u in known for _ in range(PARTS)]  # command of every part of a period so far
             if system.observer is None:
                 guess = seen + (noise[i] if i < N else 0)
             elif estimate is None:
                 guess = estimate = seen + first
             else:
                 for part in range(now - lag - PARTS, now - lag):
-                    estimate = estimate @ Ad.T + told[part] @ Gu.T
+                    estimate = estimate @ Ad.T + commands[part] @ Gu.T
                 off = (
                     seen @ system.observer.measures.T + (noise[i - 1]) - estimate @ system.observer.measures.T
                 )
@@ -162,7 +162,7 @@ class Scene:
             if i == N:
                 return z, np.array(known[age:])
             for part in range(now - lag, now):
-                guess = guess @ Ad.T + told[part] @ Gu.T
+                guess = guess @ Ad.T + commands[part] @ Gu.T
             if j == 0:
                 xi, at = safe[k], states[k]
             u = inputs[k] - (guess - at) @ self.gain.T
@@ -247,7 +247,7 @@ def tubes_of(clips, number):
 @pytest.mark.parametrize("clips", [False, True])
 def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
     made, tubes, others = tubes_of(clips, number)
-    rng, most, clipped = np.random.default_rng(number), [], False
+    rng, shares, clipped = np.random.default_rng(number), [], False
     size = np.array([float(x) for x in tubes[Q].size().entries()])
     N = len(size)
     rows = np.vstack([np.eye(N), -np.eye(N), rng.normal(size=(60, N)) / np.maximum(size, 1e-9)])
@@ -258,8 +258,8 @@ def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
         clipped |= bool(np.any(np.abs(commands) >= made.system.u_max))
         for i, (z, bound, other) in enumerate(zip(flown, bounds, more, strict=True)):
             assert np.all(z @ rows.T <= np.minimum(bound, other) + 1e-9), i
-            most.append(((z @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
-    assert max(most) > 0.6
+            shares.append(((z @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
+    assert max(shares) > 0.6
     assert clipped == clips
 
 
@@ -273,8 +273,8 @@ def test_both_programs_find_the_same_sets_of_a_linear_law(number):
     for i, (z, other) in enumerate(zip(tubes, others, strict=True)):
         size = np.array([float(x) for x in z.widths])[:4]
         assert np.all(other.half_widths[:4] >= 0.99 * size), i
-        most = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.displaced
-        assert np.all(other.half_widths[:4] <= most), i
+        bound = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.displaced
+        assert np.all(other.half_widths[:4] <= bound), i
 
 
 def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():

@@ -63,15 +63,15 @@ def test_no_flight_spends_more_whatever_it_is_meant_to_command(case):
     flown, rng, u = Flown(s), np.random.default_rng(0), middles(s.system.m)
     whole = steps(s)
     weights = storage.weights(whole, nowhere(s))
-    most = storage.bound(whole, weights, nowhere(s))
+    bound = storage.bound(whole, weights, nowhere(s))
     spends, count, reached = whole[0].inputs[0].spends, flown.answers.shape[1], 0.0
     ways = rng.normal(size=(PERIODS, count))
     for _ in range(8):  # each time towards where it went
         total = flown.fly(ways, u) + u
         reached = max(reached, float(np.sum(np.abs(total) @ spends)))
         ways = flown.towards(np.sign(total))
-    assert np.sum(np.abs(u) @ spends) < reached <= most
-    assert reached > 0.55 * most
+    assert np.sum(np.abs(u) @ spends) < reached <= bound
+    assert reached > 0.55 * bound
 
 
 MATRIX = {}, {"delay": 1.0}, {"carried": 0.0399}, {"carried": 0.0399, "delay": 1.5, "observer": True}
@@ -110,22 +110,22 @@ def spent_with(s, inputs, M, ways, left):
     size = np.zeros((PERIODS, group[-1] + 1))
     np.add.at(size.T, group, ways.T**2)
     v = ways / np.sqrt(np.maximum(size, 1e-300))[:, group]
-    y, told, total = np.zeros(len(inputs.F)), np.zeros_like(u), 0.0
+    y, commanded, total = np.zeros(len(inputs.F)), np.zeros_like(u), 0.0
     for i in range(PERIODS):
-        told[i] = u[i] - inputs.K @ y + answers @ v[i]
-        made = M @ told[i] + (M - own) @ (left[i] - left[i + 1]) / H
+        commanded[i] = u[i] - inputs.K @ y + answers @ v[i]
+        made = M @ commanded[i] + (M - own) @ (left[i] - left[i + 1]) / H
         y = inputs.F @ y + enter @ v[i] + B @ made
-        across = np.abs(M - own) @ np.abs(told[i])
+        across = np.abs(M - own) @ np.abs(commanded[i])
         total += (
-            (np.abs((1 + np.diag(M)) * told[i]) + across).sum()
+            (np.abs((1 + np.diag(M)) * commanded[i]) + across).sum()
             if carried
-            else np.abs(told[i] + M @ told[i]).sum()
+            else np.abs(commanded[i] + M @ commanded[i]).sum()
         )
     later, better = np.zeros(len(inputs.F)), np.zeros_like(ways)
     for i in reversed(range(PERIODS)):
-        more = (np.eye(len(M)) + M).T @ np.sign(told[i] + M @ told[i])
+        more = (np.eye(len(M)) + M).T @ np.sign(commanded[i] + M @ commanded[i])
         if carried:
-            more = (1 + np.diag(M) + np.abs(M - own).sum(axis=0)) * np.sign(told[i])
+            more = (1 + np.diag(M) + np.abs(M - own).sum(axis=0)) * np.sign(commanded[i])
         more = more + M.T @ B.T @ later
         better[i] = enter.T @ later + answers.T @ more
         later = inputs.F.T @ later - inputs.K.T @ more
@@ -137,7 +137,7 @@ def test_no_flight_with_one_matrix_spends_more(case):
     """At every corner of the matrix, commands in the middle being known; sequences would spend more."""
     (s, inputs), rng = constant(case), np.random.default_rng(0)
     whole, start = about_middles(s, inputs)
-    most = storage.bound(whole, storage.weights(whole, start), start)
+    bound = storage.bound(whole, storage.weights(whole, start), start)
     m, count, reached = s.system.m, inputs.held + (inputs.enter.shape[1] - inputs.held) // 2, 0.0
     for signs in product((-1, 1), repeat=m * m):
         M = np.reshape(signs, (m, m)) * s.system.matrix
@@ -148,9 +148,9 @@ def test_no_flight_with_one_matrix_spends_more(case):
         for _ in range(4):
             total, ways = spent_with(s, inputs, M, ways, left)
             reached = max(reached, total)
-    assert 0.55 * most < reached <= most
+    assert 0.55 * bound < reached <= bound
     varying = steps(s)
-    saved = 1 - most / storage.bound(varying, storage.weights(varying, nowhere(s)), nowhere(s))
+    saved = 1 - bound / storage.bound(varying, storage.weights(varying, nowhere(s)), nowhere(s))
     assert saved > (0.0 if "carried" in case else 0.12)
 
 
@@ -180,11 +180,11 @@ def test_any_weights_are_sound_and_those_chosen_hardly_to_be_bettered():
     s = tracking(delay=1.0, carried=0.01, proportional=True)
     whole, rng = steps(s), np.random.default_rng(0)
     chosen = storage.weights(whole, nowhere(s))
-    least, found = storage.bound(whole, chosen, nowhere(s)), []
+    least, bounds = storage.bound(whole, chosen, nowhere(s)), []
     for _ in range(30):
         r, b = (np.exp(rng.normal(0, 0.3, len(part))) for part in (chosen[0].r, chosen[0].b))
-        found.append(storage.bound(whole, [Weights(w.r * r, w.b * b) for w in chosen], nowhere(s)))
-    assert min(found) > 0.97 * least and np.any(np.isfinite(found))
+        bounds.append(storage.bound(whole, [Weights(w.r * r, w.b * b) for w in chosen], nowhere(s)))
+    assert min(bounds) > 0.97 * least and np.any(np.isfinite(bounds))
     assert (
         storage.bound(whole, [w * 0.5 for w in chosen], nowhere(s)) == np.inf
     )  # too small ones bound nothing
@@ -198,10 +198,10 @@ def test_a_storage_is_bounded_over_a_set_by_little_more_than_it_reaches(seed):
     corners = np.array(np.meshgrid(*[[-1, 1]] * 7)).reshape(7, -1)
     y = G @ corners
     reached = float((after.cost + np.einsum("ik,ij,jk->k", y, after.P, y) / 2 + after.p @ y).max())
-    found = storage.largest(after, Zonotope(np.zeros(4), G))
+    bound = storage.largest(after, Zonotope(np.zeros(4), G))
     again = checked.Storage(matrix(after.P.tolist()), column(after.p.tolist()), arb(after.cost))
     derived = again.largest(Enclosed(arb_mat(4, 1), matrix(G.tolist())))
-    assert reached <= found <= 1.15 * reached and float(derived) == pytest.approx(found, rel=1e-3)
+    assert reached <= bound <= 1.15 * reached and float(derived) == pytest.approx(bound, rel=1e-3)
     assert reached <= float(derived.upper())
 
 
@@ -211,7 +211,7 @@ def test_synthesis_and_checker_store_alike(case):
     s = tracking(**case)
     whole = steps(s)[-3:]
     chosen = storage.weights(whole, nowhere(s))
-    *_, found = storage.storage(whole, chosen)
+    *_, store = storage.storage(whole, chosen)
     craft = checker_needs(s, None).craft
     bands = diagonal([arb(x) for x in s.worst_noise])
     loop = MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), bands)
@@ -221,13 +221,13 @@ def test_synthesis_and_checker_store_alike(case):
         for c in step.middle[::-1]:
             period = Period(loop, (weights.r + np.abs(c)).tolist(), columns)
             after = after.before(period, column(c.tolist()))
-    assert float(after.cost) == pytest.approx(found.cost, rel=5e-3)
+    assert float(after.cost) == pytest.approx(store.cost, rel=5e-3)
     P = np.array([[float(x) for x in row] for row in after.P.tolist()])
     p, rng = np.array([float(x) for x in after.p.entries()]), np.random.default_rng(0)
     for y in rng.normal(size=(50, s.loop.N)):
-        y = y * np.sqrt(2 * found.cost / (y @ found.P @ y))  # as much in the state as beside it
-        ours, theirs = (each @ y + y @ M @ y / 2 for each, M in ((found.p, found.P), (p, P)))
-        assert -0.4 * found.cost <= theirs - ours <= 1e-3 * found.cost  # its rests within periods are smaller
+        y = y * np.sqrt(2 * store.cost / (y @ store.P @ y))  # as much in the state as beside it
+        ours, theirs = (each @ y + y @ M @ y / 2 for each, M in ((store.p, store.P), (p, P)))
+        assert -0.4 * store.cost <= theirs - ours <= 1e-3 * store.cost  # its rests within periods are smaller
     jump = np.full(s.loop.N, 1e-3)
     moved = after.jumped(column(jump.tolist()))
     for _ in range(100):

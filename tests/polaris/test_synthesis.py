@@ -288,7 +288,7 @@ def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_
 
 @pytest.mark.parametrize("name", ["shared", "coasting", "clipped"])
 def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch):
-    """What nothing clips is flown by products over the whole cell; the rest step by step."""
+    """Cells that nothing clips are flown by products over the whole cell, the rest step by step."""
     from polaris.simulation import integration
 
     safety, law = small_safety(), small_controllers()[name]
@@ -296,9 +296,9 @@ def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch)
     whole, true = [], integration.Integrator._unclipped
 
     def watched(self, *cell):
-        found = true(self, *cell)
-        whole.append(found is not None)
-        return found
+        cell_flown = true(self, *cell)
+        whole.append(cell_flown is not None)
+        return cell_flown
 
     monkeypatch.setattr(integration.Integrator, "_unclipped", watched)
     quick = simulate(schedule, 12, 3, mode=1)
@@ -358,12 +358,12 @@ def test_schedule_is_the_same_on_every_processor():
         "from polaris import load_scenario, synthesize; s = synthesize(load_scenario('robot'));"
         "print(s.modes.tolist())"
     )
-    found = set()
+    outputs = set()
     for kernels in ({}, {"OPENBLAS_CORETYPE": "Prescott"}, {"OPENBLAS_CORETYPE": "Haswell"}):
         environment = {**os.environ, **kernels}
-        found.add(
+        outputs.add(
             subprocess.run(
                 [sys.executable, "-c", program], env=environment, capture_output=True, check=True
             ).stdout
         )
-    assert len(found) == 1
+    assert len(outputs) == 1

@@ -78,8 +78,8 @@ def foreign(target, name):
 
 def edited_list(target, name):
     write(target, {name: b"{}"})
-    told = (target / MANIFEST).read_text(encoding="utf-8")
-    put(target / MANIFEST, told.replace(name, "notes.txt"))
+    text = (target / MANIFEST).read_text(encoding="utf-8")
+    put(target / MANIFEST, text.replace(name, "notes.txt"))
     put(target / "notes.txt")
     return MANIFEST
 
@@ -118,10 +118,10 @@ def file_in_the_way(target, name):
 def test_what_is_in_the_way_is_named_and_kept(tmp_path, idle, verb, way):
     words, name = VERBS[verb]
     target = tmp_path / "out"
-    told = way(target, name)
+    named = way(target, name)
     before = contents(tmp_path)
     done = polaris(*words, "--out", target, "-q")
-    assert done.exit_code == 2 and told in done.stderr, done.output
+    assert done.exit_code == 2 and named in done.stderr, done.output
     assert contents(tmp_path) == before
 
 
@@ -163,8 +163,8 @@ def test_a_campaign_keeps_files_of_the_user_fresh_or_resumed(tmp_path):
         put(out / name)
     run_campaign(cases, 4, out, batch=2, seed=1, fresh=True)
     assert all((out / name).read_text() == "mine" for name in mine)
-    found = run_campaign(cases, 6, out, batch=2, seed=1)  # it needs the name of the last one
-    assert found.summary["runs"] == 6
+    folder = run_campaign(cases, 6, out, batch=2, seed=1)  # it needs the name of the last one
+    assert folder.summary["runs"] == 6
     assert (out / "case-0000-batch-00002.parquet.kept").read_text() == "mine"
     assert all((out / name).read_text() == "mine" for name in mine[:-1])
     target = tmp_path / "run"

@@ -48,10 +48,10 @@ def refuse(tmp_path, monkeypatch):
 
     def run(*arguments):
         done = CliRunner().invoke(cli.app, list(map(str, arguments)))
-        told = [line for line in done.stderr.splitlines() if line.startswith(("error: ", "Error: ", "│"))]
+        lines = [line for line in done.stderr.splitlines() if line.startswith(("error: ", "Error: ", "│"))]
         assert done.exit_code == 2 and done.stdout == "", done.output
         assert not list(tmp_path.iterdir())
-        return " ".join(" ".join(told).split()) or done.stderr
+        return " ".join(" ".join(lines).split()) or done.stderr
 
     return run
 
@@ -133,9 +133,9 @@ WRONG = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_arguments_come_before_work_and_before_missing_packages(case, refuse):
-    arguments, told = WRONG[case]
+    arguments, reason = WRONG[case]
     message = refuse(*arguments)
-    assert told in message and "pip install" not in message and "package" not in message
+    assert reason in message and "pip install" not in message and "package" not in message
 
 
 # -- pipes ------------------------------------------------------------------------------------------
@@ -201,10 +201,10 @@ def walked(tmp_path_factory):
     quiet = {verb: call for verb, call in (JSON | OTHERS).items() if "--quiet" in options(verb)}
     quiet["plot"] = ("plot", "cmp/run")
     calls += [(f"{verb} --quiet", (*call, "--quiet")) for verb, call in quiet.items() if verb != "export"]
-    told = json.dumps([[name, list(map(str, call))] for name, call in calls])
+    text = json.dumps([[name, list(map(str, call))] for name, call in calls])
     done = subprocess.run(
         [sys.executable, "-c", WALK],
-        input=told,
+        input=text,
         cwd=place,
         env=None,
         capture_output=True,
