@@ -96,7 +96,7 @@ def _calls(row: Row, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.nd
 
 
 def _along(name: str, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.ndarray, np.ndarray]]:
-    """As `_calls`, from all over the flight of a scene."""
+    """Yield calls as `_calls` does, from all over the flight of a scene."""
     scenario: Any = load_scenario(name)
     (x, sun), flight = scenario.initial(), scenario.model.flight
     filtering = scenario.filter(scenario.model.filter, flight.period_s)

@@ -130,7 +130,7 @@ Sweep = dict[str, dict[Values, dict[str, Cell]]]
 
 
 def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] = tuple(SWEPT)) -> Sweep:
-    """Every value of every option on every scene."""
+    """Compare methods with every value of every option on every scene."""
     out: Sweep = {}
     for full in options:
         key = full.partition(".")[0]

@@ -69,7 +69,7 @@ class Mission:
 
     @property
     def row(self) -> str:
-        """Its row of the table."""
+        """Return the row of the table."""
         claim, flown = self.summary["guarantee"], self.summary["polaris"]
         published, alone = PUBLISHED[self.name], self.summary["experimental"]
         until = "for all time" if claim["horizon"] == "infinite" else f"until {claim['until_s']:.0f} s"

@@ -58,7 +58,7 @@ def filled(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
 
 
 def memory() -> float:
-    """Most memory that this process has had, in MB."""
+    """Return the most memory that this process has had, in MB."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size / (2**20 if sys.platform == "darwin" else 2**10)
 

@@ -96,12 +96,12 @@ class Place:
 
     @property
     def nodes(self) -> tuple[int, int]:
-        """Before and after it."""
+        """Return the nodes before and after the period."""
         return self.period, self.period + 1
 
 
 def tightest(attacker: Attacker) -> Iterator[Place]:
-    """Of every unsafe set the period in which the proof leaves it least, if more than round-off is booked."""
+    """Yield for every unsafe set the period in which the proof leaves it least, if more than round-off."""
     claims, flight = attacker.claims, attacker.flight
     x0 = claims.schedule.safety.problem.initial_set.c[None]
     middle = Attack(x0, np.zeros((flight.steps, 1, flight.columns[-1].stop)), None).fly(flight).states[0]
@@ -150,7 +150,7 @@ def unmerged(schedule: Schedule) -> Claims:
 
 
 def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
-    """Of every set, as shares of what is booked: flown with errors alike, and at its worst.
+    """Yield for every set its shares of what is booked: flown with errors alike, and at its worst.
 
     Then what sets need that keep all generators, and sets as they are: the rest are bows between nodes.
     """
@@ -241,7 +241,7 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Attack], Array]) ->
 
 
 def sums(scene: str) -> Sums:
-    """Those of a bundled scene with all errors at once."""
+    """Return the sums of a bundled scene with all errors at once."""
     return Sums.of(synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP])))
 
 

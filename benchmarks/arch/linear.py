@@ -87,7 +87,7 @@ def decide(
     horizon: float,
     expected: Verdict,
 ) -> Row:
-    """One call of `reach.verify` as a row; bound and reached value in units of the output."""
+    """Call `reach.verify` and return a row; bound and reached value in units of the output."""
     begun = perf_counter()
     verdict = verify(system, initial, spec, horizon)
     seconds = perf_counter() - begun

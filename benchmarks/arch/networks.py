@@ -70,7 +70,7 @@ ROOM = np.array([[1.0, 0, 0, -1, -GAP, 0, 0]])
 
 
 def cruise(network: Network) -> NetworkLoop:
-    """Both cars, and a 1 for constants: ``v^2`` is its tangent, what is left over is a disturbance."""
+    """Build the loop of both cars, and a 1 for constants: ``v^2`` is its tangent, the rest disturbs."""
     A, D = np.zeros((7, 7)), np.zeros((7, 2))
     A[[0, 1, 3, 4], [1, 2, 4, 5]] = 1.0
     A[[2, 5], [2, 5]] = -2.0

@@ -96,7 +96,7 @@ class Premises:
     networks: Iterable[tuple[str, str]] = ()  # names of networks, and the arithmetic of each
 
     def told(self) -> list[str]:
-        """All that applies, in words, in the order that the format prescribes."""
+        """Return all assumptions that apply, in words, in the order that the format prescribes."""
         size = f"within {self.chaser:g} m of the point that is navigated, which is added to every unsafe set"
         point = "a point, its own size being part of the unsafe sets"
         ever = " for ever" if self.horizon == "infinite" else ""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Options:
-    """Of ``polaris campaign``."""
+    """Options of ``polaris campaign``."""
 
     runs: int | None = Option(None, min=1, help="Runs per case and mode; default 1000 (schedules).")
     workers: int | None = Option(None, min=1, help="Processes; default one per processor.")

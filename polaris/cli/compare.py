@@ -28,7 +28,7 @@ class _Compare(TyperCommand):
 
 @dataclass
 class Options:
-    """Of ``polaris compare``."""
+    """Options of ``polaris compare``."""
 
     runs: int = Option(50, min=1, help="Runs per method.")
     seed: int = Option(0, min=0, help="What the runs' conditions are drawn from.")
@@ -107,7 +107,7 @@ def _tuning(assignments: list[str]) -> dict[str, float]:
 
 @dataclass
 class TradeoffOptions:
-    """Of ``polaris tradeoff``."""
+    """Options of ``polaris tradeoff``."""
 
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-tradeoff.")
     prices: str | None = Option(

@@ -12,7 +12,7 @@ from .shell import Force, Json, Quiet, echo, print_result, verb
 
 @dataclass
 class Options:
-    """Of ``polaris evaluate``."""
+    """Options of ``polaris evaluate``."""
 
     legacy: bool = Option(False, "--legacy", help="The numbers RTAEval itself gives, defects included.")
     restamp: bool = Option(False, "--restamp", help="Undo the stamps of RTAEval's simulator first.")

@@ -63,7 +63,7 @@ def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
 
 
 def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
-    """With how much of some bounds a safe reference is found, the most that was; "" if with none."""
+    """Describe the largest share of some bounds with which a safe reference is found; "" if with none."""
     if not _found(scenario, bounds, SHARES[-1]):
         return ""
     last = len(SHARES) - 1

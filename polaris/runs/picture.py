@@ -155,7 +155,7 @@ class Picture:
 
     @property
     def arrival(self) -> str:
-        """By when the goal is proven to be reached, in words; nothing if it is not."""
+        """Describe by when the goal is proven to be reached; "" if it is not."""
         if self.reached is None:
             return ""
         after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""

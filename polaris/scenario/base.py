@@ -87,7 +87,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def _check(self) -> None:
-        """Every rule that joins several fields; raises `ScenarioError` at the first that is broken."""
+        """Check the rules that join several fields; raises `ScenarioError` at the first that is broken."""
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], source: str | None = None, **known: Any) -> Self:

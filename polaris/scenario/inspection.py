@@ -128,7 +128,7 @@ class FlightScenario(FilteredScenario):
                 raise ScenarioError(f"primary[{k}].start_s", starts[k], rule)
 
     def _check_start(self, given: models.InitialStates) -> None:
-        """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
+        """Check that every constraint holds at the start: a filter keeps a flight safe, it makes none so."""
         (x, sun), q, families = self.initial(), self.inspection(), self.families()
         broken: list[tuple[str, int, float]] = []
         for name, values in allowable(q, x, sun).items():

@@ -39,7 +39,7 @@ _TOUCH_M = 1e-9
 
 
 def check_system(model: models.ScenarioModel) -> None:
-    """Which states are the position; all other shapes are checked where the system is built."""
+    """Check which states are the position; all other shapes are checked where the system is built."""
     spec = model.system
     if isinstance(spec, models.ClohessyWiltshire):
         return
@@ -61,7 +61,7 @@ def check_system(model: models.ScenarioModel) -> None:
 
 
 def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
-    """Every vector and matrix against the system's n states, m inputs, d position coordinates."""
+    """Check each vector and matrix against the system's n states, m inputs, d position coordinates."""
     n, m, d = system.n, system.m, system.d
     start = model.initial_set
     if isinstance(start, models.InitialZonotope):
@@ -262,7 +262,7 @@ def _missed_mode(A: np.ndarray, B: np.ndarray) -> complex | None:
 
 
 def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
-    """Every pair of LQR weights with its path in the file; a controller has these or a gain."""
+    """Yield each pair of LQR weights with its path in the file; a controller has these or a gain."""
     yield "tracking", model.tracking.Q, model.tracking.R
     for path, spec in model.controllers():
         if not isinstance(spec, scene.Affine):

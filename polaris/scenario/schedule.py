@@ -47,7 +47,7 @@ class ScheduleScenario(Scenario):
     def with_sources(
         cls, document: Mapping[str, Any], folder: Path | None, source: str | None
     ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
-        """As of `Scenario`: the target's orbit and the start set may come from elements and ephemerides."""
+        """Put numbers in place of the elements and ephemerides of the target's orbit and the start set."""
         from .orbit_sources import with_sources
 
         return with_sources(document, folder, source)

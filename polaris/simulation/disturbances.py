@@ -224,7 +224,7 @@ def _undisturbed(flight: Integrator) -> Runs:
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
-    """Of one controller, for every set of clipped inputs: transition over a step, what is held adds; gain.
+    """Return a controller's transitions over a step per set of clipped inputs, what is held adds; gain.
 
     For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
     """

@@ -32,7 +32,7 @@ class Failing:
     latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
     def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "Failing":
-        """Some of the flights."""
+        """Return the faults of some of the flights."""
         known = {name: getattr(self, name)[chosen] for name in TOLD}
         return Failing(**known, gap=0 * self.gap[chosen], latched=self.latched)
 
@@ -63,7 +63,7 @@ class Failing:
         return replace(self, begins=-(-self.begins // per_node), ends=self.ends // per_node)
 
     def columns(self, times: Array) -> dict[str, Array]:
-        """Which kind of fault each flight has, from when until when [s], as nodes are at times (N+1,)."""
+        """Return each flight's kind of fault, its begin and end [s], nodes being at times (N+1,)."""
         some, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
         at = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
         begins, ends = (np.where(some, when, np.nan) for when in at)

@@ -107,7 +107,7 @@ class Integrator(Firing):
             self.code.start(runs)
 
     def commanded(self, number: int, k: int, at: int, x: Array) -> Array:
-        """As `command`; flight code is handed that command if it is U's, and answers with its own."""
+        """Return what `command` does, or the answer of flight code, which is handed U's command."""
         u, step = self.command(number, k, at, x), k * self.steps_per_cell + at
         if self.code is None:
             return u

@@ -63,7 +63,7 @@ class Runs:
     failing: Failing | None = None
 
     def some(self, chosen: slice | list[int]) -> "Runs":
-        """Some of the runs."""
+        """Return some of the runs."""
         parts = ("states", "inputs", "demanded", "delta_v")
         bodies = {name: states[chosen] for name, states in self.bodies.items()}
         failing = None if self.failing is None else self.failing.pick(chosen)

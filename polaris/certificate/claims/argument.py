@@ -36,7 +36,7 @@ SAMPLES_SLACK = 1e-9
 
 
 class Argument:
-    """Every step of the argument, in the order in which `run` makes it.
+    """Argument of a certificate, step by step in the order in which `run` makes it.
 
     Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides. With
     `code`, a folder, S may take over at every node of an experimental step.

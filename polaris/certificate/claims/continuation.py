@@ -35,7 +35,7 @@ class Tracker:
     def of(
         cls, document: Document, craft: Craft, upsets: Sequence[arb_mat], sets: Sequence[Zonotope]
     ) -> "Tracker":
-        """From errors within any of the sets."""
+        """Build the tracker from errors within any of the sets."""
         memory = Memory.of(craft, widest([*sets], upsets), document.q, document.profile)
         return cls(document, craft, memory, upsets)
 
@@ -72,7 +72,7 @@ class HandOver:
 
     @classmethod
     def within(cls, size: arb_mat, first: int, last: int) -> "HandOver":
-        """From any loop state up to a size (N, 1)."""
+        """Build the hand-over from any loop state up to a size (N, 1)."""
         return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
 
     def need(self, needs: Needs, lag: int, around: bool) -> list[arb]:
@@ -169,7 +169,7 @@ class Continuation:
 
     @cached_property
     def recovery(self) -> Recovery:
-        """Its limits against what errors need along their rows."""
+        """Return the limits of the path against what errors need along their rows."""
         path, chosen = self.further
         chosen = [*chosen, *self.facets]
         limits = Limits.of(self.document, path, self.tracker.craft, chosen)

@@ -49,7 +49,7 @@ class Departures:
 
     @cached_property
     def _group(self) -> list[int]:
-        """Which group every period belongs to."""
+        """Return the number of the group that each period belongs to."""
         return [g for g, group in enumerate(self.groups) for _ in range(group.periods)]
 
     @cached_property
@@ -72,7 +72,7 @@ class Departures:
         return magnitude(exponential_over(-self.plant.A, self.plant.h))
 
     def check(self, i: int, base: Arc, d: Zonotope, moved: Zonotope, end: Zonotope, bow: list[arb]) -> None:
-        """Every state in which thrust may stop in period i leads back into the group's parallelotope.
+        """Check that states in which thrust may stop in period i lead back into the group's parallelotope.
 
         `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the second
         less the first, point by point; `bow` bounds how far states leave the chords (Proposition 15 (a)).
@@ -140,7 +140,7 @@ class Drifts:
         return powers
 
     def _bookings(self, item: int, facet: int) -> tuple[arb_mat, arb_mat, list[arb]]:
-        """Of a facet: its row ``-n C``, what bends in a part, what disturbs by the end of each."""
+        """Return of a facet its row ``-n C``, what bends in a part, and what disturbs by the end of each."""
         key = item, facet
         if key not in self._known:
             motion = self._motion
@@ -154,7 +154,7 @@ class Drifts:
         return self._known[key]
 
     def check(self, least: float | None) -> str:
-        """Every drift that the certificate calls clear is; returns what was confirmed."""
+        """Check that every drift that the certificate calls clear is; return what was confirmed."""
         doc, drift = self.document, self._claim
         rooms = [
             room

@@ -61,7 +61,7 @@ class Pilot:
 
     @classmethod
     def of(cls, law: Law, craft: Craft, document: Document) -> "Pilot":
-        """From the loop under any law."""
+        """Build the model of a controller from the loop under any law."""
         loop = craft if law.gain is None else craft.under(matrix(law.gain))
         return cls(law, loop, document, Whereabouts.of(document, law, craft.plant))
 
@@ -72,7 +72,7 @@ class Pilot:
 
     @cached_property
     def policy(self) -> Policy:
-        """Of a network."""
+        """Return the policy of a network."""
         assert self.told is not None
         return Policy(self.law, self.plant, self.told)
 

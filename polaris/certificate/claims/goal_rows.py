@@ -148,7 +148,7 @@ class Weighted:
         return cls(diagonal(weights) * rows, sides, groups, goal.scale, largest(times) if times else None)
 
     def over(self, x: arb_mat) -> list[arb]:
-        """By how much a state is beyond each row's side."""
+        """Return how far a state is beyond each row's side."""
         return [a - b for a, b in zip((self.rows * x).entries(), self.sides, strict=True)]
 
     def distance(self, over: list[arb]) -> arb:

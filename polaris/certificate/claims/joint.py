@@ -91,7 +91,7 @@ class _Check:
 
     @cached_property
     def bent(self) -> list[arb]:
-        """By how much the reference may leave its chord within a period of the tail, by state."""
+        """Bound how far the reference may leave its chord within a period of the tail, by state."""
         plant = self.arrival.flight.tracker.craft.plant
         A, n = plant.A, len(self.joint.center)
         grown = exponential(absolute(A), plant.h)[0]

@@ -56,7 +56,7 @@ class Recovery:
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
-        """For every cell the limit of least room, by row, among those of that cell and all later ones."""
+        """Return for each cell the limits of least room, by row, of those of that cell and all later ones."""
         by_cell: list[dict[int, Target]] = [{}]
         for nodes in reversed(self.limits.targets[: self.document.cells]):
             least = dict(by_cell[-1])

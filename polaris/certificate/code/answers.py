@@ -19,7 +19,7 @@ LARGEST = {"double": 1.7976931348623157e308, "float": 3.4028234663852886e38}
 
 @dataclass(frozen=True)
 class Call:
-    """One call: what `FlightStep.step` is handed, and what begins with it.
+    """Call of `FlightStep.step`: its arguments, and the flight that begins with it.
 
     `start` is 1 for a flight of the schedule, 2 for one of the online monitor that goes on at this period
     after S has flown, 0 for none.
@@ -227,7 +227,7 @@ VECTOR = re.compile(r"\{([012]), \{(-?\d+|\(-2147483647 - 1\)), (-?\d+), \{(.*?)
 
 
 def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
-    """Every call with the answer that is expected."""
+    """Yield each call with the answer that is expected."""
     flown: FlightStep | OnlineStep = FlightStep(tables, precision)
     for call in given:
         if call.start == 1:

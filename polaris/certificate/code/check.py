@@ -96,7 +96,7 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
 
 
 def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
-    """Every number is that of the certificate, rounded once; transitions are off by few roundings."""
+    """Check that all numbers are the certificate's, rounded once; transitions are off by few roundings."""
     gain, cells = document.laws[0].gain, document.cells
     assert gain is not None  # as of every safety controller
     nodes = document.steps if document.horizon == "none" else cells

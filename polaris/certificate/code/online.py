@@ -77,7 +77,7 @@ class Decision:
 
     @cached_property
     def pushes(self) -> list[Push]:
-        """All that thrust may do in a period beside the reference's input."""
+        """Return all that thrust may do in a period beside the reference's input."""
         plant = self.flight.tracker.craft.plant
         return [Push.in_box(plant.B, plant.u_max), *plant.push(plant.thruster_error(plant.u_max))]
 
@@ -222,7 +222,7 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
 
 
 def _check_rooms(decision: Decision) -> None:
-    """Every room, as it is computed, is at most that of the limit."""
+    """Check that each room, as it is computed, is at most that of the limit."""
     tables, u = decision.tables, UNIT[decision.precision]
     for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.room)]):
         for place, met in enumerate(nodes):

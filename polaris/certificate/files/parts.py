@@ -106,7 +106,7 @@ class Law:
 
     @classmethod
     def of(cls, law: Any) -> "Law":
-        """From its item."""
+        """Build a law from its item."""
         return cls(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
 
     @property

@@ -46,7 +46,7 @@ def identity(n: int) -> arb_mat:
 
 
 def rows_of(M: arb_mat, *which: int) -> arb_mat:
-    """Some of the rows."""
+    """Return some of the rows."""
     table = M.tolist()
     return matrix([table[i] for i in which], M.ncols())
 

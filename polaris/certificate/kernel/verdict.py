@@ -34,7 +34,7 @@ class Undecided(Failed):
 
 
 class Imprecise(Undecided):
-    """More bits might decide it."""
+    """Undecided claim that more bits might decide."""
 
 
 @dataclass

@@ -60,11 +60,11 @@ class Generators:
 
     @cached_property
     def G(self) -> arb_mat:
-        """All of them."""
+        """Return all generators in one matrix."""
         return self.matrices[0] if len(self.matrices) == 1 else beside(*self.matrices)
 
     def mapped(self, M: arb_mat) -> Generators:
-        """Of the set mapped by a matrix."""
+        """Return the generators of the set mapped by a matrix."""
         few = self.matrices if len(self.matrices) <= PARTS else [self.G]
         return Generators(*(times(M, each) for each in few))
 
@@ -74,7 +74,7 @@ class Generators:
         return sums(*(part.widths if isinstance(part, Generators) else widths(part) for part in self._parts))
 
     def image(self, rows: Directions) -> Generators:
-        """Of the set mapped by rows."""
+        """Return the generators of the set mapped by rows."""
         if rows not in self._images:
             parts = (
                 part.image(rows) if isinstance(part, Generators) else times(rows.M, part)
@@ -93,12 +93,12 @@ class Zonotope:
 
     @property
     def G(self) -> arb_mat:
-        """Its generators, shape (n, g)."""
+        """Return the generators, shape (n, g)."""
         return self._made.G
 
     @property
     def parts(self) -> list[arb_mat]:
-        """Its generators as they are kept, matrices side by side."""
+        """Return the generators as they are kept, matrices side by side."""
         return self._made.matrices
 
     @property

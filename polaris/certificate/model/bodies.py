@@ -36,7 +36,7 @@ class Whereabouts:
 
     @classmethod
     def of(cls, document: Document, law: Law, plant: Plant) -> "Whereabouts":
-        """Of those that a network of a certificate reads."""
+        """Return the motion of the bodies that a network of a certificate reads."""
         pushes = {body["name"]: [plant.disturbance, *plant.bias] for body in law.bodies}
         for body in (body for body in law.bodies if body["thrust_accel_max_m_s2"]):
             enters = acceleration_input(document, body["name"])

@@ -60,7 +60,7 @@ def check_own(document: Document, law: Law, scenario: dict[str, Any], spec: dict
 def _check_dynamics(
     document: Document, law: Law, states: list[list[float]], inputs: list[list[float]]
 ) -> None:
-    """Every step leads to the next state, up to rounding."""
+    """Check that every step leads to the next state, up to rounding."""
     phi, push, _ = _step(document)
     for k, u in enumerate(inputs):
         x, v = column(states[k]), column(u)

@@ -134,7 +134,7 @@ def by_command(document: Document, error: arb_mat) -> arb_mat:
 
 
 def displaced(document: Document, delay: float) -> list[arb]:
-    """By how much states may be displaced when they are measured, as the certificate has it."""
+    """Bound how far states may be displaced when they are measured, as the certificate has it."""
     periods = arb(delay) * document.q / arb(document.delta)
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes

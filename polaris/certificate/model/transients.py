@@ -35,7 +35,7 @@ from .timing import carried_away, predicted
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:
-    """Every fault of the scenario that is isolated late is told: for how long, and how far inputs are off."""
+    """Check that each late fault of the scenario is told: for how long, and how far inputs are off."""
     faults = [fault for fault in scenario.get("faults", []) if _lasts(fault) > 0]
     given = [(fault["kind"], _lasts(fault)) for fault in faults]
     stated = [(each["name"], each["lasts"]) for each in document.transients]

@@ -63,17 +63,17 @@ class Npz:
     """numpy's files, for installs without pyarrow."""
 
     def write(self, path: Path, columns: Columns, text: str) -> None:
-        """As `Parquet.write`."""
+        """Write columns and a text to a file, as `Parquet.write` does."""
         arrays: dict[str, Any] = {KEY: np.array(text), **columns}
         np.savez(path, **arrays)
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
-        """As `Parquet.read`."""
+        """Read columns of a file, as `Parquet.read` does."""
         arrays = read_arrays(path)
         return {name: arrays[name] for name in names or arrays if name != KEY}
 
     def check(self, path: Path) -> tuple[str, int]:
-        """As `Parquet.check`; reading a zip file compares its checksums."""
+        """Check a file, as `Parquet.check` does; reading a zip file compares its checksums."""
         arrays = read_arrays(path)
         return str(arrays.pop(KEY)), len(next(iter(arrays.values())))
 

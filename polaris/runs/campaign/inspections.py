@@ -50,7 +50,7 @@ class InspectionRuns(Kind):
     ranking: ClassVar[str] = ""
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """As `Kind.fly`."""
+        """Fly a task, or one run of it (see `Kind.fly`)."""
         scenario, drawn, filters = _made(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
@@ -67,7 +67,7 @@ class InspectionRuns(Kind):
         return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
-        """As `Kind.summarise`."""
+        """Summarise the runs of a campaign (see `Kind.summarise`)."""
         (case,), runs = folder.plan.cases, folder.plan.runs
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign

@@ -156,7 +156,7 @@ def make_cases(
     overrides: Sequence[str] = (),
     boxes: Collection[str] | None = None,
 ) -> tuple[Case, ...]:
-    """Every scenario with every combination of the grid's values.
+    """Combine every scenario with every combination of the grid's values.
 
     Parameters
     ----------

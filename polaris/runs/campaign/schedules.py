@@ -153,17 +153,17 @@ class ScheduleRuns(Kind):
                 raise ScenarioError("--mode", mode, f"must be one of {names} for {label}")
 
     def data(self) -> dict[str, Any]:
-        """As `Kind.data`."""
+        """Return the kind as plain data (see `Kind.data`)."""
         return super().data() | {"boxes": sorted(self.boxes.asks) if self.boxes else None}
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> "ScheduleRuns":
-        """As `Kind.from_data`; what is asked of black boxes is given, not read."""
+        """Build the kind (see `Kind.from_data`); what is asked of black boxes is given, not read."""
         named = data["boxes"]
         return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """As `Kind.fly`."""
+        """Fly a task, or one run of it (see `Kind.fly`)."""
         schedule, known = schedule_of(task.text, self.boxes)
         number = _number(mode)
         name = mode if number is None else schedule.controllers[number].name
@@ -187,7 +187,7 @@ class ScheduleRuns(Kind):
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
-        """As `Kind.summarise`."""
+        """Summarise the runs of a campaign (see `Kind.summarise`)."""
         cases, plan, failures = [], folder.plan, folder.failures()
         for number, case in enumerate(plan.cases):
             row: dict[str, Any] = {

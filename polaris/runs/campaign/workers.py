@@ -203,7 +203,7 @@ class _Crew:
         return self.client.get_executor(pure=False)
 
     def window(self) -> int:
-        """Most tasks to hand out at a time."""
+        """Return how many tasks to hand out at a time, at most."""
         return AHEAD * max(self.threads(), 4)
 
     def threads(self) -> int:

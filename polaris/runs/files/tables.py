@@ -181,7 +181,7 @@ def _withheld(claim: Mapping[str, Any]) -> str:
 
 
 def abort_told(claim: Mapping[str, Any]) -> str:
-    """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
+    """Describe from which steps S reaches the orbit of an abort, and why not from the first of the others."""
     steps = claim["steps"]
     reached, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
     text = f"from {len(reached)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
@@ -218,7 +218,7 @@ def _estimate(claim: Mapping[str, Any]) -> str:
 
 
 def drift_told(claim: Mapping[str, Any]) -> str:
-    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    """Describe from when to when all thrust may stop, and where the drift is not shown to stay clear."""
     spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
     margin = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
     stays = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"

@@ -50,7 +50,7 @@ class NavigationLost(ScenarioPart):
     lasts_s: f.Real = unit("s", "For how long at most.", gt=0, le=1e4)
 
     def build(self) -> Failed:
-        """No thruster fails."""
+        """Return a fault in which no thruster fails."""
         return Failed("navigation_lost", 1.0, self.lasts_s)
 
 

@@ -51,7 +51,7 @@ class ScenarioPart(BaseModel):
         return {key: f.python_name(key) for key in cls.model_fields}
 
     def arguments(self) -> dict[str, Any]:
-        """Its values (without `kind`) by the names that Python has for them, angles in radians."""
+        """Return the values (without `kind`) by the names that Python has for them, angles in radians."""
         values, names = dict(self), self.python_names()
         return {
             name: math.radians(values[key]) if key.endswith("_deg") else values[key]

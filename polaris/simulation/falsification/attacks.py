@@ -32,14 +32,14 @@ class Attack:
     failing: Failing | None = None
 
     def pick(self, chosen: NDArray[np.intp]) -> Attack:
-        """Some of the runs."""
+        """Return the attacks of some of the runs."""
         free = None if self.free is None else self.free[:, chosen]
         failing = None if self.failing is None else self.failing.pick(chosen)
         return Attack(self.x0[chosen], self.w[:, chosen], free, failing)
 
     @classmethod
     def join(cls, parts: list[Attack]) -> Attack:
-        """All runs of several."""
+        """Return one attack with the runs of several."""
         x0, w, free = ([getattr(part, name) for part in parts] for name in ("x0", "w", "free"))
         more = None if free[0] is None else np.concatenate(free, axis=1)
         return cls(np.concatenate(x0), np.concatenate(w, axis=1), more)
@@ -64,7 +64,7 @@ class Attacker:
 
     @classmethod
     def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
-        """With S's flight after T or without, one integration step per node."""
+        """Build an attacker of flights with S's tail after T or without, one integration step per node."""
         claims = Claims(schedule, tail, failing)
         return cls(claims, flies(claims.system)(schedule, claims.modes, 1), rng)
 

@@ -151,7 +151,7 @@ class Claims:
 
 @dataclass(frozen=True, eq=False)
 class Attained:
-    """Of R runs and every limit the least margin [m, N], when [s], and how far below what is proven.
+    """Least margins of R runs at every limit [m, N], when [s], and how far below what is proven.
 
     The margin is inf where a limit was never looked at (inputs if S never flies); `below` is the largest
     amount by which a margin fell short of the proven one of its period, negative if none did.

@@ -69,7 +69,7 @@ Found = tuple[Failure, tuple[Attack, bool]]
 
 
 def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
-    """Which limits each run violates: by entering, by asking for too much, by coming closer than proven."""
+    """Return the limits that each run violates: entered, asked for too much, closer than proven."""
     obstacles = len(claims.unsafe)
     exact = np.full(len(claims.names), EXACT_M)
     exact[obstacles:] = EXACT_INPUT * claims.system.u_max

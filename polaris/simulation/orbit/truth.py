@@ -137,7 +137,7 @@ def runge_kutta(rate: Callable[[Array], Array], x: Array, dt: float | Array, fir
 
 
 class _TrueMotion(Integrator):
-    """Its states are those of craft and target, (R, 12); what disturbs is an acceleration (R, 3)."""
+    """True motion: states of craft and target, (R, 12), under an acceleration (R, 3) that disturbs."""
 
     env: Environment
     ballistic: Array
@@ -150,7 +150,7 @@ class _TrueMotion(Integrator):
         return super().command(number, k, at, x[:, :6])
 
     def at_their_worst(self, push: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """All that disturbs, (steps, R, 3 and columns of errors), and which way the first runs start."""
+        """Return all that disturbs, (steps, R, 3 and columns of errors), and directions of first starts."""
         system, p, n = self.system, self.system.p, len(push)
         pushed = np.broadcast_to(push, (self.steps, n, 3))
         if system.ideal:
@@ -192,7 +192,7 @@ class _TrueMotion(Integrator):
         return u
 
     def _unclipped(self, *cell: Any) -> None:
-        """Nothing is linear here."""
+        """Return None: nothing is linear here."""
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         def rates(u: Array, state: Array) -> tuple[Array, Array]:

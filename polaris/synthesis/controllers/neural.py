@@ -228,5 +228,5 @@ def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
 
 
 def reduced(z: Zonotope) -> Zonotope:
-    """With few generators, if it has too many: reducing wraps what turns, so it is done late and by much."""
+    """Reduce a set that has too many generators to few: reducing wraps what turns, so it is done late."""
     return z if z.order_count <= ORDER * z.dim else z.reduce(ORDER / 3)

@@ -28,7 +28,7 @@ class Senses:
 
     @classmethod
     def of(cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str) -> "Senses":
-        """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
+        """Return the senses that inputs need in a scene; names the field if an input is none of them."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
         senses = cls(system, tuple(known[name] for name in named if name in known))

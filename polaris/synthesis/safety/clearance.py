@@ -238,7 +238,7 @@ def facet_room(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) 
 def best_facets(
     tracking: Tracking, reference: Reference, unsafe: tuple[TimedPolytope, ...], start: Zonotope
 ) -> NDArray[np.int_]:
-    """For every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
+    """Return for every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
     chosen, q = np.zeros((reference.cells, len(unsafe)), dtype=int), tracking.feedback.nodes_per_cell
     for o, polytope in enumerate(unsafe):
         tube = error_tube(tracking, start, -polytope.rows(tracking.system))

@@ -109,7 +109,7 @@ def errors_by_cell(by_step: Array, cells: int, planned: int) -> Array:
 
 
 def command_errors(system: Craft, gain: Array, cells: int, planned: int) -> Array:
-    """By how much commands may differ in each cell from those on the exact state, shape (cells, m)."""
+    """Bound how far commands in each cell may be from those on the exact state, shape (cells, m)."""
     rows = system.navigation[None] if system.error_by_step is None else system.error_by_step
     return errors_by_cell(rows, cells, planned) @ np.abs(gain).T
 

@@ -177,7 +177,7 @@ class FreeFlight:
 
 @dataclass(frozen=True, eq=False)
 class PassiveSafety:
-    """From which steps of a flight the drift stays clear, all thrust stopping at any instant of them."""
+    """Steps of a flight from which the drift stays clear, all thrust stopping at any instant of them."""
 
     flight: FreeFlight
     drifts: tuple[tuple[Drift, ...], ...]  # of every step, one for all or one after another

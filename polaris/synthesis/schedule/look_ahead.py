@@ -193,7 +193,7 @@ def rungs(dwell: int, K: int) -> tuple[int, ...]:
 
 
 def _merit(path: _Path) -> tuple[float, int]:
-    """Most worth, then fewest switches."""
+    """Rank a path by most worth, then by fewest switches."""
     return path.worth, -path.switches
 
 

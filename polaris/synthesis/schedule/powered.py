@@ -43,7 +43,7 @@ TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"  # of an abort in a ste
 
 @dataclass(frozen=True, eq=False)
 class PoweredSafety:
-    """From which steps S reaches the orbit, aborting at any instant of them, and how."""
+    """Steps from which S reaches the orbit, aborting at any instant of them, and how it does."""
 
     asked: PoweredAbort
     delta: float  # step of the schedule [s]

@@ -239,7 +239,7 @@ class Schedule:
 
     @cached_property
     def passive(self) -> PassiveSafety | None:
-        """From which steps the drift stays clear if all thrust stops, where the problem asks."""
+        """Return the steps from which the drift stays clear if all thrust stops; None if nothing is asked."""
         flight = self.safety.free_flight
         if flight is None:
             return None
@@ -247,7 +247,7 @@ class Schedule:
 
     @cached_property
     def powered(self) -> PoweredSafety | None:
-        """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
+        """Return the steps from which S reaches the orbit of an abort with thrust; None if none is asked."""
         flown = [(step.mode, step.tube) for step in self.steps]
         impulse = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
         return powered(self.safety, flown, impulse / self.safety.problem.system.mass, self.branches)

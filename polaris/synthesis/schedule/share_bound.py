@@ -72,7 +72,7 @@ class Master:
         return k * self.modes + mode
 
     def demand(self, held: Held) -> None:
-        """At least one of the steps held is flown otherwise."""
+        """Demand that at least one of the steps held is flown otherwise."""
         at = [self._at(k, mode) for k, mode in enumerate(held) if mode != FREE]
         self.rows.append((dict.fromkeys(at, -1.0), 1.0 - len(at)))
 

@@ -40,7 +40,7 @@ class Spell:
 
     @classmethod
     def of(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
-        """Of step k; a controller of which only the thrust limits are known is charged all of them."""
+        """Build the spell of step k; a controller known by its thrust limits alone is charged all of them."""
         q = len(tube.bow)
         if isinstance(law, NeuralController):  # it flies on exact states
             centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)

@@ -35,7 +35,7 @@ class Takeover:
     def each(
         cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
     ) -> tuple["Takeover", ...]:
-        """Of every step, from who flies it, in which tube, and for which velocity change (K,) [m/s]."""
+        """Return all steps' takeovers, by who flies each, in which tube, for which delta-v (K,) [m/s]."""
         takeovers, since, until = [], 0, np.cumsum(spent) * (1 + SPARE)
         n, start = safety.tracking.system.n, safety.start
         for k, (mode, tube) in enumerate(flown):

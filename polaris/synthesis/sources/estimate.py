@@ -15,7 +15,7 @@ from .source import remembers
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Every estimate is within `error` (n,) of the state measured, however the difference changes.
+    """Error of every estimate within `error` (n,) of the state measured, however the difference changes.
 
     Errors of thrusters, which grow with commands as `grown` says, (..., m) to (..., k), add `unseen` (n, k)
     times their size of so many periods before, by their number.

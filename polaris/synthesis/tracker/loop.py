@@ -125,7 +125,7 @@ class Loop:
 
     @cached_property
     def part_maps(self) -> tuple[tuple[Array, Array, Array], ...]:
-        """For each part of the period: how additions at its end enter, (N, n), means of rates, and the rest.
+        """Return for each part of the period how its additions enter (N, n), means of rates, and the rest.
 
         A rate whose mean over the part is v and that is at most s adds ``mean v`` up to ``apart s``, (n, n).
         """

@@ -80,7 +80,7 @@ class Craft:
 
     @cached_property
     def F(self) -> arb_mat:
-        """From one node to the next, shape (N, N)."""
+        """Return the transition of the loop from one node to the next, shape (N, N)."""
         return self.free - self.held * self.commands
 
     @cached_property
@@ -102,7 +102,7 @@ class Craft:
 
     @property
     def lag(self) -> int:
-        """For how many periods at most commands add to errors of estimates; 0 if they do not."""
+        """Return for how many periods at most commands add to errors of estimates; 0 if they do not."""
         return max((periods for periods, _ in self.plant.unseen), default=0)
 
     def lagged(self, most: Sequence[arb]) -> list[arb]:

@@ -100,7 +100,7 @@ class Gains:
 
     @cached_property
     def _before(self) -> list[list[list[arb]]]:
-        """Those of a lag and all longer ones together, ``[channel][lag][kind]``."""
+        """Return the gains of a lag and all longer ones together, ``[channel][lag][kind]``."""
         none = [arb(0)] * len(self.each[0][0])
         return [list(accumulate(gains[::-1], sums, initial=none))[::-1] for gains in self.each]
 

@@ -84,7 +84,7 @@ class Filtering:
 
     @property
     def late(self) -> int:
-        """Most periods in a row that may be missed."""
+        """Return how many periods in a row may be missed."""
         return len(self.updates) - 1
 
     def left(self, age: int) -> arb_mat:
