@@ -30,7 +30,7 @@ def pool(processes: int) -> Iterator[Workers]:
 
 @contextmanager
 def dask(processes: int) -> Iterator[Workers]:
-    """A scheduler and single-threaded workers on this machine."""
+    """Yield a scheduler and single-threaded workers on this machine."""
     import socket
 
     import distributed

@@ -95,13 +95,13 @@ CELL = re.compile(
 
 
 def read_cell(text: str) -> Cell:
-    """A cell of the page."""
+    """Return a cell of the page."""
     hit, share, *means = CELL.fullmatch(text.strip()).groups()
     return Cell(int(hit or 0), float(share) / 100, *(float(mean or np.nan) for mean in means))
 
 
 def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
-    """A value of the sweep in the option's own unit."""
+    """Return a value of the sweep in the option's own unit."""
     duration = scene.last * scene.h
     units = {"per duration": 1 / duration, "of the duration": duration, BUFFER.unit: scene.half_width}
     return value * units.get(option.unit, 1.0)
@@ -114,7 +114,7 @@ def tuning(scene: DecisionGrid, full: str, values: Values) -> dict[str, float]:
 
 
 def standing(scene: DecisionGrid, method: Method, option: Option) -> float:
-    """The other way round: what a method was tuned with, in the sweep's units."""
+    """Return what a method was tuned with, in the sweep's units: the inverse of `scaled`."""
     return method.settings[option.name] / scaled(scene, option, 1.0)
 
 
@@ -153,7 +153,7 @@ def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] =
 
 
 def chosen(values: Mapping[Values, Mapping[str, Cell]]) -> Values:
-    """The best value on all scenes that are given: see the top of the file."""
+    """Return the best value on all scenes that are given: see the top of the file."""
     scenes = next(iter(values.values()))
     hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
     left = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
@@ -170,7 +170,7 @@ def chosen(values: Mapping[Values, Mapping[str, Cell]]) -> Values:
 
 
 def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None:
-    """The value that is better on one scene alone, if there is one that is worth a row."""
+    """Return the value that is better on one scene alone, if there is one that is worth a row."""
     default = chosen(values)
     best = chosen({value: {name: cells[name]} for value, cells in values.items()})
     ours, theirs = values[default][name], values[best][name]
@@ -181,7 +181,7 @@ def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None
 
 
 def sweep_table(swept: Sweep) -> str:
-    """The sweep as a table, defaults in bold."""
+    """Return the sweep as a table, defaults in bold."""
     scenes = list(next(iter(next(iter(swept.values())).values())))
     lines = ["| Options | Values | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
     lines.append("|---" * (2 + len(scenes)) + "|")
@@ -196,7 +196,7 @@ def sweep_table(swept: Sweep) -> str:
 
 
 def read_sweep(table: str) -> tuple[Sweep, dict[str, Values]]:
-    """The sweep of the page, and what it says the defaults are."""
+    """Return the sweep of the page, and what it says the defaults are."""
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
     for option, words, *cells in rows[2:]:
@@ -248,7 +248,7 @@ def scene_table(schedule: object, runs: int, tuned: Mapping[str, Values]) -> tup
 
 
 def blocks(text: str) -> dict[str, str]:
-    """The generated parts of the page, by name."""
+    """Return the generated parts of the page, by name."""
     return dict(re.findall(r"<!-- table ([\w-]+) -->\n\n(.*?)\n\n<!-- end -->", text, flags=re.S))
 
 

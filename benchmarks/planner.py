@@ -21,7 +21,7 @@ CUBE = np.vstack([np.eye(3), -np.eye(3)])
 
 
 def box(name, center, half, K, velocity=(0, 0, 0), delta=50.0):
-    """A box that moves at constant velocity, as a timed polytope over K cells."""
+    """Return a box that moves at constant velocity, as a timed polytope over K cells."""
     center, half, velocity = (np.broadcast_to(np.asarray(v, float), (3,)) for v in (center, half, velocity))
     t = np.arange(K + 1)[:, None] * delta
     at = center + velocity * t
@@ -47,7 +47,7 @@ def cone(K, apex, axis, half_angle, sides=8):
 def problem(
     unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **more
 ):
-    """A planning problem with one margin for all cells and facets."""
+    """Return a planning problem with one margin for all cells and facets."""
     system = clohessy_wiltshire(ETA, 10.0, 1.0)
     return PlanProblem(
         system,
@@ -68,7 +68,7 @@ OTHER = (200, -900, 50, 0, 0, 0)
 
 
 def scenes(K=60):
-    """The scenes of the comparison; all but the first stand in the way of the cheapest transfer."""
+    """Return the scenes of the comparison; all but the first stand in the way of the cheapest transfer."""
     delta = 3000.0 / K
     easy = box("box", (100, -550, 0), 100, K)
     static = box("box", (-250, -600, 0), 120, K)
@@ -99,7 +99,7 @@ def scenes(K=60):
 
 
 def field(K, count, seed=0):
-    """A corridor with `count` boxes scattered between the start and the target."""
+    """Return a corridor with `count` boxes scattered between the start and the target."""
     rng = np.random.default_rng(seed)
     delta = 3000.0 / K
     boxes = []

@@ -40,7 +40,7 @@ def first_law(name: str | Path) -> tuple[LinearSystem, Array]:
 
 
 def shortcut() -> tuple[LinearSystem, Array]:
-    """The robot in the plane of the tour, and a law for it."""
+    """Return the robot in the plane of the tour, and a law for it."""
     A, B = np.eye(4, k=2), np.eye(4)[:, 2:]
     system = LinearSystem(A, B, u_max=np.ones(2), D=B, w_max=0.02, C=np.eye(4)[:2])
     return system, lqr_gain(system, np.ones(4), np.ones(2))
@@ -52,7 +52,7 @@ def tracking(system: LinearSystem, gain: Array) -> tuple[Law, int]:
 
 
 def yielding() -> tuple[Law, int]:
-    """The first law of `dynamic`; while another body is near it aims higher, cross-track."""
+    """Return the first law of `dynamic`; while another body is near it aims higher, cross-track."""
     law, m = tracking(*first_law("dynamic"))
 
     def aside(read: Array) -> Array:

@@ -37,7 +37,7 @@ FIXED_STEPS, FIXED_STATES = 1_000, 6
 
 
 def chain(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
-    """A chain of n / 2 masses."""
+    """Return a chain of n / 2 masses."""
     m = n // 2
     K = sparse.diags([np.ones(m - 1), -2 * np.ones(m), np.ones(m - 1)], [-1, 0, 1])
     A = sparse.bmat([[None, sparse.identity(m)], [K, 0.1 * K]], format="csr")
@@ -49,7 +49,7 @@ def chain(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
 
 
 def filled(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
-    """A random matrix of norm about one, half of its entries not zero."""
+    """Return a random matrix of norm about one, half of its entries not zero."""
     rng = np.random.default_rng(0)
     A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5) / np.sqrt(n / 2) - np.eye(n)
     U = reach.Interval(np.full(2, -1.0), np.full(2, 1.0))

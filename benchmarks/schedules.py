@@ -53,7 +53,7 @@ def crowded(count: int = 8, steps: int = 120) -> ScheduleScenario:
 
 
 def timed(scenario: ScheduleScenario) -> tuple[Schedule, float]:
-    """The schedule, and the CPU time that it took [s]."""
+    """Return the schedule, and the CPU time that it took [s]."""
     begun = time.process_time()
     return synthesize(scenario), time.process_time() - begun
 
@@ -64,7 +64,7 @@ def spent(schedule: Schedule, mode: int | None = None) -> float:
 
 
 def row(name: str) -> str:
-    """A bundled scene: printed, and with U in view."""
+    """Return a bundled scene: printed, and with U in view."""
     scenario = crowded() if name == "crowded" else load_scenario(name)
     printed, first = timed(scenario.with_assignments([PRINTED]))
     searched, whole = timed(scenario)

@@ -98,7 +98,7 @@ def said(summary: Mapping[str, Any], delta: float) -> Found:
 
 
 def cell(results: Found) -> str:
-    """The share of U, and what is not as it should be."""
+    """Return the share of U, and what is not as it should be."""
     if "reason" in results:
         return f"none ({results['exit_code']})"
     wrong = [] if results.get("outcome", "VERIFIED") == "VERIFIED" else [results["outcome"]]
@@ -109,7 +109,7 @@ def cell(results: Found) -> str:
 def table(
     results: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
 ) -> str:
-    """A row for each scene and error of which all sizes are known."""
+    """Return a row for each scene and error of which all sizes are known."""
     sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
     lines = [f"| Scene | Error | {sizes} | velocity change, m/s | attacked | proven/least |"]
     lines.append("|---" * (len(times) + 5) + "|")
@@ -131,7 +131,7 @@ def table(
 
 
 def together(results: Mapping[str, Found], scenes: Sequence[str]) -> str:
-    """A row for each scene and what is declared at once, as far as it is known."""
+    """Return a row for each scene and what is declared at once, as far as it is known."""
     head = "Scene", "Declared", "U, %", "m/s", "drift of two orbits clear, steps", "powered abort, steps"
     lines = [f"| {' | '.join((*head, 'tank lasts, h', 'checker'))} |", "|---" * (len(head) + 2) + "|"]
     for scene in scenes:

@@ -65,7 +65,7 @@ def episodes(env: Any, P: list[Array], seed: int | None = None) -> tuple[Array, 
 
 
 def train(env: Any, generations: int, seed: int = 0) -> tuple[Array, int]:
-    """The mean of the last generation, (count,), and collisions while it learned."""
+    """Return the mean of the last generation, (count,), and collisions while it learned."""
     rng = np.random.default_rng(seed)
     dims = [env.single_observation_space.shape[0], WIDTH, WIDTH, env.single_action_space.shape[0]]
     count = sum(b * a + b for a, b in zip(dims, dims[1:], strict=False))

@@ -40,7 +40,7 @@ FAMILIES: dict[str, Callable[[Path | None], Iterator[Row]]] = {
 
 
 def number(value: float | None) -> str:
-    """A figure for the table."""
+    """Return a figure for the table."""
     return "" if value is None else f"{value:.6g}"
 
 

@@ -98,7 +98,7 @@ def automaton(theta: int) -> HybridAutomaton:
 
 
 def initial(theta: int) -> Zonotope:
-    """A line segment of states."""
+    """Return a line segment of states."""
     c = [-0.0432, -11.0, 0.0, 30.0, 0.0, 30.0, 360.0] + [-0.0013, 30.0] * theta
     g = [0.0056, 4.67, 0.0, 10.0, 0.0, 10.0, 120.0] + [0.0006, 10.0] * theta
     return Zonotope(c, np.array(g)[:, None])

@@ -85,7 +85,7 @@ def system(accelerations: list[list[float]]) -> LinearSystem:
 
 
 def automaton(abort: tuple[float, float] | None) -> HybridAutomaton:
-    """The modes; the attempt begins where the approach must end, at x = -100 m."""
+    """Return the modes; the attempt begins where the approach must end, at x = -100 m."""
     modes = [
         Mode("approach", system(APPROACH), HPolytope([[1.0, 0, 0, 0]], [-100.0])),
         Mode("attempt", system(ATTEMPT), NEAR),

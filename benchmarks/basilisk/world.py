@@ -170,7 +170,7 @@ class Computer:
 
 
 def gravity() -> Any:
-    """The Earth with its second zonal harmonic alone."""
+    """Return the Earth with its second zonal harmonic alone."""
     planet = gravityEffector.GravBodyData()
     planet.planetName, planet.isCentralBody = "earth_planet_data", True
     planet.mu, planet.radEquator = MU, EARTH_RADIUS_M

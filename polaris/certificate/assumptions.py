@@ -203,7 +203,7 @@ class Premises:
 
 
 def _sum(row: Iterable[float]) -> str:
-    """A combination of states in words."""
+    """Return a combination of states in words."""
     terms = (f"{x:g} x{i}".removeprefix("1 ") for i, x in enumerate(row) if x)
     return " + ".join(terms)
 

@@ -142,7 +142,7 @@ def replay_command(
 def _plan(
     scenarios: Sequence[ScheduleScenario], options: Options, boxes: Sequence[str], stages: Stages
 ) -> CampaignPlan:
-    """The campaign of schedules that the options ask for."""
+    """Return the campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
 
     given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}

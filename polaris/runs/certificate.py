@@ -24,7 +24,7 @@ def hexadecimal(values: Any) -> Any:
 
 
 def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
-    """The certificate of a schedule of a named scenario, with hashes of files; see docs/certificate.md."""
+    """Return the certificate of a scenario's schedule, with hashes of files; see docs/certificate.md."""
     safety = schedule.safety
     start, K = safety.problem.initial_set, safety.problem.K
     # Cells over which the unsafe sets are known: those of the reference, and those that drifts need.

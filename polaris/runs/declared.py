@@ -43,7 +43,7 @@ def _bounds(key: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _less(value: Any, share: float) -> Any:
-    """A share of a bound, rounded down to two digits; whole numbers stay whole."""
+    """Return a share of a bound, rounded down to two digits; whole numbers stay whole."""
     if isinstance(value, list):
         return [_less(one, share) for one in value]
     if isinstance(value, int) or not value:

@@ -20,7 +20,7 @@ PRINTED = 8  # most hand-overs that are drawn with their slices
 
 
 def seconds(t: float) -> str:
-    """A time in a figure."""
+    """Return a time in a figure."""
     return f"{t:.0f}" if t >= 100 else f"{t:.3g}"
 
 
@@ -51,7 +51,7 @@ class Frame:
 
     @property
     def flat(self) -> list[int]:
-        """The two coordinates (or the one) of a plane view."""
+        """Return the two coordinates (or the one) of a plane view."""
         return list(self.axes[:2])
 
 
@@ -129,7 +129,7 @@ class Picture:
 
     @property
     def duration(self) -> float:
-        """The horizon T [s]."""
+        """Return the horizon T [s]."""
         return self.planned * self.reference.delta
 
     def path(self, parts: int = 8) -> tuple[Array, Array]:

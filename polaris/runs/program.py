@@ -98,7 +98,7 @@ class _Program:
 
 @contextmanager
 def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
-    """A black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
+    """Yield a black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
 
     What it has started ends with it. `ScenarioError` where it cannot be started, `NoAnswer` where it ends,
     needs more than so many seconds for an answer, or answers something else than a line of JSON with "u".

@@ -105,7 +105,7 @@ def tradeoff(
 def _points(
     scenario: ScheduleScenario, values: Values, overrides: Sequence[str]
 ) -> dict[str, ScheduleScenario]:
-    """The scenario of every point, by the name of its folder."""
+    """Return the scenario of every point, by the name of its folder."""
     fields = {field for field, _ in values.values()}
     for field in fields & {parse_assignment(text)[0] for text in overrides}:
         raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")

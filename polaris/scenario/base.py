@@ -172,7 +172,7 @@ class Scenario(ABC):
 
     @property
     def kind(self) -> str:
-        """The key ``kind`` at the top of the file, ``schedule`` without it."""
+        """Return the key ``kind`` at the top of the file, ``schedule`` without it."""
         return str(getattr(self.model, "kind", SCHEDULE))
 
     @abstractmethod
@@ -211,7 +211,7 @@ class Scenario(ABC):
 
 
 def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:
-    """The document, with values replaced in it."""
+    """Return the document, with values replaced in it."""
     for key, value in values.items():
         put(document, key, copy.deepcopy(value), where)
     return document

@@ -140,7 +140,7 @@ def own_reference(
 
 
 def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) -> Reference:
-    """A state that needs no thrust to be kept: a network's setpoint, about which nothing else is known."""
+    """Return a state kept without thrust: a network's setpoint, about which nothing else is known."""
     if np.any(system.A @ state):
         rule = "must need no thrust to be kept, where a network heads for it; give its offset to the network"
         raise ScenarioError(f"{path}.state", state.tolist(), rule)

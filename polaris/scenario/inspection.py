@@ -44,7 +44,7 @@ class InspectionScenario(Scenario):
 
     @kept
     def inspection(self) -> Inspection:
-        """The problem."""
+        """Return the problem."""
         made: Inspection = self.model.parameters.make("parameters", deputies=self.deputies)
         return made
 
@@ -65,7 +65,7 @@ class FilteredScenario(InspectionScenario):
     model: models.InspectionModel | models.MonteCarloModel
 
     def strengthening(self, sampled: bool = True) -> dict[str, Strengthening]:
-        """The functions alpha, for every family, of conditions between samples or at samples only."""
+        """Return the functions alpha, for every family, of conditions between samples or at samples only."""
         table = self.model.strengthening
         if table.preset not in PRESETS:
             rule = f"must be one of {', '.join(map(repr, PRESETS))}{did_you_mean(table.preset, PRESETS)}"
@@ -82,7 +82,7 @@ class FilteredScenario(InspectionScenario):
         return Families(self.inspection(), self.strengthening(), exact=True)
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
-        """The filter that a table describes."""
+        """Return the filter that a table describes."""
         alpha = self.strengthening(getattr(spec, "sampled_data", True))
         return spec.build(self.inspection(), alpha, period, self.uncertainty())
 
@@ -119,7 +119,7 @@ class FlightScenario(FilteredScenario):
             self._check_start(initial)
 
     def _check_phases(self, starts: list[float]) -> None:
-        """The phases of the primary controller follow one another from 0 on."""
+        """Check that the phases of the primary controller follow one another from 0 on."""
         if starts[0] != 0:
             raise ScenarioError("primary[0].start_s", starts[0], "must be 0")
         for k in range(1, len(starts)):
@@ -182,7 +182,7 @@ class FlightScenario(FilteredScenario):
         return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
 
     def primary(self) -> Primary:
-        """The primary controller, phase by phase."""
+        """Return the primary controller, phase by phase."""
         controllers: list[Primary] = []
         for phase in self.model.primary:
             if isinstance(phase, models.NoThrust):
@@ -221,7 +221,7 @@ class FuelLimitScenario(InspectionScenario):
 
     @kept
     def backup(self) -> Tracker:
-        """The backup controller."""
+        """Return the backup controller."""
         given, q, usual = self.model.fuel, self.inspection(), Ellipses.of(self.inspection())
         limits = {
             "least": given.semi_minor_least_m,

@@ -117,7 +117,7 @@ class MissionScenario(Scenario):
 
     @kept
     def legs(self) -> tuple[ScheduleScenario, ...]:
-        """The scenarios of the legs; sets that move are where they are when a leg starts as planned."""
+        """Return the legs' scenarios; sets that move are where they are when a leg starts as planned."""
         whole = self.to_dict() if self.text is None else parse_toml(self.text, self.source or "mission")
         return tuple(self._leg(leg_document(whole, leg), i) for i, leg in enumerate(whole["legs"]))
 

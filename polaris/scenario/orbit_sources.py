@@ -136,7 +136,7 @@ class _Resolved:
         return read
 
     def _path(self, target: Ephemeris | None, chaser: Ephemeris | None) -> _Path:
-        """The target's path from whichever source there is."""
+        """Return the target's path from whichever source there is."""
         given = {
             "orbit.elements": self.orbit.get("elements"),
             "orbit.two_line_elements": self.source.two_line_elements,
@@ -176,7 +176,7 @@ class _Resolved:
         return _Path(lambda times: propagate(env, start, times), epoch, frame, time, math.inf, source)
 
     def _environment(self, motion: float | None) -> tuple[Environment, Orbit]:
-        """The table as an environment: what is still missing there is 0."""
+        """Return the table as an environment: what is still missing there is 0."""
         filled = {"radius_deviation_max_m": 0.0, "radial_rate_max_m_s": 0.0, "rate_deviation_max": 0.0}
         table = validate(_Orbit, {"orbit": {**filled, **self.orbit}}, self.where).orbit
         made: Environment = table.make("orbit", mean_motion=motion or 1e-3)
@@ -289,7 +289,7 @@ def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> 
 
 
 def _of_lines(lines: tuple[str, str], epoch: int | None) -> _Path:
-    """The path by SGP4, in TEME."""
+    """Return the path by SGP4, in TEME."""
     if why := unusable("sgp4"):
         raise ScenarioError("orbit.two_line_elements", lines[0], why)
     from sgp4.api import SGP4_ERRORS, Satrec

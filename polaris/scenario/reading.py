@@ -25,7 +25,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
 
 def did_you_mean(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """A hint at the known word nearest to another, ``; did you mean x?``, or an empty string."""
+    """Return a hint at the known word nearest to another, ``; did you mean x?``, or an empty string."""
     near = get_close_matches(word, list(known), n=1, cutoff=cutoff) if isinstance(word, str) else []
     return f"; did you mean {near[0]}?" if near else ""
 

@@ -210,7 +210,7 @@ def check_start_and_goal(
 
 
 def _size_of(model: models.ScenarioModel) -> tuple[str, Any]:
-    """The field that gives the initial set its size, and its value."""
+    """Return the field that gives the initial set its size, and its value."""
     spec = model.initial_set
     field = next(key for key in ("half_widths", "position_radius_m", "generators") if hasattr(spec, key))
     return f"initial_set.{field}", np.array(getattr(spec, field)).tolist()
@@ -233,7 +233,7 @@ def full_weight(weight: ArrayLike) -> Array:
 
 
 def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
-    """The step suits the dynamics, and the inputs can stabilise them."""
+    """Check that the step suits the dynamics, and that the inputs can stabilise them."""
     modes, delta = np.linalg.eigvals(system.A), model.horizon.step_s
     fastest, growth = float(np.max(np.abs(modes))), float(np.max(modes.real))
     if fastest * delta > 1e3 or growth * delta > 20:
@@ -249,7 +249,7 @@ def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
 
 
 def _missed_mode(A: np.ndarray, B: np.ndarray) -> complex | None:
-    """An eigenvalue with real part >= 0 that B does not reach (Popov-Belevitch-Hautus), or None."""
+    """Return an eigenvalue with real part >= 0 that B does not reach (Popov-Belevitch-Hautus), or None."""
     A_scale = max(float(np.abs(A).max()), np.finfo(float).tiny)
     reach = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
     for mode in np.linalg.eigvals(A):

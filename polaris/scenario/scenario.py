@@ -46,7 +46,7 @@ Wanted = TypeVar("Wanted", bound=Scenario)
 
 
 def scenario_folder() -> Path:
-    """The folder of bundled scenarios: in the installed package, or beside it in a checkout."""
+    """Return the folder of bundled scenarios: in the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     beside = package.parent / "scenarios"
     # A checkout's folder comes first, so that an editable installation never reads an old copy.
@@ -126,7 +126,7 @@ def load_scenario(
 
 
 def loaded(scenario: str | Path | Wanted, overrides: Sequence[str], only: type[Wanted]) -> Wanted:
-    """A scenario by its name or path, or one that is loaded, under texts ``key=value``."""
+    """Return a scenario by its name or path, or one that is loaded, under texts ``key=value``."""
     if isinstance(scenario, only):
         return scenario.with_assignments(overrides)
     return load_scenario(cast(str | Path, scenario), overrides, only=only)

@@ -113,7 +113,7 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> Craft:
-        """The controlled system, how well its state is known and how late, and its thrusters."""
+        """Return the controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, Craft.of(self.model.system.build())
         allocation, limits = self.allocation(), system.u_max
         if model.thrusters is not None:
@@ -153,7 +153,7 @@ class ScheduleScenario(Scenario):
 
     @kept
     def initial_set(self) -> Zonotope:
-        """The initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
+        """Return the initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
         return self.model.initial_set.build(self.system())
 
     @kept
@@ -178,7 +178,7 @@ class ScheduleScenario(Scenario):
         boxes: Mapping[str, Ask | None] | None = None,
         planned: Mapping[str, Array] | None = None,
     ) -> tuple[Controller, ...]:
-        """The experimental controllers on a safety controller's reference, in order of preference.
+        """Return the experimental controllers on a safety controller's reference, in order of preference.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class ScheduleScenario(Scenario):
 
     @kept
     def problem(self) -> Problem:
-        """The problem that Algorithm 1 is asked."""
+        """Return the problem that Algorithm 1 is asked."""
         from ..synthesis.safety.problem import Problem
         from .experimental import gains_of
 

@@ -87,7 +87,7 @@ class Predicting(Integrator):
         return np.asarray(off @ (expm(-A * min(since, 0) * self.dt) @ made).T)
 
     def _observed(self, start: int) -> Array:
-        """An observer's estimates (R, n) from all it has measured up to a step."""
+        """Return an observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
@@ -117,7 +117,7 @@ class Predicting(Integrator):
         return self.filtered
 
     def estimate(self, step: int, x: Array) -> Array:
-        """The state as it is predicted from the last measurement under what was commanded since."""
+        """Return the state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)

@@ -216,7 +216,7 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
 
 
 def _undisturbed(flight: Integrator) -> Runs:
-    """The flight from the middle of the initial set, one run."""
+    """Return the flight from the middle of the initial set, one run."""
     centre = flight.schedule.safety.problem.initial_set.c[None]
     # What is predicted, or filtered, is exact then.
     plain = Integrator(flight.schedule, flight.modes, flight.substeps)

@@ -37,7 +37,7 @@ class Failing:
         return Failing(**known, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
-        """The first of the flights, as `of` reads it."""
+        """Return the first of the flights, as `of` reads it."""
         return {name: getattr(self, name)[0].tolist() for name in TOLD}
 
     @classmethod

@@ -119,11 +119,11 @@ class Metrics:
 
     @property
     def worst(self) -> int:
-        """The run that came closest to an unsafe set."""
+        """Return the run that came closest to an unsafe set."""
         return int(np.argmin(self.min_distance))
 
     def summary(self) -> dict[str, Any]:
-        """The numbers of a run folder's summary, joined over runs as `DEFINITIONS` says; strict JSON."""
+        """Return the numbers of a run folder's summary over all runs, see `DEFINITIONS`; strict JSON."""
         return {
             "controller": self.controller,
             "runs": len(self.min_distance),
@@ -170,7 +170,7 @@ class Metrics:
 
 
 def finite(value: Any) -> float | None:
-    """A number for strict JSON; none where it is infinite or unknown."""
+    """Return a number for strict JSON; none where it is infinite or unknown."""
     return float(value) if np.isfinite(value) else None
 
 

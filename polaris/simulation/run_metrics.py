@@ -180,7 +180,7 @@ def _placed(unsafe: Iterable[Any]) -> tuple[tuple[Any, ...], tuple[StateLimit, .
 
 
 def _refined(runs: Runs, truth: Mapping[str, Array], nearest: Closest) -> Closest:
-    """A closer approach in the two periods about the closest node, if there is one."""
+    """Return a closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
     node = np.clip(np.round(nearest.time / h).astype(int), 0, N)

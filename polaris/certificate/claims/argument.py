@@ -97,7 +97,7 @@ class Argument:
             self.record.holds("powered_abort", check_aborts(tracker, sets, flown, self.stated))
 
     def reference(self) -> Path:
-        """The reference is the exact motion under the stored inputs, and these are within the limits."""
+        """Check that the reference is the exact motion under the stored inputs, which are within limits."""
         doc = self.document
         path = flown_path(doc, self.plant, doc.states[self.K])
         size = [max(abs(state[i]) for state in doc.states) for i in range(self.n)]

@@ -60,7 +60,7 @@ class Arrival:
 
     @cached_property
     def document(self) -> Document:
-        """The certificate, with the path for its reference."""
+        """Return the certificate, with the path for its reference."""
         return self.flight.document
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
@@ -133,7 +133,7 @@ class Arrival:
         require("goal", allowed - tolerance, "the tolerance is more than the scenario's")
 
     def node_at(self, by: float) -> int:
-        """The node of the tail at an instant [s]."""
+        """Return the node of the tail at an instant [s]."""
         doc = self.document
         T = doc.steps * doc.delta
         if T * (1 - 1e-9) <= by <= doc.cells * doc.delta * (1 + 1e-9):
@@ -144,12 +144,12 @@ class Arrival:
 
     @property
     def _first(self) -> int:
-        """The node at T."""
+        """Return the node at T."""
         return self.document.steps * self.document.q
 
     @property
     def _last(self) -> int:
-        """The last node of the tail."""
+        """Return the last node of the tail."""
         return (self.document.cells - self.document.steps) * self.document.q
 
     def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:

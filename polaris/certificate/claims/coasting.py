@@ -20,7 +20,7 @@ JUMP_SLACK = 2e-5
 
 
 def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
-    """The exact motion under the stored inputs; from T on from a state of which an orbit closes exactly."""
+    """Return the exact motion under the stored inputs; after T from a state whose orbit closes exactly."""
     coasts = column(tail)
     if document.system_kind == "clohessy_wiltshire" and document.horizon == "infinite":
         coasts[4, 0] = -plant.A[3, 4] * coasts[0, 0]  # v_y = -2 eta r_x
@@ -28,7 +28,7 @@ def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
 
 
 def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
-    """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
+    """Return the path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
     facet will do, and the one with most room is taken.
@@ -45,7 +45,7 @@ def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, lis
 
 
 def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
-    """The facet of a set at rest that leaves an arc most room."""
+    """Return the facet of a set at rest that leaves an arc most room."""
     rows, offsets = -item.rows(arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
     room = arc.room(rows, offsets)
     least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
@@ -63,7 +63,7 @@ def check_end(document: Document, path: Path) -> str:
 
 
 def _closes(doc: Document, path: Path, tail: int) -> None:
-    """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
+    """Check that the coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
     moving = [item.name for item in doc.unsafe if doc.moves(item)]
     if moving:
         raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")

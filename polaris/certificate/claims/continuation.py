@@ -156,7 +156,7 @@ class Continuation:
 
     @cached_property
     def further(self) -> tuple[Path, list[list[int]]]:
-        """The path and its facets until the loop has forgotten what it was at T."""
+        """Return the path and its facets until the loop has forgotten what it was at T."""
         return prolonged(self.document, self.path, self.tracker.memory)
 
     @cached_property

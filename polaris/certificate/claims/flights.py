@@ -67,7 +67,7 @@ class Pilot:
 
     @property
     def plant(self) -> Plant:
-        """The craft."""
+        """Return the craft."""
         return self.craft.plant
 
     @cached_property
@@ -82,7 +82,7 @@ class Pilot:
         return Directions(self.craft.commands)
 
     def base(self, k: int, path: Path) -> Arc:
-        """The arc of a step about which its motion is described."""
+        """Return the arc of a step about which its motion is described."""
         if self.law.kind == "any_thrust":  # free motion, and every thrust is an uncertain input about zero
             return Arc.of(self.plant, path.arcs[k].nodes[0], arb_mat(self.plant.B.ncols(), 1))
         if self.law.states is None or self.law.inputs is None:

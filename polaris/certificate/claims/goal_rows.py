@@ -51,7 +51,7 @@ def _row(n: int, entries: dict[int, Any], side: Any) -> Row:
 
 
 def _within(n: int, entries: dict[int, Any], middle: Any, half: Any = 0) -> list[Row]:
-    """A row and its negative: within a length of a value."""
+    """Return a row and its negative: within a length of a value."""
     opposite = {i: -x for i, x in entries.items()}
     return [_row(n, entries, arb(middle) + half), _row(n, opposite, arb(half) - middle)]
 
@@ -152,7 +152,7 @@ class Weighted:
         return [a - b for a, b in zip((self.rows * x).entries(), self.sides, strict=True)]
 
     def distance(self, over: list[arb]) -> arb:
-        """The largest excess, of each group the smallest; 0 if none is beyond its side."""
+        """Return the largest excess, of each group the smallest; 0 if none is beyond its side."""
         at = len(over) - sum(self.groups)
         excess = [arb(0), *over[:at]]
         for count in self.groups:

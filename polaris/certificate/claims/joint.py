@@ -32,7 +32,7 @@ class _Check:
 
     @property
     def last(self) -> int:
-        """The last node of the tail."""
+        """Return the last node of the tail."""
         doc = self.arrival.document
         return (doc.cells - doc.steps) * doc.q
 

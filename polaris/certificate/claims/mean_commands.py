@@ -224,7 +224,7 @@ class Period:
         return stored + crossed.transpose() * self.spare(P).solve(crossed)
 
     def found(self) -> arb_mat | None:
-        """A storage that lasts as far as is known, in exact numbers."""
+        """Return a storage that lasts as far as is known, in exact numbers."""
         N = self.F.nrows()
         P = arb_mat(N, N)
         for _ in range(PERIODS):

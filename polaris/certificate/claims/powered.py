@@ -87,7 +87,7 @@ class Along:
     def of(
         cls, doc: Document, branch: Branch, corrections: Corrections, facets: list[list[int]], stated: Stated
     ) -> "Along":
-        """The exact motion under the inputs, which are within the limits, and it may coast."""
+        """Build the exact motion under the inputs; check that these are within limits, and it may coast."""
         tracker = corrections.tracker
         path = flown_path(doc, tracker.craft.plant, branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
@@ -171,7 +171,7 @@ class Along:
 
 
 def branched(document: Document, branch: Branch) -> Document:
-    """The certificate with a branch in the place of the reference from its first step on."""
+    """Return the certificate with a branch in the place of the reference from its first step on."""
     least, doc = document.calmest, copy.copy(document)
     doc.steps, doc.cells = branch.step + len(branch.inputs), len(branch.facets)
     coast = [[0.0] * len(doc.u_max)] * (doc.cells - doc.steps)

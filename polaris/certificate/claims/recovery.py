@@ -110,11 +110,11 @@ class Recovery:
         return self.limits.at(node + lag, first=lag == 0) + booked
 
     def _of(self, share: float, node: int, lag: int) -> float:
-        """The share claimed of limits some periods after a node: none of those flown on to."""
+        """Return the share claimed of limits some periods after a node: none of those flown on to."""
         return share if node + lag <= self.document.cells * self.document.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
-        """The share claimed at a set is left of all limits beyond the memory, too."""
+        """Check that the share claimed at a set is left of all limits beyond the memory, too."""
         late = self.needs.still(z.size())
         for row, target in self._least[self._far_cell(k)].items():
             need = late[row] + self.needs.disturbed[-1][row]

@@ -121,7 +121,7 @@ def _check(
 
 
 def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rate: arb) -> None:
-    """The tank lasts for as long as is claimed; `until` is what is spent until S has settled."""
+    """Check that the tank lasts as long as is claimed; `until` is what is spent until S has settled."""
     T, lasts = arrival.document.steps * arrival.document.delta, claim["lasts_s"]
     beyond = math.inf if lasts is None else lasts
     if T < beyond < claim["settled_s"]:

@@ -59,7 +59,7 @@ def read_code(folder: Path) -> tuple[str, Tables, str, str]:
 
 
 def _texts(folder: Path) -> tuple[str, dict[str, str]]:
-    """The prefix of the code in a folder, and the texts of its files."""
+    """Return the prefix of the code in a folder, and the texts of its files."""
     there = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SOURCES)
     prefix = next((name[:-2] for name in there if name.endswith(".h")), "")
     needed = sorted((f"{prefix}.h", f"{prefix}.c", f"{prefix}_selftest.c"))
@@ -137,7 +137,7 @@ def _same(name: str, given: Table, value: Table, precision: str) -> None:
 
 
 def _range(document: Document, gain: Table) -> list[float]:
-    """The range of states for which rounding is bounded: the reference's, and errors about it."""
+    """Return the range of states for which rounding is bounded: the reference's, and errors about it."""
     ranges = []
     for j in range(len(document.A)):
         slopes = [(abs(row[j]), limit) for row, limit in zip(gain, document.u_max, strict=True)]

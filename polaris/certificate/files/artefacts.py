@@ -67,7 +67,7 @@ def check_networks(document: Document, scenario: dict[str, Any], folder: Path, r
 
 
 def read_scenario(folder: Path) -> dict[str, Any]:
-    """The scenario file, its keys, types and ranges checked."""
+    """Return the scenario file, its keys, types and ranges checked."""
     data = contents(folder / "scenario.toml", LARGEST_SCENARIO)
     try:
         text = data.decode("utf-8")
@@ -274,5 +274,5 @@ def _hold(needed: dict[str, bool], where: str) -> None:
 
 
 def _raised(x: float) -> float:
-    """A number moved up by rounding, whatever its sign."""
+    """Return a number moved up by rounding, whatever its sign."""
     return x * (1 + math.copysign(ROUNDING, x))

@@ -44,7 +44,7 @@ def digest(data: dict[str, Any]) -> str:
 
 
 def canonical(data: Any) -> str:
-    """The one JSON text of the data: keys sorted, no spaces, ASCII."""
+    """Return the one JSON text of the data: keys sorted, no spaces, ASCII."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
 
 
@@ -173,7 +173,7 @@ class Document:
 
     @cached_property
     def calmest(self) -> Vector:
-        """The least error of every state in any step, those of the schedule that a branch leaves included."""
+        """Return the least error of each state in any step, also of the schedule that a branch leaves."""
         return [min(each) for each in zip(*self.error_by_step, strict=True)] or self.estimate
 
     def _compare(self, lengths: Lengths, sets: int) -> None:

@@ -230,7 +230,7 @@ def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
 
 
 def _times(what: str, count: int, part: float, whole: float) -> None:
-    """A whole is so many times its part."""
+    """Check that a whole is so many times its part."""
     if not abs(count * part - whole) <= 1e-9 * whole:
         raise Rejected("sampling", f"{what}: {count} times {part:g} s is not {whole:g} s")
 

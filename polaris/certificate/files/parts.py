@@ -202,7 +202,7 @@ def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
 
 
 def unsafe_set(item: dict[str, Any], n: int, d: int) -> UnsafeSet:
-    """A timed polytope of n states or d positions from its item; normals of positions have length 1."""
+    """Return a timed polytope of n states or d positions; normals of positions have length 1."""
     normals, offsets, of_state = item["normals"], item["offsets"], item.get("of_state") or False
     for normal in normals:
         if len(normal) != (n if of_state else d):
@@ -226,7 +226,7 @@ def abort_of(drift: dict[str, Any], q: int) -> Abort:
 
 
 def check_law(law: Law, steps: int, reads: int) -> None:
-    """The parts of a law fit each other and the schedule; `reads` is how many numbers a network reads."""
+    """Check that the parts of a law fit each other and the schedule; `reads` is a network's input size."""
     if (law.states is None) != (law.inputs is None):
         raise ValueError(f"{law.name} has half a reference of its own")
     if any(part is not None and len(part) < steps for part in (law.states, law.inputs)):
@@ -237,7 +237,7 @@ def check_law(law: Law, steps: int, reads: int) -> None:
 
 
 def _check_bodies(law: Law) -> None:
-    """A network is told of each body that it reads, once, and either where it goes or how it is known."""
+    """Check that a network is told of each body that it reads, once: where it goes or how it is known."""
     read = dict.fromkeys(name.partition(":")[2] for name in law.reads if ":" in name)
     if [body["name"] for body in law.bodies] != list(read):
         raise ValueError(f"{law.name} must say of each body that it reads, and of no other, how it moves")

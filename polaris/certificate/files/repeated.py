@@ -215,7 +215,7 @@ def limit_names(document: Document) -> set[str]:
 
 
 def _check_reason(document: Document, reason: str) -> None:
-    """The words for how far the claim reaches fit the claim, the system and the scene."""
+    """Check that the words for how far the claim reaches fit the claim, the system and the scene."""
     words = re.fullmatch(REASONS[document.horizon], reason)
     if words is None:
         raise Rejected("end", f"{shown(reason)} is no reason for the claim {document.horizon}")
@@ -239,7 +239,7 @@ ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked t
 
 
 def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
-    """The rules as ``schedule.json`` repeats them; of the effort of the search, what the scenario gives."""
+    """Return the rules as ``schedule.json`` repeats them; the effort of the search as the scenario has it."""
     spec = scenario.get("schedule", {})
     return {
         "strategy": spec.get("strategy", "greedy"),
@@ -276,7 +276,7 @@ def check_reference(document: Document, path: Path) -> None:
 
 
 def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
-    """A CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
+    """Check that a CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     lines, given = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")

@@ -108,7 +108,7 @@ def every(item: Shape, words: str) -> dict[str, Shape]:
 
 
 def conform(value: Any, shape: Shape, claim: str, where: str, lengths: Lengths | None = None) -> Any:
-    """A value read from JSON or TOML, its hexadecimal texts as floats; `Rejected` if it is not of a shape.
+    """Return a value read from JSON or TOML, hexadecimal texts as floats; `Rejected` if not of a shape.
 
     `where` is the file; named lengths of lists are noted in `lengths`.
     """
@@ -207,7 +207,7 @@ def number(text: Any) -> float:
 
 
 def shown(value: Any, most: int = 80) -> str:
-    """A value in a message: printable, and not long."""
+    """Return a value in a message: printable, and not long."""
     text = ascii(value)
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
@@ -246,7 +246,7 @@ LARGEST_HASHED = 16 * 2**30  # largest file that is hashed [bytes]
 
 
 def contents(path: Path, most: int = LARGEST_READ) -> bytes:
-    """The bytes of a regular file, or of what a link to one leads to."""
+    """Return the bytes of a regular file, or of what a link to one leads to."""
     with _opened(path, most) as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(min(size, most) + 1)  # a reader of more would set that much memory aside

@@ -19,7 +19,7 @@ class Arc:
 
     @classmethod
     def of(cls, plant: Plant, start: arb_mat, u: arb_mat) -> "Arc":
-        """The exact zero-order-hold step that starts at a state."""
+        """Return the exact zero-order-hold step that starts at a state."""
         nodes, push = [start, *(phi * start + gamma * u for phi, gamma in plant.steps)], plant.B * u
         return cls(plant, u, nodes, beside(*(plant.A * x + push for x in nodes[:-1])))
 

@@ -90,7 +90,7 @@ def cross(a: Sequence[arb], b: Sequence[arb]) -> list[arb]:
 
 
 def plain(x: arb) -> str:
-    """The middle of a ball, for messages."""
+    """Return the middle of a ball, for messages."""
     return f"{float(x.mid()):.6g}"
 
 
@@ -158,7 +158,7 @@ def root(square: arb) -> arb:
 
 
 def largest(values: Iterable[arb]) -> arb:
-    """A number that is at least every one of the values (their largest upper bound)."""
+    """Return a number that is at least every one of the values (their largest upper bound)."""
     best: arb | None = None
     for upper in (value.upper() for value in values):
         if upper.is_nan():
@@ -168,7 +168,7 @@ def largest(values: Iterable[arb]) -> arb:
 
 
 def smallest(values: Iterable[arb]) -> arb:
-    """A number that is at most every one of the values."""
+    """Return a number that is at most every one of the values."""
     return -largest(-value for value in values)
 
 

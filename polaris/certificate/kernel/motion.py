@@ -100,7 +100,7 @@ class Plant:
 
     @cached_property
     def turning(self) -> Directions:
-        """A, as rows of a rate."""
+        """Return A, as rows of a rate."""
         return Directions(self.A)
 
     @cached_property
@@ -139,7 +139,7 @@ class Plant:
         return sums(self.thruster_part(most), bits)
 
     def thruster_part(self, most: Sequence[arb]) -> list[arb]:
-        """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
+        """Return the command-proportional part of errors: that of a sum is at most the sum of the parts."""
         return [*self._input_part(most), *([] if self.lead is None else self.lead.part(most))]
 
     def _input_part(self, sizes: Sequence[arb]) -> list[arb]:
@@ -194,7 +194,7 @@ class Plant:
 
     @cached_property
     def disturbance(self) -> Push:
-        """The disturbance."""
+        """Return the disturbance."""
         return Push.in_ball(self.D, self.w_max)
 
     @cached_property

@@ -37,7 +37,7 @@ class Period:
         return z.image(self.F).moved(self.moved)
 
     def after(self, end: Zonotope) -> Zonotope:
-        """The set at the next node, from `ends`: what is known of one along rows serves the other."""
+        """Return the set at the next node, from `ends`: what is known of one along rows serves the other."""
         return end.grown(*self.held, *self.added)
 
     def extra(self, along: Along, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
@@ -75,7 +75,7 @@ def command_ranges(u: arb_mat, gain: Directions, d: Zonotope) -> list[tuple[arb,
 
 
 def around(low: arb, high: arb) -> tuple[arb, arb]:
-    """An exact middle of two numbers, and how far both are from it at most."""
+    """Return an exact middle of two numbers, and how far both are from it at most."""
     middle = ((low + high) / 2).mid()
     return middle, largest((high - middle, middle - low))
 
@@ -87,7 +87,7 @@ def secant(lo: arb, hi: arb, top: arb) -> float:
 
 
 def clip(y: arb, top: arb) -> arb:
-    """The command y limited to ``[-top, top]``."""
+    """Return the command y limited to ``[-top, top]``."""
     if y > top:
         return top
     return -top if y < -top else y

@@ -107,11 +107,11 @@ class Zonotope:
         return sum(part.ncols() for part in self.parts)
 
     def image(self, M: arb_mat) -> Zonotope:
-        """The set mapped by a matrix."""
+        """Return the set mapped by a matrix."""
         return Zonotope(M * self.c, self._made.mapped(M))
 
     def through(self, rows: Directions) -> Zonotope:
-        """The set mapped by rows; the image is kept for this set, moved or grown."""
+        """Return the set mapped by rows; the image is kept for this set, moved or grown."""
         return Zonotope(rows.M * self.c, self._made.image(rows))
 
     @cached_property
@@ -119,7 +119,7 @@ class Zonotope:
         return self.of if isinstance(self.of, Generators) else Generators(self.of)
 
     def moved(self, v: arb_mat) -> Zonotope:
-        """The set moved by a vector (n, 1)."""
+        """Return the set moved by a vector (n, 1)."""
         return Zonotope(self.c + v, self._made)
 
     def grown(self, *generators: arb_mat) -> Zonotope:

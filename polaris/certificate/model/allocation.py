@@ -27,7 +27,7 @@ def per_axis(given: Any, count: int) -> list[float]:
 
 
 def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
-    """The limits of the inputs lie within the scenario's, and within what its thrusters make in every fault.
+    """Check limits of the inputs: within the scenario's, and what its thrusters make in every fault.
 
     What they make is convex. It holds a box if for each of its corners it has a point that lies, in every
     input, at least as far out as the corner: no plane separates the box from those points (Proposition 5).

@@ -139,7 +139,7 @@ class Limits:
 
 
 def levels_of(document: Document, needs: Needs, path: Path) -> list[list[Target]]:
-    """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
+    """Return the profile of commands as limits l periods after a hand-over, whatever room is left."""
     noise = needs.craft.noise(needs.craft.lagged(needs.craft.plant.u_max))
     first = needs.rows.nrows() - 2 * len(noise)
     jumps = needs.ever(magnitude(path.jump))[first:]

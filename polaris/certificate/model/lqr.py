@@ -17,7 +17,7 @@ WEIGHT_SLACK = 2e-12
 
 
 def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
-    """A gain K is the LQR gain of (Q, R): ``K = R^-1 B' P``, P the cost of flying K, and K stabilises.
+    """Check that K is the LQR gain of (Q, R): ``K = R^-1 B' P``, P the cost of flying K, and stabilises.
 
     The Riccati equation has other solutions; flying one of them would not end anywhere, and "the cost of
     flying K" would be no cost. With A - B K Hurwitz and Q, R (semi)definite, P is
@@ -43,7 +43,7 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
 
 
 def weight(values: Any) -> arb_mat:
-    """A weight from its diagonal or from itself, made symmetric."""
+    """Return a weight from its diagonal or from itself, made symmetric."""
     if not isinstance(values[0], list):
         return diagonal(values)
     M = matrix(values)
@@ -80,7 +80,7 @@ def check_hurwitz(A: arb_mat, what: str) -> None:
 
 
 def check_definite(M: arb_mat, slack: float, what: str) -> None:
-    """A symmetric matrix is positive definite, or with a slack semidefinite up to rounding."""
+    """Check that a symmetric matrix is positive definite, or with a slack semidefinite up to rounding."""
     if slack and all(x.is_zero() for x in M.entries()):
         return
     verdict = positive_definite(M + identity(M.nrows()) * (largest(magnitude(M).entries()) * slack))

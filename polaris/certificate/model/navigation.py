@@ -84,7 +84,7 @@ def _per_axis(parts: list[Any]) -> list[float]:
 def _phased(
     document: Document, phases: list[dict[str, Any]], declared: list[float], timing: dict[str, Any]
 ) -> list[list[float]]:
-    """The largest bounds of the phases that measurements of each step may come from."""
+    """Return the largest bounds of the phases that measurements of each step may come from."""
     if not phases:
         return [declared]
     begin = [0.0, *(phase["from_s"] for phase in phases)]

@@ -232,7 +232,7 @@ def band(layer: Layer, lo: arb, hi: arb) -> tuple[float, arb, arb]:
 
 
 def value(layer: Layer, y: arb) -> arb:
-    """The activation at a number: an exact one, where it has kinks."""
+    """Return the activation at a number: an exact one, where it has kinks."""
     if layer.kind == "relu":
         return y if y >= 0 else layer.low * y
     if layer.kind == "clip":

@@ -31,7 +31,7 @@ KNOWN = {"Constant", *SAME, *ACTIVATIONS, *MADE}
 
 
 def check_file(law: Law, path: Path) -> None:
-    """The layers of a law are those of a file: `Rejected` if not, `Undecided` if it is not understood."""
+    """Check that a law's layers are those of a file: `Rejected` if not, `Undecided` if not understood."""
     data = contents(path, LARGEST)
     try:
         layers = read_layers(data, len(law.input_scale))

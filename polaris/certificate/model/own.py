@@ -119,7 +119,7 @@ def _ellipse(document: Document, spec: dict[str, Any]) -> arb_mat:
 
 
 def check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
-    """A state lies in the scenario's goal; a claim, and whose state it is, for messages."""
+    """Check that a state lies in the scenario's goal; a claim, and whose state it is, are for messages."""
     terms, size = GOALS[spec["kind"]](document, x, spec)
     worst, name = max(terms)
     if not worst <= GOAL_SLACK * size:

@@ -178,7 +178,7 @@ def _row_support(normal: list[float], spec: dict[str, Any], f: int, name: str) -
 
 
 def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, Any]) -> None:
-    """The polytope that the facets leave lies inside the set."""
+    """Check that the polytope that the facets leave lies inside the set."""
     name = spec["name"]
     rows = [[-x for x in item.normals[0]] for item in facets]
     offsets = [-item.start[0][0] for item in facets]
@@ -200,7 +200,7 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
 def _check_within(
     document: Document, facets: list[UnsafeSet], name: str, spec: dict[str, Any], ends: float, size: arb
 ) -> None:
-    """The chaser is kept where a phase's bounds on errors of estimates hold, for as long as it lasts."""
+    """Check that the chaser is kept where a phase's bounds on errors of estimates hold, while it lasts."""
     d, begins = len(document.C), spec["from_s"]
     half = per_axis(spec["within_m"], d)
     if begins >= document.steps * document.delta or len(half) != d:

@@ -159,7 +159,7 @@ def _periods(plant: Plant, time: float) -> int:
 
 
 def _peak(lists: list[list[arb]]) -> list[arb]:
-    """The largest of each entry."""
+    """Return the largest of each entry."""
     return [largest(each).upper() for each in zip(*lists, strict=True)]
 
 

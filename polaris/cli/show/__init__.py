@@ -43,7 +43,7 @@ def assume(assumptions: Iterable[str]) -> None:
 
 
 def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str | Text, ...]] = ()) -> Table:
-    """A table with columns of words, then of numbers; the first `wrap` may be broken; heads may be empty."""
+    """Make a table with columns of words, then of numbers; the first `wrap` may break; heads may be empty."""
     shown = Table(box=None, pad_edge=False, header_style="bold", show_header=any(heads))
     for k, head in enumerate(heads):
         shown.add_column(Text(head), justify="left" if k < words else "right", no_wrap=k >= wrap)
@@ -64,5 +64,5 @@ def show_cells(shown: Cells, width: int = 0) -> None:
 
 
 def alarming(text: str, bad: bool) -> Text:
-    """A text, in red if it tells of something bad."""
+    """Return a text, in red if it tells of something bad."""
     return Text(text, style=RED if bad else "")

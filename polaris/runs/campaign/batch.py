@@ -136,10 +136,10 @@ def fly_batch(task: Task) -> Batch:
 
 
 def joined(parts: Sequence[Columns]) -> Columns:
-    """The rows of several parts, one after the other."""
+    """Return the rows of several parts, one after the other."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def of_mode(columns: Mapping[str, Array], mode: str) -> Columns:
-    """The rows of one mode."""
+    """Return the rows of one mode."""
     return {name: values[columns["mode"] == mode] for name, values in columns.items()}

@@ -38,7 +38,7 @@ class Parquet:
         return {name: table[name].to_numpy() for name in table.column_names}
 
     def check(self, path: Path) -> tuple[str, int]:
-        """The text and the number of rows, once all of it has been read against its checksums."""
+        """Return the text and the number of rows, once all of it has been read against its checksums."""
         with self._opened(path) as file:
             table = file.read()
         return (table.schema.metadata or {})[KEY.encode()].decode(), table.num_rows

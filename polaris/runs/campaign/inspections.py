@@ -91,7 +91,7 @@ class InspectionRuns(Kind):
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:
-    """The one case of a Monte Carlo; its number of runs is the plan's, so that more runs extend it."""
+    """Return the one case of a Monte Carlo; its number of runs is the plan's, so that more runs extend it."""
     return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 

@@ -139,7 +139,7 @@ class CampaignPlan:
 
     @classmethod
     def from_data(cls, data: dict[str, Any]) -> "CampaignPlan":
-        """The plan of a manifest; raises ValueError, KeyError or TypeError if it is none."""
+        """Return the plan of a manifest; raises ValueError, KeyError or TypeError if it is none."""
         if data.get("format") != FORMAT or data.get("format_version") != VERSION:
             raise ValueError(f"not a {FORMAT} of version {VERSION}")
         cases = tuple(

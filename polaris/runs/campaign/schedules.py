@@ -90,7 +90,7 @@ class Boxes:
 
 @lru_cache(KEPT)
 def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError:
-    """A schedule and its digest, or why there is none."""
+    """Return a schedule and its digest, or why there is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # told below

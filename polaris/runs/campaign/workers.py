@@ -197,7 +197,7 @@ class _Crew:
         self.client, self.address, self.seen = client, address, time.monotonic()
 
     def executor(self) -> Any:
-        """The cluster's executor, if its scheduler still answers."""
+        """Return the cluster's executor, if its scheduler still answers."""
         if self.client.status != "running":
             raise PolarisError(f"the scheduler at {self.address} no longer answers")
         return self.client.get_executor(pure=False)

@@ -57,7 +57,7 @@ def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
 
 
 def tube_arrays(schedule: Schedule) -> dict[str, Any]:
-    """The reachable set of every step at its nodes, in error and in absolute coordinates.
+    """Return the reachable set of every step at its nodes, in error and in absolute coordinates.
 
     ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
     Generators (q+1, g, K, n) are in single precision; a box of what that takes, and of what jitter, pulses
@@ -119,7 +119,7 @@ def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, 
 
 
 def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
-    """The inverse: arrays by attribute."""
+    """Return attributes by name from arrays: the inverse of `held_by`."""
     return {held: arrays[prefix + name] for name, held in names.items()}
 
 

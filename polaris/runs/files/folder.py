@@ -139,7 +139,7 @@ def _summarise(
 
 
 def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
-    """A summary: what was run, what is told of it, and when and by what it was made."""
+    """Return a summary: what was run, what is told of it, and when and by what it was made."""
     return {
         "schema_version": 1,
         "scenario": scenario.name,

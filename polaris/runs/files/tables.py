@@ -157,7 +157,7 @@ def errors_of(system: Craft) -> dict[str, Any]:
 
 
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """A heading and a sentence for everything that a guarantee claims besides."""
+    """Return a heading and a sentence for everything that a guarantee claims besides."""
     rows = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
     rows += [("Estimate", _estimate(claim["estimate"]))] if claim.get("estimate") else []
     rows += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []

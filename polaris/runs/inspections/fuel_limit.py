@@ -106,7 +106,7 @@ def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
 
 
 def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
-    """The flight, bit for bit; reasons and wall times are in the summary only."""
+    """Return the flight, bit for bit; reasons and wall times are in the summary only."""
     arrays = read_finite(folder / "fuel.npz", ("t_s", "states", "thrust_N", "delta_v_m_s"))
     K = len(arrays["t_s"]) - 1
     if [arrays[name].shape for name in ARRAYS] != [(K + 1,), (K + 1, 6), (K, 3), (K, 3), (K + 1,)]:

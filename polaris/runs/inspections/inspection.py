@@ -69,7 +69,7 @@ def _write(folder: Path, scenario: FlightScenario, judged: JudgedRun) -> None:
 
 
 def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
-    """The flight, bit for bit."""
+    """Return the flight, bit for bit."""
     arrays = read_finite(folder / "flight.npz", ("t_s", "states", "sun_rad", "thrust_N"))
     q, K = scenario.inspection(), len(arrays["t_s"]) - 1
     N = q.deputies

@@ -73,7 +73,7 @@ class BarrierFilter(ScenarioPart):
     def build(
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
     ) -> BatchFilter:
-        """The filter, for a control period [s]; it takes everything for exact."""
+        """Return the filter, for a control period [s]; it takes everything for exact."""
         longest = period + 2 * unknown.jitter
         sampled = SampledData(longest, self.sampled_data_share) if self.sampled_data else None
         families = Families(q, alpha, self.without, sampled)
@@ -104,13 +104,13 @@ class AssuredFilter(ScenarioPart):
     def build(
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
     ) -> BatchFilter:
-        """The filter, for a control period [s]."""
+        """Return the filter, for a control period [s]."""
         watched, brake = Families(q, alpha, self.without), Brake(q, period, unknown)
         self.start(brake, alpha, 0.0)
         return OneFlight(lambda sun: self.start(brake, alpha, sun), watched, period)
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
-        """The filter of one flight, from an angle of the sun [rad] on."""
+        """Return the filter of one flight, from an angle of the sun [rad] on."""
         given = self.arguments()
         if "sampled_data_share" in given:
             given["share"] = given.pop("sampled_data_share")

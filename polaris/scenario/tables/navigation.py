@@ -123,7 +123,7 @@ class Measurement(Sight):
     def known(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> Craft:
-        """The system whose estimates are an observer's; see `Navigation.known`."""
+        """Return the system whose estimates are an observer's; see `Navigation.known`."""
         if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed, rule)

@@ -46,7 +46,7 @@ class ClohessyWiltshire(ScenarioPart):
     flight, as differential drag along y may be."""
 
     def build(self) -> LinearSystem:
-        """The controlled system."""
+        """Return the controlled system."""
         limit = per_axis("system.thrust_max_N", self.thrust_max_N, 3)
         plain = clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
         return replace(plain, bias_max=None if (bias := self.bias_max_m_s2) is None else np.array(bias))
@@ -74,7 +74,7 @@ class Linear(ScenarioPart):
     """Mass that turns the integral of |u| into a velocity change; 1 where the input is an acceleration."""
 
     def build(self) -> LinearSystem:
-        """The controlled system."""
+        """Return the controlled system."""
         limit = per_axis("system.input_max", self.input_max, len(self.B[0]))
         C = None if self.C is None else np.array(self.C)
         if self.position_states is not None:
@@ -95,7 +95,7 @@ class _Initial(ScenarioPart):
 
     @abstractmethod
     def build(self, system: LinearSystem) -> Zonotope:
-        """The set Theta, as a zonotope that encloses it."""
+        """Return the set Theta, as a zonotope that encloses it."""
 
 
 class InitialBox(_Initial):
@@ -105,7 +105,7 @@ class InitialBox(_Initial):
     half_widths: f.WidthVector = unit("m, m/s (state order)", "Half-width per state, n numbers >= 0.")
 
     def build(self, system: LinearSystem) -> Zonotope:
-        """The box."""
+        """Return the box."""
         return Zonotope.box(np.array(self.center, dtype=float), self.half_widths)
 
 
@@ -121,7 +121,7 @@ class InitialBall(_Initial):
     """2-norm radius of all other states (the velocity, in a mechanical system)."""
 
     def build(self, system: LinearSystem) -> Zonotope:
-        """A zonotope around the product of the balls."""
+        """Return a zonotope around the product of the balls."""
         C = system.position
         if not (np.all((C == 0) | (C == 1)) and np.all(C.sum(axis=1) == 1) and np.all(C.sum(axis=0) <= 1)):
             rule = "a ball needs a position that is a choice of states; use a box or a zonotope"
@@ -140,7 +140,7 @@ class InitialZonotope(_Initial):
     generators: f.Matrix = unit("m, m/s (state order)", "One list of n numbers per generator.")
 
     def build(self, system: LinearSystem) -> Zonotope:
-        """The zonotope."""
+        """Return the zonotope."""
         return Zonotope(np.array(self.center, dtype=float), np.array(self.generators, dtype=float).T)
 
 

@@ -75,7 +75,7 @@ class Attacker:
         return Attack(x0, w, self._thrust(count))
 
     def worst(self, count: int) -> Attack:
-        """The closed-form worst case of facets and instants: half of them where the proof leaves least."""
+        """Return the closed-form worst case of facets and instants: half are where the proof leaves least."""
         return self._towards(*self._aims(count))
 
     def failed(self, count: int) -> Attack:
@@ -121,7 +121,7 @@ class Attacker:
         return rows, targets
 
     def again(self, runs: Runs, found: Attained, count: int) -> Attack:
-        """The worst case about runs just flown, their clipped inputs as they were.
+        """Return the worst case about runs just flown, their clipped inputs as they were.
 
         Half aim at the limit that came out tightest, half at another one, when it was tightest.
         """
@@ -210,7 +210,7 @@ class Attacker:
         return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:
-        """The row of a limit that counts at a state: its nearest facet, or the input's sign."""
+        """Return the row of a limit that counts at a state: its nearest facet, or the input's sign."""
         claims, m = self.claims, self.flight.system.m
         if limit < len(claims.unsafe):
             period = min(node, claims.cells * claims.q - 1)

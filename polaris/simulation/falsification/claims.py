@@ -61,7 +61,7 @@ class Claims:
 
     @property
     def unsafe(self) -> tuple[TimedPolytope, ...]:
-        """The timed polytopes."""
+        """Return the timed polytopes."""
         return self.schedule.safety.clearance.unsafe
 
     @cached_property

@@ -26,7 +26,7 @@ def stopped(
 def drifted(
     passive: PassiveSafety, runs: Runs, run: NDArray[np.int_], node: NDArray[np.int_]
 ) -> tuple[Failure, int]:
-    """The drift that comes closest to an unsafe set, thrust stopping at nodes of runs; and its run.
+    """Return the drift that comes closest to an unsafe set, thrust stopping at nodes of runs; and its run.
 
     At every instant of the drift the disturbance has done all it can against the facet that keeps the drift
     furthest away. A margin that is not below the proven one is no violation.

@@ -77,7 +77,7 @@ class Falsification:
         return np.where(np.isfinite(share) & (self.least > 0), share, np.nan)
 
     def summary(self) -> dict[str, Any]:
-        """The numbers of a report; strict JSON."""
+        """Return the numbers of a report; strict JSON."""
         return {
             "runs": self.runs,
             "runs_per_s": self.runs / self.seconds if self.seconds > 0 else None,
@@ -201,7 +201,7 @@ class _Search:
         return self._confirmed(claims, attack, measured)
 
     def _confirmed(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
-        """The worst violation, flown again alone to be sure of it."""
+        """Return the worst violation, flown again alone to be sure of it."""
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
             alone = attack.pick(np.array([run]))
@@ -210,7 +210,7 @@ class _Search:
         return None
 
     def _aborted(self, count: int) -> Found | None:
-        """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
+        """Return the worst violation of the claims of a flight that is aborted in a step drawn at random."""
         step = int(self.main.rng.choice(self.aborts))
         attacker, attack, runs = aborted(self.schedule, step, count, self.main.rng)
         refuted = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
@@ -221,7 +221,7 @@ class _Search:
         return refuted
 
     def _besides(self, attack: Attack, flown: Runs) -> Found | None:
-        """The worst violation of what is claimed of the drift after all thrust stops, or of what is spent."""
+        """Return the worst violation of claims of the drift after all thrust stops, or of what is spent."""
         passive, failures = self.schedule.passive, []
         if passive is not None and passive.least is not None:
             failures.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))

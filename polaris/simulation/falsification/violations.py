@@ -92,7 +92,7 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
 
 
 def overspent(runs: Runs) -> tuple[Failure, int]:
-    """The run that spends most until T, against what is claimed, if anything is; and which run that is."""
+    """Return the failure of the run that spends most until T, against any claim of that; and the run."""
     schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
     bound = schedule.delta_v[1] if schedule.guarantee == "proved" else np.inf
     left = bound - float(runs.delta_v[run])

@@ -82,7 +82,7 @@ class Environment:
 
     @classmethod
     def of(cls, scenario: Any) -> "Environment":
-        """The environment a scenario declares.
+        """Return the environment a scenario declares.
 
         Raises
         ------

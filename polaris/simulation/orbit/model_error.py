@@ -52,7 +52,7 @@ class ModelError:
 
     @property
     def declared(self) -> float:
-        """The system's disturbance bound [m/s^2]."""
+        """Return the system's disturbance bound [m/s^2]."""
         return self.schedule.safety.problem.system.w_max
 
     @property
@@ -67,11 +67,11 @@ class ModelError:
 
     @property
     def worst(self) -> int:
-        """The box in which the bound is largest."""
+        """Return the box in which the bound is largest."""
         return int(np.argmax(self.residual.total))
 
     def summary(self) -> dict[str, Any]:
-        """The numbers of a report; strict JSON."""
+        """Return the numbers of a report; strict JSON."""
         at, sampled = self.worst, {}
         if math.isfinite(self.sampled):
             sampled = {"sampled_m_s2": self.sampled, "sampled_share": self.sampled / self.bound}

@@ -76,7 +76,7 @@ def _curve(safety: Safety) -> Array:
 
 
 def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Region:
-    """The reference from a cell on, with S's tube from a set of errors there; later turns included."""
+    """Return the reference from a cell on, with S's tube from a set of errors there; later turns included."""
     tracking, q = safety.tracking, safety.clearance.q
     cells = safety.reference.cells - first
     eye = np.eye(tracking.system.n)

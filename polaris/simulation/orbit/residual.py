@@ -71,7 +71,7 @@ def residual_bound(env: Environment, radial: ArrayLike, distance: ArrayLike, spe
 
 
 def two_digits(value: float) -> float:
-    """The next number up with two significant digits."""
+    """Return the next number up with two significant digits."""
     if value <= 0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)

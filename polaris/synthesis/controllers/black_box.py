@@ -138,7 +138,7 @@ class BlackBox:
         return LinearFlow.continuous(system.A, system.D, system.w_max, self.tracking.flow.h)
 
     def fly(self, start: Zonotope, k: int, before: Before = ()) -> FittedSegment:
-        """The reachable set over step k of all that commands within the bands, under any disturbance.
+        """Return the reachable set over step k of all that commands within the bands, under any disturbance.
 
         With memory they are fitted to flights from the initial set on, in which those `before` flew the
         steps so far and the box was asked all along.
@@ -198,7 +198,7 @@ class BlackBox:
         return np.array(fit)
 
     def _line(self, e: Array, u: Array, xi: Array) -> Array:
-        """The affine function of errors (R, n) nearest to commands (R, m), and their band about it."""
+        """Return the affine function of errors (R, n) nearest to commands (R, m), and their band about it."""
         middle, n = e.mean(axis=0), e.shape[1]
         size, spread = np.abs(xi) + np.abs(e).max(axis=0), np.abs(e - middle).max(axis=0)
         scale = np.where(spread > NARROW * size, spread, np.inf)

@@ -177,7 +177,7 @@ class AffineController(AffineLaw):
 
     @cached_property
     def idle(self) -> "AffineController":
-        """A law that feeds nothing back: loop states beside the error move under any law as under this."""
+        """Return a law without feedback: loop states beside the error move under it as under any law."""
         return replace(self, name="idle", gain=0 * self.gain, _levels={})
 
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
@@ -245,7 +245,7 @@ class AnyThrust:
         return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
-        """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
+        """Return the worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
         direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
         return np.asarray(np.sign(direction) * self.system.u_max)
 
@@ -295,5 +295,5 @@ def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> Tu
 
 
 def construct_s(tracking: Tracking, reference: Reference) -> AffineController:
-    """The safety controller S of Algorithm 1: ``s(x, t) = Lambda (xi(t) - x) + mu(t)``."""
+    """Return the safety controller S of Algorithm 1: ``s(x, t) = Lambda (xi(t) - x) + mu(t)``."""
     return AffineController("safety", tracking.system, tracking.gain, reference, reference, tracking)

@@ -72,7 +72,7 @@ class NeuralController:
 
     @property
     def feedback(self) -> Feedback:
-        """The safety controller's."""
+        """Return the feedback of the safety controller."""
         return self.tracking.feedback
 
     def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
@@ -115,7 +115,7 @@ class NeuralController:
 
     @cached_property
     def loop(self) -> NetworkLoop:
-        """The closed loop in error coordinates, limits and scales included."""
+        """Return the closed loop in error coordinates, limits and scales included."""
         system, policy, zeros = self.system, self.policy, np.zeros(self.system.m)
         reads = self._slopes(np.eye(system.n), np.zeros((system.n, self.told[0].shape[-1])))
         limited = (
@@ -144,7 +144,7 @@ class NeuralController:
 
     @property
     def slope(self) -> AffineController:
-        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        """Return the clipped affine law that it is to first order at the start of its reference: no bound."""
         own, m = self.own.chi[0], self.system.m
         gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m)) @ self.loop.C
         known = self.reference, self.own, self.tracking

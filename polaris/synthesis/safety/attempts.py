@@ -129,7 +129,7 @@ class Attempts:
         return replace(asked, margins=margins, u_limit=limit)
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
-        """The plan again, so that coasting after its end is safe; None if there is none to be had."""
+        """Plan again, so that coasting after the end is safe; return None if there is no such plan."""
         options = self.problem.planner
         limit = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
         try:
@@ -171,7 +171,7 @@ class Attempts:
 
 
 def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
-    """The perception oracle of Definition 2 over a number of cells."""
+    """Return the perception oracle of Definition 2 over a number of cells."""
     return tuple(perceive(problem.unsafe, problem.system, problem.delta, cells))
 
 
@@ -181,7 +181,7 @@ def start_about(problem: Problem, tracking: Tracking) -> Zonotope:
 
 
 def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:
-    """The MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
+    """Return the MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
 
     Raises `SynthesisInfeasible` if correcting the initial error alone may demand more than the thrusters
     have.

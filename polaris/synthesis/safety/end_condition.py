@@ -52,7 +52,7 @@ def tail_length(tracking: Tracking) -> int:
 
 
 def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
-    """The reference followed by its coasting tail, started from the exact natural motion next to it.
+    """Return the reference followed by its coasting tail, started from the exact natural motion next to it.
 
     And ``|x_T - x*|`` elementwise (n,), the step that the snap makes; zero where nothing was snapped.
     """
@@ -68,7 +68,7 @@ def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
 
 
 def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
-    """The nearest state whose unforced motion closes (Hill's frame) or rests (any other system)."""
+    """Return the nearest state whose unforced motion closes (Hill's frame) or rests (any other system)."""
     system = planned.system
     if in_hills_frame(system):
         assert system.mean_motion is not None

@@ -90,7 +90,7 @@ class Safety:
         return FreeFlight(problem.abort, problem.system, sets, problem.delta)
 
     def under(self, faults: tuple[Transient, ...]) -> RecoverableSet:
-        """The recoverable sets along the same reference if these faults alone were isolated late."""
+        """Return the recoverable sets along the same reference if these faults alone were isolated late."""
         system = replace(self.problem.system, transients=faults)
         clearance = replace(self.clearance, tracking=replace(self.tracking, system=system))
         return get_recover(self.recoverable.kind, clearance, self.bounds)

@@ -210,7 +210,7 @@ class PassiveSafety:
         }
 
     def witness(self) -> dict[str, Any] | None:
-        """The step from which the drift enters an unsafe set, or is soonest not shown to stay clear.
+        """Return the step from which the drift enters an unsafe set, or is soonest not shown to stay clear.
 
         None if it is clear from all. ``distance_m`` is what is proven of the distance then (negative: by how
         much sets overlap), and ``middle_m`` that of the undisturbed drift from the middle of where thrust may

@@ -54,7 +54,7 @@ Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
 
 
 def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
-    """The steps within windows, shape (K,)."""
+    """Return the steps within windows, shape (K,)."""
     mask = np.zeros(K, dtype=bool)
     for a, b in parts:
         mask[max(a, 0) : min(b, K)] = True
@@ -335,7 +335,7 @@ def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
 
 
 def views(printed: Schedule, worth: Worth) -> list[Windows]:
-    """The searches for windows along the paths of all laws that a reference can follow."""
+    """Return the searches for windows along the paths of all laws that a reference can follow."""
     searches = []
     for mode, law in followable(printed):
         with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for

@@ -147,7 +147,7 @@ class LookAhead:
             yield added
 
     def _kept(self, groups: dict[tuple[int, int], list[_Path]]) -> list[_Path]:
-        """The beam: of each group the most worthy and the nearest, and some in between.
+        """Return the beam: of each group the most worthy and the nearest, and some in between.
 
         Those beside which another is as worthy and as near, with no more switches, are left out first.
         """
@@ -167,7 +167,7 @@ class LookAhead:
         return kept
 
     def _go(self, path: _Path, mode: int, steps: int) -> _Path | None:
-        """The path after some steps under a mode, or to the end; None if they are not all proven."""
+        """Return the path after some steps under a mode, or to the end; None if they are not all proven."""
         place: _Place | None = path.place
         switched = path.place.k > 0 and mode != path.place.mode
         for _ in range(min(steps, self.K - path.place.k)):

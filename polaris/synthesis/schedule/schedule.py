@@ -253,7 +253,7 @@ class Schedule:
         return powered(self.safety, flown, impulse / self.safety.problem.system.mass, self.branches)
 
     def aborted(self, k: int) -> "Schedule":
-        """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
+        """Return the flight that is aborted with thrust at the start of step k: S from there on its branch.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class Schedule:
         return float(np.mean(self.modes > 0 if mode is None else self.modes == mode))
 
     def mode_at(self, t: float) -> int:
-        """The switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""
+        """Return the switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""
         k = int(np.floor(t / self.safety.problem.delta + 1e-12))
         return int(self.modes[k]) if 0 <= k < len(self.modes) else 0
 

@@ -177,7 +177,7 @@ class Search:
         return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)
 
     def schedule(self, branch: Branch) -> Schedule:
-        """The schedule that a complete branch stands for, with what it rests on."""
+        """Return the schedule that a complete branch stands for, with what it rests on."""
         if self.progress and self.rules.strategy == "greedy":
             self.progress(branch.k, branch.k)
         return Schedule(self.safety, self.controllers, branch.steps, branch.reached)

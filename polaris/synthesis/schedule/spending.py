@@ -72,7 +72,7 @@ class Spell:
 
     @cached_property
     def linear(self) -> LinearStep | None:
-        """The step as a loop about the middle of the tube; None where only sets of true errors are known."""
+        """Return the step as a loop about the tube's middle; None if only sets of true errors are known."""
         if self.commands is None:
             return None
         law = self.law

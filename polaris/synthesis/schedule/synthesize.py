@@ -33,7 +33,7 @@ def synthesize(
     progress: Callable[[int, int], None] | None = None,
     recourse: bool | None = None,
 ) -> Schedule:
-    """The switching schedule, proven before the flight: Algorithm 2, and the reference that makes most of it.
+    """Return the schedule proven before the flight: Algorithm 2, along the reference that makes most of it.
 
     With recourse the reference may be planned with U in view; the printed algorithms' schedule is then one
     candidate among others (see `with_recourse`).
@@ -96,7 +96,7 @@ def along(search: Search, safety: Safety) -> Search:
 
 
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
-    """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
+    """Return the most worthy of a schedule and those with other shares of thrust booked for errors of S."""
     best, problem = first, search.safety.problem
     errors = problem.system.thrusters.table(problem.system.m).max()
     shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())
@@ -112,7 +112,7 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
 
 
 def most_worthy(search: Search, recourse: bool) -> Schedule:
-    """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
+    """Return the schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
     search.clock.lap("schedule")
     best = printed
@@ -160,7 +160,7 @@ def switching_logic(search: Search) -> Schedule:
 
 
 def with_recourse(search: Search, printed: Schedule) -> Schedule:
-    """The most worthy schedule: the printed one, or one along a reference planned with U in view.
+    """Return the most worthy schedule: the printed one, or one along a reference planned with U in view.
 
     Each candidate passes both algorithms whole. First come those that keep the budget of velocity change,
     then those proven safe for as long as the printed one, then those that are proven to arrive (`Worth`).
@@ -253,7 +253,7 @@ def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
-    """The longest beginning of a schedule after which S alone keeps the rules.
+    """Return the longest beginning of a schedule after which S alone keeps the rules.
 
     Of several the most worthy: budget of velocity change, and what is required of the drift.
     `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their

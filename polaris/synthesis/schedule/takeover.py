@@ -106,7 +106,7 @@ class Branch:
         return Way(place, cell, spent)
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
-        """The first cell of the tail, in time, at whose start the orbit is reached; how far off at best."""
+        """Return the first cell of the tail at whose start the orbit is reached in time; least distance."""
         K, q, last = self.safety.problem.K, self.safety.clearance.q, self.safety.reference.cells
         if within is not None:
             last = min(last, taken.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))

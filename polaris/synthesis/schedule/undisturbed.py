@@ -126,7 +126,7 @@ class Flights:
         return refuted
 
     def widened(self, held: Held) -> Held:
-        """An impossible flight, cut off as early and with as long windows of free steps as it stays so."""
+        """Return an impossible flight cut off as early, and with as long free windows, as it stays so."""
         short, long = 0, len(held)
         while long - short > 1:
             middle = (short + long) // 2

@@ -64,7 +64,7 @@ class AffineLaw:
 
     @property
     def feedback(self) -> Feedback:
-        """The safety controller's."""
+        """Return the feedback of the safety controller."""
         return self.tracking.feedback
 
     @cached_property
@@ -95,7 +95,7 @@ class AffineLaw:
         return self.tracking.tightening.sizes(channel, self.system.u_max if most is None else most)
 
     def channels(self, before: Sequence[Array] | Array = ()) -> list[tuple[Channel, Array]]:
-        """The loop's channels with bounds on their values in any period of a cell.
+        """Return the loop's channels with bounds on their values in any period of a cell.
 
         Those that remember commands count bounds of the periods `before`, (m,) each and the last one last, or
         the limits of the thrusters where they remember older ones.

@@ -49,7 +49,7 @@ class Craft:
     _along: dict[Directions, tuple[Along, Directions]] = field(default_factory=dict, repr=False)
 
     def under(self, gain: arb_mat) -> Craft:
-        """The loop under another law."""
+        """Return the loop under another law."""
         return replace(self, gain=gain, _along={})
 
     def last(self, duration: arb) -> Craft:
@@ -177,7 +177,7 @@ class Craft:
 
     @cached_property
     def varying(self) -> Craft:
-        """The loop without what is constant in a whole flight."""
+        """Return the loop without what is constant in a whole flight."""
         steady = [push for push in self.steady if push not in self.plant.bias]
         samples = [
             replace(each, size=[x - y for x, y in zip(each.size, each.constant, strict=True)], constant=[])

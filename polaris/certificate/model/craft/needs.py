@@ -276,7 +276,7 @@ def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
-    """The larger of two bounds, entry by entry."""
+    """Return the larger of two bounds, entry by entry."""
     return arb_mat(a.nrows(), a.ncols(), list(map(largest, zip(a.entries(), b.entries(), strict=True))))
 
 

@@ -36,7 +36,7 @@ class States:
 
     @classmethod
     def of(cls, plant: Plant) -> "States":
-        """The error alone."""
+        """Return the error alone."""
         one = identity(plant.A.nrows())
         parts = [(arb(0), plant.h, {0: one})]
         return cls(plant, [one.nrows()], {(0, 0): plant.open.phi}, {0: one}, parts, {}, [one])
