@@ -122,7 +122,7 @@ def run(task, solver, limit):
 
 
 def show(name, how, seconds, cpu, error, answer):
-    """One line."""
+    """Print one line."""
     start = f"{name:31s} {how:6s} {seconds:7.2f} {cpu:7.2f} "
     if error is not None:
         print(start + f"{type(error).__name__}: {str(error)[:80]}", flush=True)

@@ -124,7 +124,7 @@ def write_onnx(path: Path, weights: list[Array]) -> None:
 
 
 def main(folder: Path = FOLDER) -> None:
-    """Train and write all of them."""
+    """Train and write all policies."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, (imitated, size, width) in ASKED.items():
         decay = 1.5 if name == "yielding" else DECAY

@@ -203,7 +203,7 @@ def fly_cubesat(flights: int, out: Path | None, settings: list[str], precision: 
 
 
 def main() -> None:
-    """Command line."""
+    """Run what the command line asks for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

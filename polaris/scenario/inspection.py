@@ -49,7 +49,7 @@ class InspectionScenario(Scenario):
         return made
 
     def _check_time(self, table: str, spec: models.FlightTime | models.FuelFlight | models.Campaign) -> None:
-        """Periods divide the flight, and there are not too many."""
+        """Check that periods divide the flight, and that there are not too many."""
         duration, period = spec.duration_s, spec.period_s
         count = whole_parts(duration, period)
         if not count:

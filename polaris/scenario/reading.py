@@ -98,7 +98,7 @@ def validate(model: type[Model], document: Mapping[str, Any], where: str | None 
 
 
 def _safe(given: Any) -> Any:
-    """Something whose ``repr`` cannot fail (huge integers have none)."""
+    """Return something whose ``repr`` cannot fail (huge integers have none)."""
     try:
         repr(given)
     except (ValueError, RecursionError):

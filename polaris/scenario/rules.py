@@ -101,7 +101,7 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
 
 
 def check_time(model: models.ScenarioModel) -> None:
-    """Steps divide the horizon, control periods divide steps, and there are not too many of either."""
+    """Check that steps divide the horizon, periods divide steps, and that neither are too many."""
     horizon = model.horizon
     T, delta = horizon.duration_s, horizon.step_s
     if T / delta > MAX_STEPS:
@@ -123,7 +123,7 @@ def check_time(model: models.ScenarioModel) -> None:
 
 
 def check_names(model: models.ScenarioModel) -> None:
-    """Names are unique: obstacles and keep-in sets together, controllers among themselves."""
+    """Check that names are unique: obstacles and keep-in sets together, controllers among themselves."""
     for group in (model.scene_parts(), model.controllers()):
         seen: dict[str, str] = {}
         for path, part in group:
@@ -139,7 +139,7 @@ def check_names(model: models.ScenarioModel) -> None:
 
 
 def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system: LinearSystem) -> None:
-    """There is something to be safe from, and it is what proximity operations deal with."""
+    """Check that there is something to be safe from, and that proximity operations deal with it."""
     if not unsafe:
         raise ScenarioError("obstacles", [], "give at least one obstacle or keep-in set")
     for (path, part), item in zip(model.scene_parts(), unsafe, strict=False):  # those of navigation come last
@@ -278,7 +278,7 @@ def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
 
 
 def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
-    """Q semidefinite, R definite, and their Riccati equation has a stabilising solution."""
+    """Check that Q is semidefinite, R definite, and their Riccati equation has a stabilising solution."""
     from scipy.linalg import LinAlgError, solve_continuous_are
 
     for name, value, size in (("Q", Q, system.n), ("R", R, system.m)):

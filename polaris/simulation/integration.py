@@ -101,7 +101,7 @@ class Integrator(Firing):
         return len(self.modes) * self.steps_per_cell
 
     def begin(self, runs: int) -> None:
-        """Flight code knows of no flight before."""
+        """Begin flights: flight code knows of no flight before."""
         super().begin(runs)
         if self.code is not None:
             self.code.start(runs)

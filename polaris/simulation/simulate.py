@@ -90,7 +90,7 @@ def simulate(
 
 
 def _show_bodies(flight: Integrator, n: int, rng: np.random.Generator) -> None:
-    """Networks that read where others are read the truth."""
+    """Show the truth to networks that read where others are."""
     if flight.columns[-1].start < flight.columns[-1].stop:
         safety = flight.schedule.safety
         times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * safety.tracking.flow.h, dtype=float)

@@ -72,7 +72,7 @@ class Argument:
         self.record.holds("guarantee", "proved")
 
     def flights(self, path: Path, merging: Merging) -> None:
-        """Everything that rests on the sets which the schedule reaches."""
+        """Check everything that rests on the sets which the schedule reaches."""
         doc = self.document
         sets, flown = self.tubes(path, merging)
         within = [z for step in flown for z in step.nodes]
@@ -132,7 +132,7 @@ class Argument:
         return sets, flown
 
     def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[Flown]) -> None:
-        """S keeps to every limit to the end if it takes over before or after any experimental step."""
+        """Check that S keeps all limits to the end if it takes over before or after any experimental step."""
         doc = self.document
         margins = self.stated.margins or [0.0] * self.K
         claimed = {0: self.stated.start_margin or 0.0}

@@ -32,7 +32,7 @@ CLAIM = "powered_abort"
 
 
 def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], stated: Stated) -> str:
-    """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
+    """Check that S keeps all limits in every claimed abort, and reaches the orbit, if known, as is claimed.
 
     It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
     """

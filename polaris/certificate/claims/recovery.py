@@ -35,7 +35,7 @@ class Recovery:
     def of(
         cls, document: Document, path: Path, limits: Limits, needs: Needs, scheduled: Scheduled | None
     ) -> "Recovery":
-        """Against what the jump, and errors by the time of the flight, leave of limits around a path."""
+        """Build it of limits around a path, less the jump and the errors by the time of the flight."""
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(needs))

@@ -235,7 +235,7 @@ def _check_rooms(decision: Decision) -> None:
 
 
 def _check_later(decision: Decision) -> None:
-    """Limits further ahead than a decision looks are met by every error for which U may fly."""
+    """Check limits further ahead than a decision looks, for every error with which U may fly."""
     flight = decision.flight
     doc, recovery, needs = flight.document, flight.recovery, flight.recovery.needs
     least_of = [dict[int, Target]()]

@@ -55,7 +55,7 @@ def check_hashes(document: Document, folder: Path, record: Record) -> None:
 
 
 def check_networks(document: Document, scenario: dict[str, Any], folder: Path, record: Record) -> None:
-    """Layers are those of the files that the scenario names, copied into the folder."""
+    """Check that layers are those of the files that the scenario names, copied into the folder."""
     laws = zip(document.laws[1:], scenario["experimental"], strict=True)
     networks = [(law, Path(spec["path"]).name) for law, spec in laws if law.kind == "neural"]
     for law, name in networks:
@@ -224,14 +224,14 @@ def _of_model_error(document: Document, stated: dict[str, Any] | None, asked: bo
 
 
 def _close(what: str, derived: float, stored: float, size: float | None = None) -> None:
-    """Equal up to rounding, relative to a size, or to the derived value itself."""
+    """Check that numbers are equal up to rounding, relative to a size, or to the derived value itself."""
     off = abs(derived - stored)
     if not off <= ROUNDING * (abs(derived) + 1e-300 if size is None else size):
         raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}", off)
 
 
 def _check_flown(document: Document, key: str, modes: list[int], stored: dict[str, Any]) -> None:
-    """Statistics of runs under known modes."""
+    """Check the statistics of runs under known modes."""
     T, up = document.steps * document.delta, 1 + ROUNDING
     plant, periods = plant_of(document), document.steps * document.q
     horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion

@@ -177,7 +177,7 @@ class Document:
         return [min(each) for each in zip(*self.error_by_step, strict=True)] or self.estimate
 
     def _compare(self, lengths: Lengths, sets: int) -> None:
-        """Lists are as long as the sizes of the system, the scene and the schedule say."""
+        """Check that lists are as long as the sizes of the system, the scene and the schedule say."""
         n, m, d, K = len(self.A), len(self.u_max), len(self.C), self.steps
         sizes = {"n": n, "m": m, "d": d, "2d+2m": 2 * (d + m), "p": len(self.D[0]) if self.D else 0}
         sizes |= {"K": K, "K+1": K + 1, "q": self.q, "cells": self.cells, "cells+1": self.cells + 1}

@@ -146,7 +146,7 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
 
 
 def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
-    """Errors of the thrusters are no smaller than those of the scenario."""
+    """Check that errors of the thrusters are no smaller than those of the scenario."""
     spec = scenario.get("thrusters", {})
     magnitude, mass, angle, bit = (
         arb(spec.get(key, 0.0))
@@ -280,7 +280,7 @@ def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
 
 
 def _check_switching(document: Document, scenario: dict[str, Any]) -> str:
-    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap."""
+    """Check that who takes over keeps control for the dwell, or to T, and switches are within the cap."""
     rules = switching_rules(scenario)
     held = [len(list(group)) for _, group in groupby(document.modes)]
     for i, steps in enumerate(held[:-1]):

@@ -24,7 +24,7 @@ def matrix(rows: Sequence[Sequence[Number]], columns: int | None = None) -> arb_
 
 
 def column(values: Sequence[Number]) -> arb_mat:
-    """One column."""
+    """Return one column."""
     return arb_mat(len(values), 1, list(values))
 
 

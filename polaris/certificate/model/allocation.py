@@ -22,7 +22,7 @@ MIXED = BEYOND / 2  # share of an input's limit that mixes may be off it where a
 
 
 def per_axis(given: Any, count: int) -> list[float]:
-    """One number for all, or one each."""
+    """Return one number for all, or one each, as a list."""
     return list(given) if isinstance(given, list) else [given] * count
 
 

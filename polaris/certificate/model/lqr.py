@@ -66,7 +66,7 @@ def lyapunov(A: arb_mat, Q: arb_mat) -> arb_mat:
 
 
 def check_hurwitz(A: arb_mat, what: str) -> None:
-    """All eigenvalues of A have negative real parts: ``A' X + X A = -S`` with S and X positive definite.
+    """Check that A is Hurwitz: ``A' X + X A = -S`` with S and X positive definite.
 
     Any such X will do. Here it is the midpoint of the solution for the identity, an exact matrix.
     """

@@ -188,7 +188,7 @@ def _diagonal(scale: Sequence[float], shift: Sequence[float], width: int) -> Lay
 
 
 def _spread(values: Sequence[float], width: int) -> list[float]:
-    """One value for all components, or one each."""
+    """Return one value for all components, or one each."""
     spread = list(values) * width if len(values) == 1 else list(values)
     if len(spread) != width:
         raise ValueError(f"{len(spread)} constants for {width} values")

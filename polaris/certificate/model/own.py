@@ -80,7 +80,7 @@ def _step(document: Document) -> tuple[arb_mat, arb_mat, Plant]:
 
 
 def _check_setpoint(document: Document, law: Law, state: list[float]) -> None:
-    """One state x and one input u that keep themselves, ``u + K (x - y) = K (s - y)`` for all y.
+    """Check that one state x and one input u keep themselves, ``u + K (x - y) = K (s - y)`` for all y.
 
     So the law is the feedback about the given state s. Both are measured by what they do to the command.
     """

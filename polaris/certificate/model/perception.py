@@ -219,7 +219,7 @@ def _check_within(
 
 
 def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:
-    """Edges of the polyhedral cone lie on or inside the circular one, and its facets pass its apex.
+    """Check that edges of the polyhedral cone are on or inside the circular one, and facets pass its apex.
 
     A pointed polyhedral cone is spanned by its edges, and the circular cone is convex. In order about
     the axis, once around, each facet meets the next in an edge.

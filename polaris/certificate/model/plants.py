@@ -127,7 +127,7 @@ def _lead(document: Document, plant: Plant) -> Lead:
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
-    """Inputs keep to the thrusters' limits."""
+    """Check that inputs keep to the thrusters' limits."""
     for k, u in enumerate(inputs):
         for name, top, value in zip(document.input_names, document.u_max, u, strict=True):
             require(claim, arb(top) - abs(arb(value)), f"{name} of {whose} in step {k}")

@@ -51,7 +51,7 @@ def _require_whole(thrusters: dict[str, Any], impulses: list[arb]) -> None:
 
 
 def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
-    """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be.
+    """Check that timing and pulses are the scenario's, and errors stated with them no less than they must be.
 
     `measured` bounds the errors of estimates by step, if there is more than one row.
     """

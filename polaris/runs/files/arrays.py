@@ -24,7 +24,7 @@ SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "o
 
 
 def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
-    """Everything the recoverable sets are made from, in error coordinates, and slices for figures."""
+    """Return what the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
     rows, index = clearance.obstacle_rows
@@ -108,7 +108,7 @@ FLIGHTS = {  # attribute of the flights of a controller or method by the name of
 
 
 def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
-    """Some runs of every controller or method, and the envelope of all of them."""
+    """Return some runs of every controller or method, and the envelope of all of them."""
     parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
     return {name: values for part in parts for name, values in part.items() if values is not None}
 

@@ -51,7 +51,7 @@ class PoweredSafety:
     ways: tuple[Way, ...]
 
     def require(self) -> None:
-        """`SynthesisInfeasible`, or `NotCertified` where only the budget is exceeded, if it is required."""
+        """Raise `SynthesisInfeasible`, or `NotCertified` for a budget, if a required abort is not proven."""
         lost = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
         if not (self.asked.required and lost):
             return

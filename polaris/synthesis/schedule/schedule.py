@@ -113,7 +113,7 @@ class Schedule:
 
     @property
     def guarantee(self) -> str:
-        """``proved``, ``statistical`` or ``none``: whether safety is; until when says ``safety.end``.
+        """Return ``proved``, ``statistical`` or ``none`` of safety; until when says ``safety.end``.
 
         A black box in any step makes all of it ``statistical``, and ``none`` without a `statement`.
         """

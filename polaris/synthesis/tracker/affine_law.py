@@ -128,7 +128,7 @@ class AffineLaw:
 
     @cached_property
     def disturbance_if_cut(self) -> Zonotope:
-        """`disturbance` where errors of estimates may take a command beyond the limits of some inputs."""
+        """Return `disturbance` where errors of estimates may take commands of some inputs beyond limits."""
         return self._caused(self.added_clipped, lambda i: [])
 
     def _caused(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:

@@ -94,7 +94,7 @@ class Contraction:
 
     @cached_property
     def decay_before(self) -> Array:
-        """`decay` one period earlier: what weighs the bookings on both sides of a node."""
+        """Return `decay` one period earlier: what weighs the bookings on both sides of a node."""
         return np.concatenate([self.decay[:1], self.decay[:-1]])
 
     @cached_property

@@ -112,7 +112,7 @@ class Filtering:
         return [arb(0)] * self.loop.nrows() if source is None else self.come[age][kind][source]
 
     def require(self, bounds: Bounds, source: int) -> None:
-        """Errors by a source stay within bounds, by every pattern of updates.
+        """Check that errors by a source stay within bounds, by every pattern of updates.
 
         The observer has long been at work, or nothing came before. Every way back into the past comes by one
         of as many periods in a row as there are kinds of updates.

@@ -116,7 +116,7 @@ class States:
         carry: arb_mat,
         settled: list[arb],
     ) -> None:
-        """Estimate from measurements, with an error that lasts; of their noise a part is constant."""
+        """Add estimates from measurements, with an error that lasts; of their noise a part is constant."""
         rest, block = identity(gain.nrows()) - gain * measures, self.add(settled)
         self.moves[block, block] = rest * self.plant.open.phi
         self.known[block] = carry
