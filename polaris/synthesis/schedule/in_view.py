@@ -222,9 +222,8 @@ class Windows:
             for attempt in range(ATTEMPTS):
                 if self.path(mask)[1] is None:  # with what was lacking, other windows may do
                     mask = self._descend(mask)
-                path = self.search.improved(self.path(mask)[1])
                 intended = tuple(np.where(mask, 0, self.mode).tolist())
-                plan = self._certified(path)
+                plan = self._certified(self.search.improved(self.path(mask)[1]))
                 if plan is None:
                     break
                 schedule = prove(plan, intended)

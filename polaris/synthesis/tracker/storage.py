@@ -6,6 +6,7 @@ weights allow: the relaxation of A. Grothendieck (Bol. Soc. Mat. Sao Paulo 8, 19
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,9 +91,9 @@ def largest(after: Storage, start: Zonotope) -> float:
             size = np.linalg.norm(worth, axis=1)
             v = worth / np.maximum(size[:, None], 1e-300)
         for factor in LOOSER ** np.arange(1, TURNS):
-            left = np.diag(size * factor) - M
-            if np.linalg.eigvalsh(left)[0] > 0:
-                least = min(least, (size.sum() * factor + p @ np.linalg.solve(left, p)) / 2)
+            with suppress(np.linalg.LinAlgError):
+                half = np.linalg.solve(np.linalg.cholesky(np.diag(size * factor) - M), p)
+                least = min(least, (size.sum() * factor + half @ half) / 2)
     return float(after.cost + least)
 
 
