@@ -11,7 +11,7 @@ from ..runs.files.tables import pilots
 from ..runs.inspections.inspection import MEANING
 from ..simulation.metrics import possible
 
-ABSENT = {  # meaning of null by key: see the table in ``docs/guarantees.md``
+ABSENT = {  # meaning of null by key: see "null and empty cells" in ``docs/guarantees.md``
     "min_distance_m": ("none", "there is no unsafe set"),
     "min_distance_mean_m": ("none", "there is no unsafe set"),
     "min_ttc_s": ("∞", "no run was ever on a collision course"),
