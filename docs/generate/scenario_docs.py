@@ -97,6 +97,7 @@ def _schedule_lines() -> Iterator[str]:
     """Top level, then every table with what it may hold."""
     whole = schema()
     tables = whole["$defs"]
+    homes = _homes(whole)
     yield from ("## Top level", "", *_fields(whole, tables))
     described = False  # what a controller follows is described once
     for key, node in whole["properties"].items():
@@ -104,28 +105,47 @@ def _schedule_lines() -> Iterator[str]:
         if not members:
             continue
         heading = _heading(key, node)
+        rows: dict[str, str] = {}
         yield from ("", f"## `{heading}`")
-        yield from _choices(node, members, tables, "" if key == "recoverable" else "###")
+        yield from _choices(node, members, tables, "" if key == "recoverable" else "###", heading, rows)
         for name, inner in members[0]["properties"].items() if len(members) == 1 else ():
             if parts := list(_members(inner, tables)):
-                yield from ("", f"### `{_heading(f'{key}.{name}', inner)}`")
-                yield from _choices(inner, parts, tables, "####")
+                inside = _heading(f"{key}.{name}", inner)
+                yield from ("", f"### `{inside}`")
+                own = [part for part in parts if json.dumps(part, sort_keys=True) not in homes]
+                if own != parts:
+                    yield from ("", inner["description"])
+                yield from _choices(inner if own == parts else {}, own, tables, "####", inside, rows)
+                for part in parts:
+                    if part not in own:
+                        place, kinds = homes[json.dumps(part, sort_keys=True)], _kinds(part)
+                        yield from ("", f"#### {kinds}", "", f"As {kinds} of `{place}`.")
         for member in members:
             reference = member["properties"].get("reference")
             if reference and not described:
                 described = True
                 yield from ("", "#### `reference` of a controller")
-                yield from _choices({}, list(_members(reference, tables)), tables, "#####")
+                yield from _choices({}, list(_members(reference, tables)), tables, "#####", "reference", {})
+
+
+def _homes(whole: dict[str, Any]) -> dict[str, str]:
+    """Return the headings of tables at the top level of schedules' scenarios, by their contents."""
+    return {
+        json.dumps(member, sort_keys=True): _heading(key, node)
+        for key, node in whole["properties"].items()
+        for member in _members(node, whole["$defs"])
+    }
 
 
 def _inspection_lines() -> Iterator[str]:
     """Top level by kind, then every table once."""
-    tables = inspection_schema()["$defs"]
+    tables, homes = inspection_schema()["$defs"], _homes(schema())
     seen: dict[str, str] = {}
+    tops: dict[str, str] = {}
     for kind, model in INSPECTIONS.items():
         whole = tables[model.__name__]
         yield from ("", f'## `kind = "{kind}"`', "", whole["description"], "")
-        yield from _fields(whole, tables)
+        yield from _fields(whole, tables, f'`kind = "{kind}"`', tops)
         for key, node in whole["properties"].items():
             members = list(_members(node, tables))
             names = json.dumps(members, sort_keys=True)
@@ -136,30 +156,44 @@ def _inspection_lines() -> Iterator[str]:
             if names in seen:
                 yield from ("", f"As `{heading}` of `{seen[names]}`.")
                 continue
+            if len(members) == 1 and (place := homes.get(json.dumps(members[0], sort_keys=True))):
+                yield from ("", f"As `{place}` of a schedule's scenario, above.")
+                continue
             seen[names] = kind
-            yield from _choices(node, members, tables, "#####")
+            yield from _choices(node, members, tables, "#####", heading, {})
             if key == "strengthening":
                 yield from ("", "#### Function of one kind of constraint")
-                yield from _choices({}, [tables["Alpha"]], tables, "###")
+                yield from _choices({}, [tables["Alpha"]], tables, "###", heading, {})
 
 
 def _heading(key: str, node: dict[str, Any]) -> str:
     return f"[[{key}]]" if node.get("type") == "array" else f"[{key}]"
 
 
+def _kinds(member: dict[str, Any]) -> str:
+    """Return the lines of TOML that choose a table, or nothing."""
+    kind = member["properties"].get("kind")
+    return " or ".join(f'`kind = "{word}"`' for word in _words(kind)) if kind else ""
+
+
 def _choices(
-    node: dict[str, Any], members: list[dict[str, Any]], tables: dict[str, Any], level: str
+    node: dict[str, Any],
+    members: list[dict[str, Any]],
+    tables: dict[str, Any],
+    level: str,
+    heading: str,
+    rows: dict[str, str],
 ) -> Iterator[str]:
     """Every table that a field may hold: its kind (none without a level), what it is, its fields."""
     if len(members) > 1 and node:
         yield from ("", node["description"])
     for member in members:
-        kind = member["properties"].get("kind")
-        if kind and level:
-            words = " or ".join(f'`kind = "{word}"`' for word in _words(kind))
-            yield from ("", f"{level} {words}")
-        yield from ("", member["description"], "")
-        yield from _fields(member, tables)
+        kinds = _kinds(member) if level else ""
+        if kinds:
+            yield from ("", f"{level} {kinds}")
+        yield from ("", member["description"])
+        if fields := list(_fields(member, tables, kinds or f"`{heading}`", rows)):
+            yield from ("", *fields)
 
 
 def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -173,13 +207,29 @@ def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str,
         yield from _members(node["items"], tables)
 
 
-def _fields(table: dict[str, Any], tables: dict[str, Any]) -> Iterator[str]:
-    yield "| Field | Value | Unit | Default | Meaning |"
-    yield "|---|---|---|---|---|"
+def _fields(
+    table: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
+) -> Iterator[str]:
+    """Yield a row for each field but a `kind` in the heading, and places of rows that `rows` has already."""
+    rows = {} if rows is None else rows
+    lines: list[str] = []
+    elsewhere: dict[str, list[str]] = {}
     for key, node in table["properties"].items():
+        if key == "kind" and place and len(_words(node)) == 1:
+            continue
         shown = _default(node) if key not in table.get("required", ()) else "required"
         cells = (f"`{key}`", _value(node, tables), node["unit"], shown, node["description"])
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+        row = "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+        if rows.setdefault(row, place) == place:
+            lines.append(row)
+        else:
+            elsewhere.setdefault(rows[row], []).append(f"`{key}`")
+    if lines:
+        yield from ("| Field | Value | Unit | Default | Meaning |", "|---|---|---|---|---|", *lines)
+    if lines and elsewhere:
+        yield ""
+    if elsewhere:
+        yield "; ".join(f"{', '.join(keys)}: as in {home}" for home, keys in elsewhere.items()) + "."
 
 
 def _default(node: dict[str, Any]) -> str:

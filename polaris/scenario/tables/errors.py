@@ -31,49 +31,48 @@ class Thrusters(ScenarioPart):
         "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
     )
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
-    """Angle by which the thrust as a whole may be turned. If nozzles along the axes are misaligned one by
-    one, 1.42 times their angle. With `directions`, the angle of each nozzle. Hill's frame only."""
+    """Angle by which the thrust as a whole may be turned; with `directions`, the angle of each nozzle. If
+    nozzles along the axes are misaligned one by one, 1.42 times their angle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     varies: Literal["always", "never"] = unit("-", default="always")
-    """`never` if these three keep their values in a flight: what is applied is one matrix times the commands,
-    and the velocity change counts the worst matrix, unless there are `directions`, faults of thrusters,
+    """`never`: these three errors are constant in a flight, so that one matrix turns commands into thrust.
+    The velocity change then counts the worst matrix, unless there are `directions`, faults of thrusters,
     jitter, or times to rise and fall. All else counts errors that change."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
-    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. With
-    `directions` that of each thruster."""
+    """Smallest impulse; a period makes the multiple of it nearest to the command. With `directions`, that of
+    each thruster."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
-    """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
-    carried to the next period, from none at the start: what is commanded and left from before is rounded
-    towards zero, and never exceeds the limits."""
+    """Rest that is no multiple of the bit: dropped, or carried to the next period, from none at the start.
+    The sum of command and carried rest is rounded towards zero, and never exceeds the limits."""
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
-    """Which impulses are made: multiples of the bit, or any that is not smaller than the bit."""
+    """Impulses that are made: multiples of the bit, or any that is not smaller than the bit."""
     pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")
-    """Form of the impulse of a period: a thrust that is held, or by one pulse of the full
-    `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long as it
-    takes. Pulses lie in the middle of the period (`centred`), all begin with it (`start`), or follow one
-    another without a gap from its start on, in the order of the inputs or `directions`, so that one thruster
-    at a time has power (`staggered`). Staggered ones of inputs have as many times the limit of their input as
-    there are inputs; those of `directions` lower the limits of the inputs to what fits into a period. Errors
-    of the thrusters are constant in a period then."""
+    """Form of a period's impulse: a held thrust, or one pulse of the full `system.thrust_max_N` (`input_max`;
+    with `directions`, of the thruster's own limit). Pulses lie in the middle of the period (`centred`), begin
+    with it (`start`), or follow one another without a gap from its start on, in the order of the inputs or
+    `directions`, so that one thruster at a time has power (`staggered`). Staggered pulses of inputs have as
+    many times the limit of their input as there are inputs; those of `directions` lower the limits of the
+    inputs to what fits into a period. Thruster errors are then constant in a period."""
     rise_s: f.NonNegative = unit("s", default=0.0)
-    """Longest time in which the thrust of a pulse comes up, in any way. Impulses are as commanded."""
+    """Longest time in which the thrust of a pulse rises, in any way. Impulses are as commanded."""
     fall_s: f.NonNegative = unit("s", default=0.0)
-    """Longest time in which it goes down."""
+    """Longest time in which it falls."""
     directions: f.Matrix | None = unit("-", default=None)
-    """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
-    thrust). Without it there is one either way along every input."""
+    """Direction of each thruster, one number per input (in Hill's frame that of its thrust). Without it there
+    is one either way along every input."""
     thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
     """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
-    inputs are then those of the largest box within the system's own, and of its shape, that they make."""
+    inputs are then those of the largest box that the thrusters make, within the system's own and of its
+    shape."""
     allocation: Literal["least_thrust_mixes", "pseudo_inverse", "linear_program", "nearest"] = unit(
         "-", default="least_thrust_mixes"
     )
-    """How commands are allocated to the thrusters of `directions`. `least_thrust_mixes`: every input has a
-    fixed mix of them either way, of least thrust in all. `pseudo_inverse`: twice the positive part of the
-    pseudo-inverse times the command; every thruster needs an opposite one, and one that gives nothing takes
-    that out, too. `linear_program`: the least sum of thrusts, each times the length of its direction, and
-    `nearest`: thrusts of the least 2-norm, both solved for each command within the thrusters' limits."""
+    """Allocation of commands to the thrusters of `directions`. `least_thrust_mixes`: a fixed mix for every
+    input either way, of least thrust in all. `pseudo_inverse`: twice the positive part of the pseudo-inverse
+    times the command; every thruster needs an opposite one, and one that gives nothing takes that out, too.
+    `linear_program`: least sum of thrusts, each times the length of its direction; `nearest`: least 2-norm of
+    thrusts. Both are solved for each command within the thrusters' limits."""
 
     def nozzles(self, made: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""
@@ -238,9 +237,9 @@ class Abort(ScenarioPart):
     drift_s: f.Positive | None = unit("s", default=None)
     """The same as a time, in any system. Give one of the two."""
     required: f.Flag = unit("-", default=False)
-    """Whether only schedules are kept whose drift stays clear from all of their steps; exit code 3 where
-    there is none. Otherwise the run says from which steps it does. The schedule that is found must also allow
-    the orbit, if one is named, from all of its steps; exit code 4 where only the budget is exceeded."""
+    """Keep only schedules whose drift stays clear from all steps; exit code 3 where there is none. Otherwise
+    the run says from which steps it does. If an orbit is named, the schedule must also allow it from all
+    steps; exit code 4 where only the budget is exceeded."""
     keep_in: f.Flag = unit("-", "Whether the drift must also stay inside the keep-in sets.", default=True)
     orbit: Orbit | None = unit("-", default=None)
     """Where S must be able to fly, with thrust, from every instant: the goal, or an orbit of its own."""

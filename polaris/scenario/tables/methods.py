@@ -20,15 +20,14 @@ class Tracking(ScenarioPart):
     (tighter), or a Lyapunov function."""
     thrust_share: f.Real | None = unit("-", default=None, gt=0, le=1)
     """Share of the thrust limits that the safety controller's feedback may demand when it takes over. Errors
-    of thrusters are booked for so much, and for less and less from there on. Without a number, the best of a
-    few."""
+    of thrusters count for so much, and for less and less from there on. Without a number, the best of few."""
     weight: f.WordOrWeights = unit("-", default="auto")
     """Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or the
     diagonal of W, n numbers > 0."""
 
 
 class Recoverable(ScenarioPart):
-    """From where the safety controller still saves the day (Definition 1)."""
+    """States from which the safety controller recovers (Definition 1)."""
 
     kind: Literal["polytope", "ball"] = unit("-", default="polytope")
     """`polytope`: facets of the plan carried back in time, exact for them. `ball`: eqs. 11-12 in the weighted
@@ -45,7 +44,7 @@ class Planner(Described, makes=PlannerOptions):
     """`margin_then_fuel`: reach extra_margin_m where there is room, then least fuel. `fuel`: least fuel.
     `distance`: eq. 19, largest clearance at any price."""
     extra_margin_m: f.NonNegative = unit("m", default=0.0)
-    """Clearance wanted beyond the tracking error; room for the experimental controller."""
+    """Clearance wanted beyond the tracking error, for the experimental controller."""
     thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
     """Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; room
     for the experimental controller, as extra_margin_m is."""

@@ -49,10 +49,10 @@ class Sight(ScenarioPart):
     bearing_error_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
     """Angle by which the direction from the target may be off, to any side. Range and bearing need Hill's
     frame and `within_m`, whose box bounds what they make of the position; they add to `position_error_m`."""
-    within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
-    """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
-    the chaser, its size included, is kept in it for as long as they count, as in a keep-in set. It was inside
-    before the start, too, for as long as estimates remember."""
+    within_m: f.PositivePerAxis | None = unit("m", default=None)
+    """Half-widths of a box about the target in which these bounds hold, per axis, or one number for all. The
+    chaser, its size included, is kept in it while they count, as in a keep-in set. It was inside before the
+    start, too, for as long as estimates remember."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
