@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def model_error_command(
     target: Target,
     fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
-    within: float | None = Option(
-        None, metavar="M", min=0.1, help="Bound it within a distance of the target; nothing is synthesised."
-    ),
+    within: float | None = Option(None, metavar="M", min=0.1, help="Bound it up to here; no synthesis."),
     assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:
@@ -38,9 +36,8 @@ def model_error_command(
 
     loaded = load_target(target, assignments or (), apart="orbit")
     Environment.of(loaded.scenario)  # what is missing is refused before the synthesis
-    if not as_json:
-        for note in loaded.scenario.derived:
-            echo(f"note: {note}", err=True)
+    for note in () if as_json else loaded.scenario.derived:
+        echo(f"note: {note}", err=True)
     if within is not None:
         bound, scenario = error_within(loaded.scenario, within), loaded.scenario
         total, declared = float(bound.total), scenario.system().w_max
@@ -83,7 +80,8 @@ def falsify_command(
     print_result(attack.summary(), as_json, partial(_show_falsification, scenario.name, attack))
     if attack.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, attack, force=force)
-        echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
+        flown = "" if code is None else f" --code {shlex.quote(code)}"
+        echo(f"Saved: polaris replay {shlex.quote(str(path))}{flown}", err=True)
     return REFUTED if attack.failure is not None else None
 
 
@@ -120,11 +118,13 @@ def _show_mission(summary: dict[str, Any]) -> None:
 @verb("replay")
 def replay_command(
     case: str = Argument(..., metavar="CASE", help="A case that `polaris falsify` saved."),
+    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c."),
 ) -> int | None:
     """Fly a saved case again and say what it violates and when."""
     from ..runs.case import replay
+    from ..simulation.on_board import FlightCode
 
-    failure, scenario = replay(case)
+    failure, scenario = replay(case, None if code is None else FlightCode(code))
     echo(f"{scenario.name}: {failure or 'this case violates nothing'}")
     return REFUTED if failure is not None else None
 

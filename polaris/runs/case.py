@@ -21,6 +21,7 @@ from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
+from ..simulation.on_board import FlightCode
 from ..simulation.sampled import with_boxes
 from ..synthesis.controllers.black_box import Ask, BlackBox
 from ..synthesis.schedule.schedule import Schedule
@@ -108,8 +109,8 @@ def write_case(
     return target
 
 
-def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
-    """Fly a saved case again: synthesise its schedule, check that it is the same, simulate.
+def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | None, ScheduleScenario]:
+    """Fly a saved case again, by flight code if given: synthesise its schedule, check it, simulate.
 
     Returns
     -------
@@ -125,12 +126,11 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
     """
     data = _read(Path(path))
     scenario = ScheduleScenario.from_dict(parse_toml(data["scenario"], str(path)), Path(path).name)
-    whole = schedule = synthesize(scenario)
-    if digest(schedule) != data["schedule"]:
+    whole = synthesize(scenario)
+    if digest(whole) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
         raise ScenarioError("case", str(path), rule)
-    if data.get("abort") is not None:
-        schedule = schedule.aborted(int(data["abort"]))
+    schedule = whole if data.get("abort") is None else whole.aborted(int(data["abort"]))
     try:
         attack = Attack(
             _finite(data["x0"])[None],
@@ -142,6 +142,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
+        flight.code = code and code.of(schedule)
         runs, known = attack.fly(flight), Failure(**data["violation"])
         failure = violation(claims, attained(claims, runs, attack.failing))
         if failure is None and known.kind == "velocity change":
@@ -172,8 +173,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _packed(rows: Array) -> list[list[Any]]:
     """Rows, each with the number of times it follows itself; JSON keeps numbers exactly."""
-    alike = (list(group) for _, group in groupby(rows.tolist(), repr))
-    return [[len(group), group[0]] for group in alike]
+    return [[len(alike), alike[0]] for alike in (list(group) for _, group in groupby(rows.tolist(), repr))]
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:

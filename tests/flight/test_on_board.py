@@ -14,6 +14,7 @@ from polaris.cli.app import app
 from polaris.flight.export import export_c
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.rta.arena import compare_methods
+from polaris.runs.case import replay, write_case
 from polaris.runs.read_schedule import read_schedule
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
@@ -138,7 +139,7 @@ def test_code_of_random_scenes_flies_safely(tmp_path):
     assert proved >= 5
 
 
-def test_attacks_find_code_that_does_not_keep_to_the_proof():
+def test_attacks_find_code_that_does_not_keep_to_the_proof(tmp_path):
     """With a gain that is three times too small, in the code alone, and flown again to be sure."""
     schedule = scheduled("plain")
     law = schedule.controllers[0]
@@ -146,7 +147,10 @@ def test_attacks_find_code_that_does_not_keep_to_the_proof():
     safety = replace(schedule.safety, tracking=replace(schedule.safety.tracking, gain=law.gain / 3))
     code = code_of(replace(schedule, safety=safety, controllers=(weak, *schedule.controllers[1:])))
     assert falsify(schedule, 2000, 0).failure is None
-    assert falsify(schedule, 2000, 0, code=code).failure is not None
+    attack = falsify(schedule, 2000, 0, code=code)
+    case = write_case(tmp_path / "weak.case.json", load_scenario(TINY, SCENES["plain"]), attack)
+    assert attack.failure is not None and replay(case, code)[0] == attack.failure
+    assert replay(case)[0] is None
 
 
 def test_a_command_of_s_that_the_code_clips_counts_as_too_much():
