@@ -32,7 +32,7 @@ class Thrusters(ScenarioPart):
     )
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
     """Angle by which the thrust as a whole may be turned; with `directions`, the angle of each nozzle. If
-    nozzles along the axes are misaligned one by one, 1.42 times their angle. Hill's frame only."""
+    nozzles along the axes are misaligned one by one, 1.5 times their angle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     varies: Literal["always", "never"] = unit("-", default="always")
