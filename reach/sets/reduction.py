@@ -16,8 +16,8 @@ from .zonotope import Zonotope
 
 Order = NDArray[np.signedinteger[Any]]
 
-ALIKE = 2
-"""Number of next generators by direction that each is compared with; more take longer, and find no better."""
+ALIKE, ROUNDS = 2, 64
+"""Next generators by direction that each is compared with; most additions to a box beside its generators."""
 
 TINY = 1e-300
 """Least length: that of a generator of zeros."""
@@ -170,7 +170,7 @@ def _merged(G: Array, budget: int) -> Array:
     """
     n, shares = len(G), 1 / np.maximum(np.abs(G).sum(axis=1), TINY)
     rows = hadamard(1 << (n - 1).bit_length())[:, :n] * shares
-    price, box, terms = len(rows) * shares, np.zeros(n), gamma(G.shape[1] + 8)
+    price, box, terms = len(rows) * shares, np.zeros(n), gamma(G.shape[1] + ROUNDS)
     while (surplus := G.shape[1] - (budget - n)) > 0:
         images = rows @ G
         length = np.maximum(np.linalg.norm(images, axis=0), TINY)

@@ -34,6 +34,27 @@ def test_random_sets_with_mixed_units_are_contained_exactly(method):
         assert contains(reduce(z, 1.5, method), z, "exact", most=10**5).holds is True
 
 
+def awkward(rng, n, g):
+    """Return generators (n, g) that are flat, repeated, opposite, zero, or of very different sizes."""
+    G = rng.normal(size=(n, g))
+    yield rng.normal(size=(n, 1)) @ G[:1]
+    yield np.where(np.arange(n)[:, None] == 0, 0.0, G)
+    yield G[:, rng.integers(0, 2, g)] * rng.choice([1.0, -1.0, 1 + 2.0**-52], g)
+    yield np.where(rng.random(g) < 0.6, 0.0, G)
+    yield G * 10.0 ** rng.uniform(-16, 0, g)
+    yield G * 1e-250
+
+
+@pytest.mark.parametrize("method", EVERY)
+@pytest.mark.parametrize("order", [1, 1.5])
+def test_awkward_generators_are_contained_exactly(method, order):
+    rng = np.random.default_rng(5)
+    for n, g in [(1, 6), (2, 11), (3, 8)]:
+        for G in awkward(rng, n, g):
+            z = Zonotope(np.zeros(n), G)
+            assert contains(reduce(z, order, method), z, "exact", most=10**5).holds is True
+
+
 @pytest.mark.parametrize("method", EVERY)
 def test_a_stack_is_reduced_member_by_member(method):
     rng = np.random.default_rng(0)
