@@ -20,7 +20,7 @@ LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
 often the worst sine is looked for anew with the errors of thrusters that it leads to."""
 LARGEST = 1e18  # beyond this a storage runs away
 STRICT, SETTLED, NONE = 1e-5, 1e-7, 1e-12  # shares of a storage: growth each period, settled, nothing
-ORDER = "measurement", "disturbance", "bias", "impulse drift", "pulses", "carried impulse"
+ORDER = "measurement", "disturbance", "bias", "impulse drift", "carried impulse", "pulses"
 """Channels in the order in which a certificate has the weights of their values; others come before them."""
 
 
