@@ -25,7 +25,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 from . import tenfold
 from .tightness import PLACE, Place, tightest
 
-SCENES = ("static",)
+SCENES = ("static", "dynamic")
 ROUNDS = 4
 BEGIN, END = "<!-- booked -->\n", "<!-- /booked -->"
 HEAD = "| Scene | booked for | booked [m] | flown [m] | flown / booked |"
