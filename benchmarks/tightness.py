@@ -29,6 +29,7 @@ from polaris.model.system import Array
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attack, Attacker
 from polaris.simulation.falsification.claims import Claims
+from polaris.simulation.run_metrics import Runs
 from polaris.synthesis.controllers import controllers
 from polaris.synthesis.schedule.schedule import Schedule
 from polaris.synthesis.schedule.spending import FlightSpending, Spell
@@ -190,14 +191,15 @@ class Sums:
         )
         goal, settled = round(arrival.by / h) - 1, round(upkeep.settled / h) - 1
 
-        def spent(attack: Attack) -> Array:
-            """Return what flights have spent after each period [m/s], shape (R, K)."""
-            thrust = np.abs(attack.fly(attacker.flight).inputs) @ system.weights
-            return np.asarray(np.cumsum(thrust, axis=1) * h / system.mass)
+        def spent(runs: Runs) -> Array:
+            """Return the velocity change of flights after each period [m/s], shape (R, K)."""
+            return np.asarray(np.cumsum(np.abs(runs.inputs) @ system.weights, axis=1) * h / system.mass)
 
-        climbed = climb(attacker, goal + 1, lambda attack: spent(attack)[:, goal])
-        first = np.append(spent(attacker.spending(2 * RUNS, ASCENTS, goal + 1))[:, goal], climbed)
-        later = spent(attacker.spending(2 * RUNS, ASCENTS, None))
+        first, later = (
+            spent(attacker.spending(2 * RUNS, ASCENTS, until).fly(attacker.flight))
+            for until in (goal + 1, None)
+        )
+        first = np.append(first[:, goal], climb(attacker, goal + 1, lambda runs: spent(runs)[:, goal]))
         rate = (later[:, -1] - later[:, settled]) / ((later.shape[1] - 1 - settled) * h)
         orbit = upkeep.per_orbit / upkeep.rate
         return cls((arrival.delta_v, float(first.max())), (upkeep.per_orbit, orbit * float(rate.max())))
@@ -208,12 +210,12 @@ class Sums:
         return self.until_goal[0] / self.until_goal[1], self.per_orbit[0] / self.per_orbit[1]
 
 
-def climb(attacker: Attacker, periods: int, spent: Callable[[Attack], Array]) -> float:
-    """Return the most that is spent by flights whose thrust has the signs of a relaxed flight, projected.
+def climb(attacker: Attacker, periods: int, spent: Callable[[Runs], Array]) -> float:
+    """Return the largest velocity change of flights that follow projections of the relaxed flight [m/s].
 
-    The relaxed flight is the one by which the bound is found, and its projection on any direction is a flight
-    (M. X. Goemans and D. P. Williamson, J. ACM 42, 1995, round relaxed cuts so). Directions climb: the best
-    stay, and others are drawn about them, nearer in every round.
+    The relaxed flight is the one by which the bound is found. A flight follows one of its projections where
+    disturbances are the worst for the signs of those commands (M. X. Goemans and D. P. Williamson, J. ACM 42,
+    1995, round relaxed cuts so). The best directions stay, and others are drawn nearer to them each round.
     """
     flight, schedule, rng = attacker.flight, attacker.claims.schedule, np.random.default_rng(0)
     spells = [Spell.of(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
@@ -227,11 +229,11 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Attack], Array]) ->
         signs = np.zeros((flight.steps, CLIMBERS, m))
         along = np.repeat(np.sign(np.einsum("kmv,rv->krm", commands, directions)), flight.substeps, axis=0)
         signs[: len(along)] = along
-        about, none = None, np.zeros((CLIMBERS, flight.system.n))
+        runs, rows = None, np.zeros((CLIMBERS, flight.system.n))
         for _ in range(2):  # errors of thrusters are those of the commands just flown
-            attack = attacker._towards(none, np.full(CLIMBERS, flight.steps), about, signs)
-            about = attack.fly(flight)
-        each = spent(attack)
+            runs = attacker._towards(rows, np.full(CLIMBERS, flight.steps), runs, signs).fly(flight)
+        assert runs is not None
+        each = spent(runs)
         best, top = np.argsort(-each)[:10], max(top, float(each.max()))
         around = directions[rng.choice(best, CLIMBERS - len(best))]
         around /= np.linalg.norm(around, axis=1, keepdims=True)

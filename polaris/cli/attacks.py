@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def model_error_command(
     target: Target,
     fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
-    within: float | None = Option(None, metavar="M", min=0.1, help="Bound it up to here; no synthesis."),
+    within: float | None = Option(None, metavar="M", min=0.1, help="Distance from the target; no synthesis."),
     assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:

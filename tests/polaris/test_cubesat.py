@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from polaris.runs.run import run
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .forging import CERTIFICATE, Forger, make
 
@@ -97,3 +99,11 @@ def test_cubesat_is_proved_flies_u_for_most_of_the_time_and_its_nozzles_cannot_b
     assert (claim["kind"], claim["horizon"], claim["goal"]["reached"]) == ("proved", "infinite", True)
     assert synthesis["experimental_share"] >= 0.7
     check_forgeries(made.path, tmp_path)
+
+
+@pytest.mark.slow
+def test_cubesat_flies_u_with_coarser_sets_too(monkeypatch):
+    """Paths that clear what the first plan lacked lead through other windows."""
+    monkeypatch.setattr("polaris.synthesis.controllers.controllers.FILTERED", 50.0)
+    schedule = synthesize(load_scenario("cubesat", ["schedule.bound_programs=0", "simulation.runs=2"]))
+    assert schedule.share() >= 0.7

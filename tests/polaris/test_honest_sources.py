@@ -49,6 +49,7 @@ REFUSED_ONCE = (
     (("phases", "part of a period", "jitter"), 1 / 3, 0.02, 20),
     (("camera", "missed periods", "jitter"), 1 / 3, 0.002, 150),
     (("coarse carried bit",), 0.5, 0.0, 40),
+    (("jitter",), 0.5, 0.002, 150),
     (("carried bit", "staggered pulses", "magnitude"), 0.5, 0.0, 20),
 )
 """Sources, control period [s], disturbance and weight of thrust of runs that held and were refused."""

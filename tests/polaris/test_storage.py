@@ -190,6 +190,13 @@ def test_any_weights_are_sound_and_those_chosen_hardly_to_be_bettered():
     )  # too small ones bound nothing
 
 
+def test_rounding_of_a_storage_is_booked_in_the_units_of_every_state():
+    """States of 1e-13 and 0.8 side by side: neither grows by more than its own share."""
+    P = arb_mat([[arb(1e-13, 1e-28), arb(1e-8, 1e-24)], [arb(1e-8, 1e-24), arb(0.8, 1e-16)]])
+    rounded = checked._rounded(P, column([0.0, 0.0]), arb(0))
+    assert all(1 < float(rounded.P[i, i] / P[i, i]) < 1 + 1e-6 for i in range(2))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_storage_is_bounded_over_a_set_by_little_more_than_it_reaches(seed):
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
 """By how much weights rise until a storage lasts, how often at most, in how many periods it is there, and how
 often the worst sine is looked for anew with the errors of thrusters that it leads to."""
 LARGEST = 1e18  # beyond this a storage runs away
-STRICT, SETTLED, NONE = 1e-5, 1e-7, 1e-12  # shares of a storage: growth each period, settled, nothing
+STRICT, SETTLED, LEAST = 1e-5, 1e-7, 1e-12  # of a storage: growth a period, change that ends, least entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +234,11 @@ class Period:
                 return None
             size = [float(later[i, i].mid()) for i in range(N)]
             last = [float(P[i, i].mid()) for i in range(N)]
-            least = [y - 2 * STRICT * (y + NONE * max(last)) for y in last]
+            least = [y - 2 * STRICT * (y + LEAST * max(last)) for y in last]
             if not all(y <= x < LARGEST for x, y in zip(size, least, strict=True)):
                 return None
             grown = (later + later.transpose()) * 0.5
-            grown = (grown + diagonal([STRICT * (x + NONE * max(size)) for x in size])).mid()
+            grown = (grown + diagonal([STRICT * (x + LEAST * max(size)) for x in size])).mid()
             change, size = (grown - P).tolist(), [float(grown[i, i]) ** 0.5 for i in range(N)]
             if all(abs(change[i][j]) <= SETTLED * size[i] * size[j] for i in range(N) for j in range(N)):
                 return P

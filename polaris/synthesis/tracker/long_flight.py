@@ -19,7 +19,7 @@ LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
 """By how much weights rise until a storage lasts, how often at most, in how many periods it is there, and how
 often the worst sine is looked for anew with the errors of thrusters that it leads to."""
 LARGEST = 1e18  # beyond this a storage runs away
-STRICT, SETTLED, NONE = 1e-5, 1e-7, 1e-12  # shares of a storage: growth each period, settled, nothing
+STRICT, SETTLED, LEAST = 1e-5, 1e-7, 1e-12  # of a storage: growth a period, change that ends, least entry
 ORDER = "measurement", "disturbance", "bias", "impulse drift", "carried impulse", "pulses"
 """Channels in the order in which a certificate has the weights of their values; others come before them."""
 
@@ -246,7 +246,7 @@ class Inputs:
                 earlier = self.before(Storage.of(P), r * LOOSER**attempt, b * scale)
                 if earlier is None:
                     break
-                grown = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + NONE * earlier.P.max())
+                grown = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + LEAST * earlier.P.max())
                 size = np.sqrt(np.diagonal(grown))
                 if np.all(np.abs(grown - P) <= SETTLED * np.outer(size, size)):
                     rows = np.linalg.cholesky(grown).T
