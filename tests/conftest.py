@@ -31,13 +31,11 @@ if PROFILE == "same":
     os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 
 FIRST = (
-    *("polaris/test_error_sources", "test_docs", "polaris/test_random_scenarios", "polaris/test_black_box"),
-    *("polaris/test_planning", "polaris/test_closed_loops", "polaris/test_navigation", "asif/test_always"),
-    *("polaris/test_synthesis", "polaris/test_figures", "polaris/test_forged_runs", "polaris/test_tradeoff"),
-    *("campaign/test_campaign", "polaris/test_certificate", "polaris/test_model_error"),
-    *("polaris/test_corruptions", "polaris/test_powered_abort", "polaris/test_transients"),
-    *("polaris/test_arrival", "polaris/test_falsify", "polaris/test_share_bound", "polaris/test_cli"),
-    *("polaris/test_in_view", "reach/test_hybrid", "rta/test_methods", "rta/test_streams"),
+    *("error_sources", "docs", "random_scenarios", "black_box", "planning", "closed_loops"),
+    *("navigation", "always", "synthesis", "figures", "forged_runs", "tradeoff"),
+    *("campaign", "certificate", "model_error", "corruptions", "powered_abort", "transients"),
+    *("arrival", "falsify", "share_bound", "cli", "in_view", "hybrid"),
+    *("methods", "streams"),
 )
 """Files that take longest: workers begin with them, so that none is left with one when others are done."""
 
@@ -54,8 +52,8 @@ def pytest_collection_finish():
 
 def pytest_collection_modifyitems(items):
     """Long files first; a plain run tests a fifth of the examples that each property asks for."""
-    places, fewer = {f"tests/{name}.py": place for place, name in enumerate(FIRST)}, set()
-    items.sort(key=lambda item: places.get(item.nodeid.split("::")[0], len(places)))
+    places, fewer = {f"test_{name}": place for place, name in enumerate(FIRST)}, set()
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
     for item in items:
         function = getattr(item, "obj", None)
         if not getattr(function, "is_hypothesis_test", False):

@@ -11,9 +11,8 @@ import pytest
 
 import polaris
 from reach.brief import MOST_TEXT, short
-
-from .polaris.tiny import flown, synthesised
-from .test_doors import PACKAGES
+from tests.polaris.tiny import flown, synthesised
+from tests.test_doors import PACKAGES
 
 LONGEST = MOST_TEXT + 60
 PUBLIC = {

@@ -37,8 +37,7 @@ import reach
 from docs.generate.scenario_docs import INSPECTION_FILE, SCHEMA_FILE, texts
 from polaris.cli.app import app
 from polaris.synthesis.schedule import synthesize
-
-from .kept import printed, scheduled
+from tests.kept import printed, scheduled
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

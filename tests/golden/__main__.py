@@ -9,9 +9,9 @@ import sys
 import time
 from collections.abc import Sequence
 
-from .comparison import BETTER, WORSE, compare
-from .rows import make_row, read_table, write_table
-from .scenes import SMALL, scenes
+from tests.golden.comparison import BETTER, WORSE, compare
+from tests.golden.rows import make_row, read_table, write_table
+from tests.golden.scenes import SMALL, scenes
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

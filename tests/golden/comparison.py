@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .rows import Row
+from tests.golden.rows import Row
 
 WORSE, BETTER, OTHER = "worse", "better", "other"
 

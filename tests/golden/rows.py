@@ -15,8 +15,7 @@ from polaris.simulation.metrics import finite
 from polaris.synthesis.schedule.schedule import Schedule
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.errors import ReachError
-
-from .scenes import Scene
+from tests.golden.scenes import Scene
 
 Row = dict[str, Any]
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from polaris.scenario.scenario import ScheduleScenario, bundled_files, load_scenario
-
-from ..polaris.random_scenarios import random_scenario
+from tests.polaris.random_scenarios import random_scenario
 
 SLOW = (3, 15, 29, 30, 32, 44, 47, 50, 54, 58, 62, 65)
 """Seeds that are left out, because their scenes take long."""

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from ..sizes import fewer
-from . import __main__ as command
-from . import rows
-from .comparison import BETTER, OTHER, WORSE, compare
-from .scenes import ERRORS, SEEDS, SMALL, scenes
+from tests.golden import __main__ as command
+from tests.golden import rows
+from tests.golden.comparison import BETTER, OTHER, WORSE, compare
+from tests.golden.scenes import ERRORS, SEEDS, SMALL, scenes
+from tests.sizes import fewer
 
 STORED = rows.read_table()
 NAMES = [name for name in STORED if name not in SMALL]

@@ -18,9 +18,8 @@ from polaris.synthesis.tracker.lqr import lqr_gain
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize, powers
 from reach.sets.zonotope import Zonotope
-
-from ..polaris.conftest import small_safety
-from .printed_ball import PrintedBall
+from tests.paper.printed_ball import PrintedBall
+from tests.polaris.conftest import small_safety
 
 SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-5)
 GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)

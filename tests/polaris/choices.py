@@ -2,8 +2,8 @@
 
 import json
 
-from .corruptions import hexed, opposite, plain, scaled
-from .forging import CERTIFICATE
+from tests.polaris.corruptions import hexed, opposite, plain, scaled
+from tests.polaris.forging import CERTIFICATE
 
 
 class Folder:

@@ -14,8 +14,7 @@ from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.problem import Problem
 from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.sets.zonotope import Zonotope
-
-from ..kept import kept, scheduled
+from tests.kept import kept, scheduled
 
 
 def synthesised(name, *more):

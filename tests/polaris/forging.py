@@ -24,9 +24,8 @@ from polaris.certificate.files.file_keys import REPEATED
 from polaris.certificate.files.parts import last_instant
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
-
-from .corruptions import restate
-from .tiny import TINY
+from tests.polaris.corruptions import restate
+from tests.polaris.tiny import TINY
 
 CERTIFICATE = "certificate.json"
 TREES = (CERTIFICATE, "scenario.toml", "schedule.json", "gains.json", "summary.json")

@@ -5,8 +5,7 @@ import tomllib
 import numpy as np
 
 from polaris.scenario.reading import write_toml
-
-from .tiny import TINY
+from tests.polaris.tiny import TINY
 
 WIDE = [0.3, 0.3, 0.08, 0.08]
 PLACES = ([8.0, 6.0, 0.0, 0.0], [0.0, 6.0, 0.0, 0.0], [8.0, 0.0, 0.0, 0.0])

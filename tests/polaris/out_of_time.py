@@ -9,9 +9,8 @@ from scipy.linalg import expm
 from polaris.model.errors import PolarisError
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
-
-from .closed_loops import Computer, Flown, Loop, _aims, by_chance, held
-from .tiny import TINY
+from tests.polaris.closed_loops import Computer, Flown, Loop, _aims, by_chance, held
+from tests.polaris.tiny import TINY
 
 
 class OutOfTime(Loop):

@@ -521,8 +521,7 @@ def synthesised(seed: int, folder: Path, *assignments: str) -> tuple[Any, Any]:
     """
     from polaris.scenario.scenario import load_scenario
     from polaris.synthesis.schedule.synthesize import synthesize
-
-    from ..kept import kept
+    from tests.kept import kept
 
     def make():
         path = folder / f"random-{seed}.toml"

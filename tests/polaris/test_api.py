@@ -14,8 +14,7 @@ from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.sets.zonotope import Zonotope
-
-from .tiny import synthesised
+from tests.polaris.tiny import synthesised
 
 A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
 B = np.vstack([np.zeros((2, 2)), np.eye(2)])

@@ -15,8 +15,16 @@ from reach.sets.polytope import HPolytope
 from reach.sets.relations.distance import Answer
 from reach.sets.relations.pairs import contains, disjoint
 from reach.sets.zonotope import Zonotope
-
-from .strategies import directions, ellipsoids, intervals, polytopes, sets, size, vectors, zonotopes
+from tests.reach.strategies import (
+    directions,
+    ellipsoids,
+    intervals,
+    polytopes,
+    sets,
+    size,
+    vectors,
+    zonotopes,
+)
 
 UNIT = Zonotope.box([0, 0], [1, 1])
 

@@ -15,8 +15,7 @@ from reach.sets.interval import Interval
 from reach.sets.lazy import AffineImage, MinkowskiSum
 from reach.sets.polytope import HPolytope
 from reach.sets.zonotope import Zonotope
-
-from .strategies import directions, numbers, polytopes, sets, size, some_points, vectors, zonotopes
+from tests.reach.strategies import directions, numbers, polytopes, sets, size, some_points, vectors, zonotopes
 
 CLASSES = [Interval, Zonotope, HPolytope, Ellipsoid, AffineImage, MinkowskiSum]
 ASKED = ["dim", "center", "extent", "terms"]

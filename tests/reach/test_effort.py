@@ -22,8 +22,7 @@ from reach import (
 )
 from reach.numerics.exponentials import Action, thin_expm
 from reach.tubes.rows import Rows
-
-from . import truth
+from tests.reach import truth
 
 
 def counted(monkeypatch):

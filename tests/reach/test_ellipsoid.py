@@ -6,8 +6,7 @@ from hypothesis import given, settings
 
 from reach.numerics.errors import ReachError
 from reach.sets.ellipsoid import Ellipsoid
-
-from .strategies import directions, ellipsoids
+from tests.reach.strategies import directions, ellipsoids
 
 
 def surface(E, count=200):

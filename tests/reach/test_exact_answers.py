@@ -17,9 +17,8 @@ from reach import (
     contains,
     disjoint,
 )
-
-from ..sizes import fewer
-from .rational import exact, inside, refuted, rows, shared, solve
+from tests.reach.rational import exact, inside, refuted, rows, shared, solve
+from tests.sizes import fewer
 
 KINDS = (
     "interval",
@@ -169,7 +168,7 @@ def test_images_of_polytopes_prove_nothing_about_other_sets(seed):
 
 
 def _corners(P):
-    from .rational import vertices
+    from tests.reach.rational import vertices
 
     return vertices(exact(P.A), exact(P.b))
 

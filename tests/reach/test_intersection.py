@@ -9,8 +9,7 @@ from reach.numerics.errors import ReachError
 from reach.sets.clipping import enclosing_hull, meet_halfspace
 from reach.sets.relations.pairs import contains
 from reach.sets.zonotope import Zonotope
-
-from .strategies import directions, numbers, vectors, zonotopes
+from tests.reach.strategies import directions, numbers, vectors, zonotopes
 
 
 @settings(max_examples=80)

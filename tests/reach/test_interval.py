@@ -9,8 +9,7 @@ from reach.numerics.errors import ReachError
 from reach.numerics.rounding import add_down, add_up, integers
 from reach.sets.interval import Interval
 from reach.sets.zonotope import Zonotope
-
-from .strategies import directions, intervals, numbers, vectors
+from tests.reach.strategies import directions, intervals, numbers, vectors
 
 anything = st.floats(-1e6, 1e6)
 

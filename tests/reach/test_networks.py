@@ -12,8 +12,7 @@ from reach.networks.network import Network
 from reach.numerics.errors import ReachError, Unresolved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
-
-from .single_precision import ORDERS, evaluated
+from tests.reach.single_precision import ORDERS, evaluated
 
 ACTIVATIONS = [
     Activation("relu"),

@@ -6,8 +6,7 @@ import pytest
 from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 from reach.sets.zonotope import Zonotope
-
-from ..sizes import fewer
+from tests.sizes import fewer
 
 KINDS = [
     Activation("relu"),

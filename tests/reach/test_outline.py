@@ -11,8 +11,7 @@ from reach.sets.interval import Interval
 from reach.sets.outlines import outline, vertices_2d
 from reach.sets.polytope import HPolytope
 from reach.sets.zonotope import Zonotope, facet_normals
-
-from .strategies import directions, polytopes, sets, size, zonotopes
+from tests.reach.strategies import directions, polytopes, sets, size, zonotopes
 
 matplotlib.use("Agg")
 

@@ -9,8 +9,7 @@ from reach.numerics.errors import ReachError
 from reach.sets.interval import Interval
 from reach.sets.lazy import AffineImage
 from reach.sets.polytope import HPolytope
-
-from .strategies import directions, polytopes, vectors
+from tests.reach.strategies import directions, polytopes, vectors
 
 SQUARE = Interval([-1, -2], [1, 2]).to_polytope()
 STRIP = HPolytope([[1, 0], [-1, 0]], [1, 1])

@@ -9,8 +9,7 @@ from reach.numerics.errors import ReachError
 from reach.sets.reduction import METHODS, mean_width, reduce, reduction_loss
 from reach.sets.relations.pairs import contains
 from reach.sets.zonotope import Zonotope
-
-from .strategies import directions, zonotopes
+from tests.reach.strategies import directions, zonotopes
 
 EVERY = [*METHODS, "auto"]
 

@@ -1,0 +1,370 @@
+"""Run folders forged field by field, hashes and digests right: claims are refused, the rest is listed.
+
+`forging` makes the forgeries. Those in which several files agree on the same lie are written out here.
+"""
+
+import json
+import random
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+from scipy.linalg import solve_continuous_are
+
+from polaris.runs.schedule import write_run
+from polaris.simulation.baselines import compare
+from tests.polaris.conftest import synthesised as bundled
+from tests.polaris.forging import (
+    CERTIFICATE,
+    QUARTER,
+    Forger,
+    Lie,
+    accepted,
+    excused,
+    make,
+    one_at_a_time,
+    replaced,
+    twice,
+)
+from tests.sizes import CAMPAIGN
+
+FOLLOWING = {
+    "unaware": [],
+    "setpoint": [QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
+    "shared": [QUARTER, 'experimental.0.reference={kind="shared"}'],
+    "in view": [QUARTER, "recoverable.recourse=in_view"],
+    "sampled": ["feedback={period_s=0.2}", "schedule.min_dwell_steps=2", "schedule.max_switches=3"],
+}
+"""Variants of the tiny scene."""
+
+NO_CLAIM = (
+    # words for readers, how the run came about, and what the simulated runs amount to
+    "scenario.toml: title *",
+    "scenario.toml: description *",
+    "scenario.toml: orbit*",
+    "scenario.toml: planner*",
+    "scenario.toml: goal.sides *",
+    "scenario.toml: obstacles.*.unbounded *",  # whether its author means it
+    "scenario.toml: goal without sides",
+    "scenario.toml: simulation* runs",
+    "scenario.toml: simulation.runs *",
+    "scenario.toml: all of it without orbit",
+    "scenario.toml: all of it without description",
+    "scenario.toml: all of it without planner",
+    "scenario.toml: schedule.bound_programs *",
+    "schedule.json: rules.beam *",
+    "certificate.json: choices*",  # the reader proves anew what comes of them
+    "certificate.json: all of it without choices",
+    "summary.json: created *",
+    "summary.json: model_error.worst*",
+    "summary.json: model_error.parts_m_s2* down",  # the bound is compared with their sum
+    "summary.json: model_error.satellites_covered_until_s*",
+    "summary.json: definitions*",
+    "summary.json: versions*",
+    "summary.json: synthesis.planner*",
+    "summary.json: synthesis.seconds*",
+    "summary.json: synthesis.share_at_most *",
+    "summary.json: synthesis.share_bound*",
+    *(
+        f"summary.json: {who}.{what} *"
+        for who in ("safety", "polaris", "experimental")
+        for what in (
+            *(
+                "min_distance_m",
+                "min_distance_mean_m",
+                "mean_distance_m",
+                "min_ttc_s",
+                "min_ttc_free_drift_s",
+            ),
+            *("delta_v_m_s", "delta_v_max_m_s", "max_thrust_ratio*", "collided_runs"),
+        )
+    ),
+)
+"""Fields that may say anything, within their types: docs/certificate.md says so."""
+
+SAME = (
+    "certificate.json: digest *",  # which the forger mends
+    "scenario.toml: all of it without simulation",  # where a default says what the file said
+    "scenario.toml: simulation* seed",
+    "scenario.toml: all of it without feedback",
+    "scenario.toml: feedback *",
+    "scenario.toml: schedule without *",
+    "scenario.toml: all of it without schedule",
+    "scenario.toml: tracking without *",
+    "scenario.toml: recoverable without *",
+    "scenario.toml: all of it without recoverable",
+    "scenario.toml: experimental.* without *",
+    "scenario.toml: all of it without obstacles",
+    "scenario.toml: all of it without faults",
+    "scenario.toml: all of it without keep_in",
+    "scenario.toml: obstacles.* without *",
+    "scenario.toml: keep_in.* without facets",  # 12 is the default
+    "scenario.toml: system without *",
+    "scenario.toml: goal.*_m *",  # another goal that the reference ends in, too
+    "scenario.toml: goal.half_widths.* *",
+    "scenario.toml: goal without *",
+    "scenario.toml: schedule.max_switches up",  # a rule that is kept, too
+    "certificate.json: initial_set.generators *ed",  # the same set
+    "certificate.json: facets.*",  # another facet that separates
+    "certificate.json: unsafe_sets.*.normals.* *ed",  # another polytope around the set
+)
+"""Forgeries after which everything said is as true."""
+
+SAFER = (
+    "certificate.json: slopes.*",  # any slope from 0 to 1 is sound
+    "certificate.json: weights.*",  # any positive weights are
+    "certificate.json: unsafe_sets.*.offsets*",
+    "scenario.toml: obstacles.*.half_widths_m.* down",
+    "scenario.toml: obstacles.*.radius_m down",
+    "scenario.toml: obstacles.*.offsets_m.* down",
+    "scenario.toml: obstacles.*.normals.*.* up",  # a wall at y = 7, normal -1, moves to y = 14
+    "summary.json: synthesis.start_margin down",
+)
+"""Bounds that are as large as they must be, and scenarios in which there is less to hit."""
+
+EXCUSED = (*NO_CLAIM, *SAME, *SAFER)
+
+
+@pytest.fixture(scope="module")
+def forgers(tmp_path_factory):
+    made = {}
+
+    def forger(kind):
+        if kind not in made:
+            folder = tmp_path_factory.mktemp(kind)
+            made[kind] = Forger(make(FOLLOWING[kind], folder), folder)
+        return made[kind]
+
+    return forger
+
+
+@pytest.mark.parametrize("kind", FOLLOWING)
+def test_untouched_they_are_verified(forgers, kind):
+    assert forgers(kind).judge({}).outcome == "VERIFIED"
+
+
+# -- several files that agree on the same lie ---------------------------------------------------------
+
+
+def through(lie, points):
+    """A reference at rest in one point after another, as (states, inputs); not a motion of the plant."""
+    steps = len(lie.certificate["modes"])
+    states = [[*points[min(k, len(points) - 1)], 0.0, 0.0] for k in range(steps + 1)]
+    return states, [[0.0, 0.0]] * steps
+
+
+def test_the_safety_controller_has_no_reference_of_its_own(forgers):
+    """S told to fly through the pillar at (4, 3): the argument would still be about the safe reference."""
+    lie = Lie(forgers("unaware"))
+    lie.own(0, *through(lie, [[0.0, 0.0], [4.0, 3.0]]))
+    lie.judge({"format"})
+
+
+def test_an_anti_stabilising_gain_is_refused(forgers):
+    """It solves the Riccati equation and equals ``R^-1 B' P`` of the P it is compared with."""
+    for mode in (0, 1):
+        lie = Lie(forgers("unaware"))
+        spec = lie.scenario["tracking"] if mode == 0 else lie.scenario["experimental"][0]
+        A, B = lie.plant()
+        Q, R = np.diag(spec["Q"]), np.diag(spec["R"])
+        lie.gain(mode, np.linalg.solve(R, B.T @ -solve_continuous_are(-A, B, Q, R)))
+        if mode == 1:
+            lie.modes([0] * len(lie.certificate["modes"]))  # it never flies: nothing else fails
+        lie.judge({"controllers"})
+
+
+def test_a_reference_that_is_no_motion_is_refused(forgers):
+    lie = Lie(forgers("unaware"))
+    lie.own(1, *through(lie, [[0.0, 0.0], [4.0, 3.0], [8.0, 6.0]]))
+    lie.judge({"controllers"})
+
+
+@pytest.mark.parametrize(
+    "what", ["another start", "another goal", "too much thrust", "cut short", "the safe one"]
+)
+def test_another_plan_than_an_unaware_one_is_refused(forgers, what):
+    lie = Lie(forgers("unaware"))
+    lie.modes([0] * len(lie.certificate["modes"]))  # U never flies, so nothing else fails
+    states, inputs = lie.follow()
+    h = lie.schedule["step_s"]
+    if what == "another start":
+        states = states + np.array([0.01, 0.0, 0.0, 0.0])
+    elif what == "too much thrust":  # out and back within two steps
+        inputs = inputs.copy()
+        inputs[0, 0], inputs[1, 0] = 5.0, inputs[0, 0] + inputs[1, 0] - 5.0
+        states = states.copy()
+        for k in range(len(inputs)):
+            p, v, u = states[k, :2], states[k, 2:], inputs[k]
+            states[k + 1] = [*(p + h * v + h * h / 2 * u), *(v + h * u)]
+    elif what == "another goal":
+        states, inputs = np.zeros_like(states), np.zeros_like(inputs)
+    elif what == "cut short":
+        states, inputs = states[:-1], inputs[:-1]
+    else:  # not given at all: U would follow the safe reference
+        del lie.certificate["controllers"][1]["own_states"], lie.certificate["controllers"][1]["own_inputs"]
+        lie.judge({"controllers"})
+        return
+    lie.own(1, states, inputs)
+    lie.judge({"controllers", "format"} if what == "cut short" else {"controllers"})
+
+
+@pytest.mark.parametrize("state", [[8.0, 5.9, 0.0, 0.0], [8.0, 6.0, 0.0, 1e-3], [4.0, 3.0, 0.0, 0.0]])
+def test_another_setpoint_is_refused(forgers, state):
+    lie = Lie(forgers("setpoint"))
+    K = np.array(lie.gains["controllers"][1]["gain"])
+    A, B = lie.plant()
+    rest = np.linalg.solve(A - B @ K, -B @ K @ np.array(state))
+    steps = len(lie.certificate["modes"])
+    lie.modes([0] * steps)
+    lie.own(1, [rest] * (steps + 1), [K @ (np.array(state) - rest)] * steps)
+    lie.judge({"controllers"})
+
+
+def test_the_rest_of_a_setpoint_law_may_not_drift(forgers):
+    """A state and an input that give the same command, but do not keep themselves."""
+    lie = Lie(forgers("setpoint"))
+    states, inputs = lie.follow()
+    K = np.array(lie.gains["controllers"][1]["gain"])
+    moved = states + np.array([0.5, 0.0, 0.0, 0.0])
+    lie.modes([0] * len(inputs))
+    lie.own(1, moved, inputs + (states - moved)[:-1] @ K.T)
+    lie.judge({"controllers"})
+
+
+def test_a_reference_where_none_is_wanted_is_refused(forgers):
+    lie = Lie(forgers("shared"))
+    lie.own(1, *through(lie, [[0.0, 0.0]]))
+    lie.judge({"controllers"})
+
+
+def test_dwell_and_cap_of_the_scenario_hold(forgers):
+    """Fewer steps under U than the proven schedule has are as safe: only the rules are broken."""
+    honest = Lie(forgers("sampled")).schedule["modes"]
+    assert honest[-2:] == [1, 1] and honest[-3] == 1
+    for modes, rules in (
+        ([*[0] * (len(honest) - 2), 1, 0], {"min_dwell_steps": 2}),
+        (honest, {"max_switches": 0}),
+        (honest, {"min_dwell_steps": len(honest)}),
+    ):
+        lie = Lie(forgers("sampled"))
+        lie.modes(modes)
+        lie.scenario["schedule"] |= rules
+        given = lie.scenario["schedule"]
+        lie.schedule["rules"] |= {
+            "min_dwell": given["min_dwell_steps"],
+            "max_switches": given["max_switches"],
+        }
+        lie.judge({"schedule"})
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ((), "obstacle", [{"kind": "box", "name": "b", "center_m": [2.0, 1.5], "half_widths_m": [1.0, 1.0]}]),
+        (("system",), "disturbance_max_m_s2", 1.0),
+        (("system",), "thrust_max_N", 0.001),
+        (("obstacles", 0), "inflation_m", 3.0),
+        (("initial_set",), "position_radius_m", 5.0),
+        ((), "keepin", []),
+        (("feedback",), "delay_s", 1.0),
+    ],
+)
+def test_keys_that_nobody_reads_are_refused(forgers, table, key, value):
+    lie = Lie(forgers("sampled"))
+    place = lie.scenario
+    for part in table:
+        place = place[part]
+    place[key] = value
+    lie.judge({"scenario"})
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("guarantee", "horizon"), "infinite"),
+        (("guarantee", "until_s"), None),
+        (("guarantee", "until_s"), 1e9),
+        (("guarantee", "assumptions"), []),
+        (("guarantee", "reason"), "the reference ends at rest, and all unsafe sets are static"),
+        (("synthesis", "experimental_share"), 1.0),
+        (("synthesis", "switches"), 0),
+        (("synthesis", "start_margin"), 0.99),
+        (("synthesis", "planner", "delta_v_m_s"), 0.1),
+        (("polaris", "experimental_share"), 1.0),
+        (("polaris", "max_thrust_ratio_safety"), 2.0),
+        (("polaris", "collided_runs"), 1),
+        (("safety", "controller"), "hasty"),
+        (("title",), "Another scene"),
+        (("seed",), 7),
+    ],
+)
+def test_a_summary_that_claims_more_is_refused(forgers, path, value):
+    forger = forgers("unaware")
+    files = {"summary.json": json.dumps(replaced(forger.tree("summary.json"), path, value))}
+    verdict = forger.judge(files)
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("summary", "margins"), verdict.text()
+
+
+def test_the_words_for_the_end_follow_from_the_claim(forgers):
+    for reason in ("safe for ever", "the reference ends at rest, and all unsafe sets are static"):
+        lie = Lie(forgers("unaware"))
+        lie.schedule["guarantee"]["reason"] = lie.summary["guarantee"]["reason"] = reason
+        lie.judge({"end"})
+
+
+# -- every field of every file ------------------------------------------------------------------------
+
+
+def report(wrong):
+    return f"{len(wrong)} forgeries are verified:\n" + "\n".join(wrong)
+
+
+def test_fields_forged_one_at_a_time_are_refused(forgers):
+    forger = forgers("unaware")
+    cases = list(one_at_a_time(forger, 0, 1, 0.5))
+    claims = [case for case in cases if not excused(case[0], EXCUSED)]
+    assert len(claims) >= 500
+    wrong, _ = accepted(forger, random.Random(0).sample(claims, 60), EXCUSED)
+    assert not wrong, report(wrong)
+
+
+def some(cases, name, count):
+    """A sample that depends on the name only; all of them in a campaign."""
+    if CAMPAIGN or len(cases) <= count:
+        return cases
+    return random.Random(name).sample(cases, count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", FOLLOWING)
+def test_every_field_forged_is_refused(forgers, kind):
+    """Excuses are used, too: a list that excuses what is refused would hide nothing, and say less."""
+    forger = forgers(kind)
+    cases = some(list(one_at_a_time(forger, 1, 2, 0.5)), kind, 60)
+    wrong, used = accepted(forger, cases, EXCUSED)
+    assert not wrong, report(wrong)
+    if CAMPAIGN and kind == "unaware":
+        assert "certificate.json: facets.*" in used
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["static", "dynamic", "hold_point", "keep_out", "robot"])
+def test_every_field_of_a_bundled_run_forged_is_refused(name, tmp_path):
+    scenario, schedule = bundled(name)
+    run = write_run(tmp_path / name, scenario, schedule, compare(schedule, 2, 0)).path
+    forger = Forger(run, tmp_path)
+    cases = list(one_at_a_time(forger, 2, 1, 0.5))
+    claims = [case for case in cases if not excused(case[0], EXCUSED)]
+    wrong, _ = accepted(forger, some(claims, name, 30), EXCUSED)
+    assert not wrong, report(wrong)
+
+
+@pytest.mark.parametrize("name", [CERTIFICATE, "schedule.json", "gains.json", "summary.json"])
+def test_keys_that_stand_twice_are_refused(forgers, name):
+    forger = forgers("setpoint")
+    cases = list(twice(forger, name))
+    assert len(cases) >= 15
+    wrong, _ = accepted(forger, random.Random(0).sample(cases, 8), ())
+    assert not wrong, report(wrong)

@@ -1,0 +1,210 @@
+"""Mean of what S spends for ever (Proposition 14 (d)), against flights that add up what a unit error does."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+from flint import arb, arb_mat, ctx
+
+from polaris.certificate.claims.mean_commands import MeanCommands
+from polaris.certificate.kernel.balls import (
+    PRECISION,
+    above,
+    column,
+    diagonal,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    sums,
+)
+from polaris.certificate.model.craft.needs import Needs
+from polaris.model.thrusters import Thrusters
+from polaris.synthesis.tracker.long_flight import Inputs
+from tests.polaris.synthesis.schedule.test_hand_over import (
+    BEFORE,
+    CASES,
+    PARTS,
+    Flight,
+    checker_needs,
+    tracking,
+)
+
+REMEMBERED, PERIODS = 80, 240
+
+
+@pytest.fixture(autouse=True)
+def precision():
+    """Work with as many bits as the checker does."""
+    before, ctx.prec = ctx.prec, PRECISION
+    yield
+    ctx.prec = before
+
+
+class Flown:
+    """Flights from rest: what errors of a unit in one period do to commands, added up."""
+
+    def __init__(self, s, only=None):
+        self.only, self.system, self.p, self.m = only, s.system, s.system.p, s.system.m
+        system, thrusts = self.system, PARTS * (self.p + 2 * self.m)
+        self.answers = Flight(s, BEFORE, BEFORE + REMEMBERED).fly()[1]
+        if system.observer is not None:
+            off = system.displaced - system.carried_away
+            noise = system.observer.noise + np.abs(system.observer.measures) @ off
+        elif system.timing.missed:
+            noise = system.estimate_off(system.u_max)
+        else:
+            noise = np.array(system.timing.measured) + system.displaced - system.carried_away
+        left = np.full(self.m, system.timing.carried)
+        self.sampled = np.concatenate([noise * self.has("noise"), left * self.has("carried")])
+        self.thrusts = thrusts
+
+    def has(self, kind):
+        """Return 1 if errors of a kind are flown, else 0."""
+        return int(self.only in (None, kind))
+
+    def fly(self, ways, middle=0.0):
+        """Commands under errors as large as may be, of given directions by period and error.
+
+        Besides a middle (periods, m) that is commanded and flown.
+        """
+        system, p, m = self.system, self.p, self.m
+        pushes = ways[:, : self.thrusts].reshape(-1, PARTS, p + 2 * m)
+        length = np.linalg.norm(pushes[:, :, :p], axis=2, keepdims=True)
+        commands = np.zeros((len(ways) + REMEMBERED, m))
+        for k, (way, push) in enumerate(zip(ways, pushes, strict=True)):
+            value = np.sign(way[self.thrusts :]) * self.sampled
+            commands[k : k + REMEMBERED] += np.einsum("tri,r->ti", self.answers[:, self.thrusts :], value)
+            u = commands[k] + np.broadcast_to(middle, ways.shape[:1] + (m,))[k]
+            made = system.thrusters.error(np.abs(u)) * self.has("thrusters")
+            shifted = system.shifted * self.has("jitter")
+            each = np.sign(push) * np.concatenate([np.zeros(p), made, shifted])
+            each[:, :p] = system.w_max * self.has("disturbance") * push[:, :p] / np.maximum(length[k], 1e-12)
+            value = each.ravel()
+            commands[k : k + REMEMBERED] += np.einsum("tri,r->ti", self.answers[:, : self.thrusts], value)
+        return commands[: len(ways)]
+
+    def towards(self, signs):
+        """Directions of errors in which commands go farthest along signs (periods, m)."""
+        later = np.vstack([signs, np.zeros((REMEMBERED, self.m))])
+        ahead = np.array([later[k : k + REMEMBERED] for k in range(len(signs))])
+        return np.einsum("tri,kti->kr", self.answers, ahead)
+
+
+def loop(s, only=None):
+    """Return what the checker makes of a tracker with all errors or one kind of them, and its needs."""
+    needs = checker_needs(s, None)
+    craft, off = needs.craft, needs.craft.lagged(needs.craft.plant.u_max)
+    tops = [x.upper() for x in sums(needs.peak, craft.noise(off))]
+    if only is not None:
+        left = {} if only == "thrusters" else {"along": 0.0, "across": 0.0, "bits": ()}
+        craft = replace(
+            craft,
+            plant=replace(craft.plant, **left),
+            steady=craft.steady[:1] if only == "disturbance" else [],
+            samples=craft.samples if only == "carried" else [],
+            off=craft.off if only == "noise" else [arb(0)] * len(craft.off),
+        )
+    seen = craft.gain * craft.carry * diagonal(craft.missed(off))
+    return MeanCommands(craft, craft.plant.thruster_error(tops), seen), needs, tops
+
+
+def bounds(s, only=None):
+    """Return what a period costs, what is spent once, and the weights and most of commands."""
+    commands, needs, tops = loop(s, only)
+    one = identity(commands.F.nrows())
+    both = Needs(needs.craft, needs.memory, above(one, -one)).peak
+    box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
+    lasting = commands.lasting()
+    once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2
+    weights, limits = (np.array([float(x) for x in each]) for each in (commands.spends, tops))
+    return float(lasting.cost), float(once), weights, limits
+
+
+def shares(s, only=None):
+    """Fly as far as errors can, check the bounds in any periods, and return the largest share of the mean."""
+    flown, (cost, once, weights, tops), rng = Flown(s, only), bounds(s, only), np.random.default_rng(0)
+    assert once > 0
+    count, ratios = flown.answers.shape[1], []
+    for axis in (*range(s.system.m), None):
+        wave = np.sign(np.cos(rng.uniform(0.02, 1) * np.arange(PERIODS)))[:, None] * rng.normal(size=count)
+        for ways in (rng.normal(size=(PERIODS, count)), wave):
+            for _ in range(3):  # each time towards where it went
+                u = flown.fly(ways)
+                spent = np.abs(u) @ weights
+                beyond = np.cumsum(np.append(0.0, spent - cost))
+                assert np.all(beyond - np.minimum.accumulate(beyond) <= once), "some periods"
+                assert np.all(np.abs(u) <= tops)
+                ratios.append(spent.mean() / cost)
+                ways = flown.towards(np.sign(u) * (1 if axis is None else np.arange(s.system.m) == axis))
+    return max(ratios)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
+def test_no_flight_spends_more_on_average_in_any_periods(case):
+    """The worst of them spend more than half of it, errors of all kinds at once."""
+    assert shares(tracking(**case)) > 0.4
+
+
+@pytest.mark.parametrize("only", ["noise", "disturbance", "carried", "thrusters"])
+def test_each_error_alone_comes_close_to_its_share(only):
+    share = shares(tracking(delay=1.5, carried=0.02, proportional=only == "thrusters"), only)
+    assert share > (0.3 if only == "thrusters" else 0.5)  # most of whose errors grow with commands
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
+def test_synthesis_and_checker_find_a_storage_that_costs_as_much(case):
+    s = tracking(**case)
+    commands, _, tops = loop(s)
+    limits = np.array([float(x) for x in tops])
+    within, rounding = (limits, s.system.u_max), np.zeros(s.system.n)
+    inputs = Inputs.of(s.tightening.closed, s.system, within, s.step_errors[-1], rounding)
+    _, cost = inputs.lasting()
+    assert 0.97 * cost < float(commands.lasting().cost) <= cost
+    flights = np.random.default_rng(0).uniform(-1, 1, (4, 300, len(inputs.group)))
+    for values in flights:  # whatever enters, the storage pays: all values at their bounds, thrusters exact
+        z, spent = np.zeros(len(inputs.F)), 0.0
+        for each in np.sign(values):
+            each[inputs.held :] = 0
+            size = inputs.grouped(each)[inputs.group]
+            each = np.divide(each, size, out=np.zeros_like(each), where=size > 0)
+            spent += inputs.spends @ np.abs(-inputs.K @ z + inputs.own @ each)
+            z = inputs.F @ z + inputs.enter @ each
+        assert spent <= 300 * cost
+
+
+def test_a_storage_that_runs_away_is_none():
+    """Errors of thrusters that feed on themselves have no bound."""
+    s = tracking(proportional=True)
+    within = s.system.u_max, s.system.u_max
+    inputs = Inputs.of(s.tightening.closed, s.system, within, s.step_errors[-1], np.zeros(s.system.n))
+    wild = replace(inputs, F=1.05 * np.eye(len(inputs.F)))
+    assert inputs.lasting() is not None and wild.lasting() is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_squares_of_errors_and_what_is_spent_hold_for_layouts_and_without(seed):
+    """Of any commands, in both programs: a table of shares that is not symmetric, or errors by direction."""
+    rng, s = np.random.default_rng(seed), tracking()
+    shares, weights = rng.uniform(0, 0.2, (2, 2)), rng.uniform(1, 2, 2)
+    own = Thrusters(0.1, 0.05) if seed == 0 else Thrusters(shares=tuple(map(tuple, shares.tolist())))
+    nozzles = None if seed == 0 else SimpleNamespace(weights=weights)
+    timing = replace(s.system.timing, on_time=own)
+    system = replace(s.system, thrusters=own, nozzles=nozzles, timing=timing)
+    zero = np.zeros(4)
+    inputs = Inputs.of(s.tightening.closed, system, (system.u_max, system.u_max), zero, zero)
+    craft = checker_needs(s, None).craft
+    errors = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
+    errors |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}
+    craft = replace(craft, plant=replace(craft.plant, on_time=None, **errors))
+    commands = MeanCommands(craft, [arb(0)] * 2, arb_mat(2, 0))
+    u = rng.normal(size=(100, 2))
+    error, counted = own.part(np.abs(u)), (np.abs(u) + own.part(np.abs(u))) @ system.weights
+    squares = np.array([[float(x) for x in row] for row in commands.squares.tolist()])
+    assert np.allclose(squares, inputs.squares) and np.all(error**2 <= u**2 @ squares.T * (1 + 1e-9))
+    assert np.allclose([float(x) for x in commands.spends], inputs.spends)
+    assert np.all(counted <= np.abs(u) @ inputs.spends * (1 + 1e-9))
+    assert counted.max() > 0.9 * (np.abs(u) @ inputs.spends).max()

@@ -1,0 +1,363 @@
+"""Online monitor in the flight code: as Python to the last bit, and never bolder than `OnlineMonitor`."""
+
+import math
+import os
+import re
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris.certificate.checker import verify
+from polaris.certificate.code.answers import (
+    CLIPPED,
+    CLOCK,
+    COMMAND,
+    LATCHED,
+    MISSED,
+    RANGE,
+    REFUSED,
+    REPEATED,
+    STATE,
+    OnlineStep,
+    answered,
+    selftest,
+)
+from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files, rounded
+from polaris.certificate.files.document import read
+from polaris.cli.app import app
+from polaris.flight.export import export_c
+from polaris.flight.vectors import calls
+from polaris.model.errors import ScenarioError
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import REENTRY, Monitor
+from polaris.runs.read_schedule import read_schedule
+from polaris.runs.run import run
+from polaris.simulation.on_board import FlightCode
+from polaris.simulation.simulate import simulate
+from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
+from tests.polaris.forging import QUARTER, make
+from tests.polaris.random_scenarios import random_scenario
+
+FLIGHTS = 95_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
+ADVISORY = {"misra-c2012-2.5", "misra-c2012-8.7", "misra-c2012-8.9"}
+"""Rules with a reason in docs/flight-code.md."""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """A run folder, and its code with the online monitor in both precisions."""
+    place = tmp_path_factory.mktemp("online")
+    folder = make([QUARTER], place)
+    for precision in PRECISIONS:
+        export_c(folder, place / precision, precision, monitor=True)
+    return place
+
+
+@pytest.fixture(scope="module")
+def monitor(flown):
+    return Monitor(DecisionGrid.of(read_schedule(flown / "run")))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler, precision):
+    folder = flown / precision
+    program = built(folder, compiler, sources(folder), tmp_path / "test", "-O2")
+    done = subprocess.run([program], capture_output=True, text=True)
+    assert done.returncode == 0 and re.fullmatch(r"\d{3,} vectors, all as expected\n", done.stdout)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_c_code_decides_as_python_to_the_last_bit(flown, tmp_path, precision):
+    _, tables, _ = read_code(flown / precision)
+    library, seen, online = FlightLibrary(flown / precision, tmp_path / "flight.so"), {}, False
+    for call, expected in answered(tables, precision, calls(tables, FLIGHTS, 1)):
+        if call.start:
+            online = call.start == 2
+            library.decide_from(call.period) if online else library.start()
+        step = library.decide if online else library.step
+        given = step(call.period, call.state, call.controller, call.command)
+        assert (given, str(given.command)) == (expected, str(expected.command)), call
+        if online:
+            seen[given.mode, given.fault] = seen.get((given.mode, given.fault), 0) + 1
+    assert seen[1, 0] > FLIGHTS / 4 and seen[0, REFUSED] > FLIGHTS / 4 and len(seen) > 15
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_self_test_takes_every_branch(flown, tmp_path, precision):
+    prefix, *_ = read_code(flown / precision)
+    for path in (flown / precision).glob("*.[ch]"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    program = built(tmp_path, "gcc", sources(tmp_path), tmp_path / "test", "--coverage", "-O0")
+    subprocess.run([program], cwd=tmp_path, check=True, capture_output=True)
+    asked = [tool("gcov"), "-b", f"test-{prefix}.gcda"]
+    done = subprocess.run(asked, cwd=tmp_path, check=True, capture_output=True, text=True)
+    ours = done.stdout.split("File ")[1]
+    assert f"{prefix}.c'" in ours and re.search(r"Taken at least once:100\.00% of \d\d\d", ours), ours
+
+
+def test_no_required_rule_of_misra_is_broken_and_functions_are_simple(flown, tmp_path):
+    prefix, *_ = read_code(flown / "double")
+    built(flown / "double", "gcc", [f"{prefix}.c"], tmp_path / "code.o", "-O1", "-fstack-usage", "-c")
+    used = [line.split("\t") for line in (tmp_path / "code.su").read_text().splitlines()]
+    assert all(kind == "static" for *_, kind in used) and sum(int(size) for _, size, _ in used) <= 700
+    (source,) = [path for path in (flown / "float").glob("*.c") if "selftest" not in path.name]
+    done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
+    assert max(int(line.split()[0]) for line in done.stdout.splitlines()) <= 15
+    lines = re.sub(r"static const \w+ \w+\[.*?\};", "", source.read_text(), flags=re.DOTALL).count("\n")
+    assert lines + source.with_suffix(".h").read_text().count("\n") <= 400
+    asked = "--addon=misra --std=c99 -DFLT_EVAL_METHOD=0 --enable=style,warning,portability --template={id}"
+    done = subprocess.run([tool("cppcheck"), "-q", *asked.split(), source], capture_output=True, text=True)
+    assert done.returncode == 0 and set(done.stderr.split()) == ADVISORY, done.stderr
+
+
+ANYTHING = """#include "PREFIX.h"
+extern volatile PREFIX_input anything;
+extern volatile int on;
+int main(void)
+{
+    PREFIX_memory memory;
+    PREFIX_online online;
+    PREFIX_output output;
+    PREFIX_start(&memory);
+    PREFIX_online_start(&online);
+    while (on != 0) {
+        PREFIX_input input = anything;
+        PREFIX_step(&memory, &input, &output);
+        PREFIX_online_step(&online, &input, &output);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_no_input_makes_a_run_time_error(flown, tmp_path, precision):
+    """For any sequence of inputs, finite or not: frama-c's EVA finds no undefined behaviour."""
+    folder, (prefix, *_) = flown / precision, read_code(flown / precision)
+    (tmp_path / "main.c").write_text(ANYTHING.replace("PREFIX", prefix))
+    asked = "-eva -eva-precision 0 -eva-auto-loop-unroll 20 -warn-special-float none"
+    include = f"-cpp-extra-args=-I{folder} -DFLT_EVAL_METHOD=0"
+    given = [*asked.split(), include, tmp_path / "main.c", folder / f"{prefix}.c"]
+    done = subprocess.run([tool("frama-c"), *given], capture_output=True, text=True)
+    summary = done.stdout[done.stdout.index("ANALYSIS SUMMARY") :]
+    assert "0 alarms generated" in summary and "No errors or warnings" in summary, summary
+    assert summary.count("100% coverage") == 2
+
+
+# -- decisions --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_u_flies_only_where_the_online_monitor_lets_it(flown, tmp_path, monitor, precision):
+    """Errors of all sizes at all decisions: never bolder, and nearly always the same answer."""
+    library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(2)
+    grid, agreed, both = monitor.grid, 0, [0, 0]
+    inverse = np.linalg.inv(grid.tracking.W)
+    for place in range(6000):
+        k = int(rng.integers(0, grid.decisions))
+        e = inverse @ rng.normal(size=grid.system.n)
+        e *= 10 ** rng.uniform(-2, 1) / np.linalg.norm(grid.tracking.W @ e)
+        flew = place % 2
+        library.decide_from(k)
+        library.online.flown = flew
+        bold = library.decide(k, grid.xi[k] + e, 1, [0.0] * grid.system.m).mode
+        expected, _ = monitor.judge_one(k, e, flew)
+        assert bold <= expected, (k, e)
+        agreed += bold == expected
+        both[bold] += 1
+    assert agreed >= 0.97 * 6000 and min(both) > 600
+    assert pytest.approx(1 - REENTRY) == KEEP
+
+
+def test_each_fault_has_its_answer(flown):
+    _, tables, _ = read_code(flown / "double")
+    n, m, q, u = len(tables.range), len(tables.limit), len(tables.moved), (0.5,) * len(tables.limit)
+
+    def fly(*given):
+        """Calls that follow one another from the period on in which U may fly from the reference."""
+        step = OnlineStep(tables)
+        step.safe.last = first - 1
+        return [step.step(first + at, state, controller, command) for at, state, controller, command in given]
+
+    def along(node):
+        return OnlineStep(tables).safe.gap(*divmod(node, q), [0.0] * n)
+
+    allowed = (
+        k for k in range(1, q * len(tables.modes)) if OnlineStep(tables).recoverable(k, along(k), KEEP)
+    )
+    first = next(k for k in allowed if OnlineStep(tables).recoverable(k + 1, along(k + 1), KEEP))
+    x, y = along(first), along(first + 1)
+    much = tuple(a + 0.9 * b for a, b in zip(x, tables.apart, strict=True))
+    regular, again, later = fly((0, x, 7, u), (0, x, 0, u), (1, y, 0, u))
+    assert (regular.mode, regular.fault, regular.command) == (7, 0, u)
+    assert (again.mode, again.fault) == (7, REPEATED) and (later.mode, later.fault) == (0, 0)
+    for call, fault in [
+        ((0, (math.nan, *x[1:]), 1, u), STATE),
+        ((0, x, 1, (math.inf,) * m), COMMAND),
+        ((0, much, 1, u), REFUSED),
+        ((0, (1e5,) * n, 1, u), RANGE),
+    ]:
+        answer, after = fly(call, (1, y, 1, u))
+        assert (answer.mode, answer.fault & ~CLIPPED) == (0, fault)
+        assert after.mode == 1  # what was wrong is over
+    for at, fault in [(1, MISSED), (-first - 1, CLOCK)]:
+        answer, after = fly((at, y, 1, u), (2, y, 1, u))
+        assert (answer.mode, answer.fault & ~CLIPPED) == (0, fault | LATCHED)
+        assert after.mode == 0 and after.fault & LATCHED  # nobody knows which number is right
+    last, step = len(tables.modes) * q, OnlineStep(tables)
+    step.safe.last = last - 1
+    assert step.step(last, along(last), 1, u).fault & REFUSED  # nothing is planned beyond
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_no_thrust_within_the_limits_breaks_a_flight(flown, tmp_path, monitor, precision):
+    """The C code decides flights of U that pushes as hard as it can, under disturbances of largest size."""
+    library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(8)
+    grid, by_u, switches = monitor.grid, 0, 0
+    Ad, Bd, Dd = grid.held
+    system, start = grid.system, grid.schedule.safety.problem.initial_set
+    for flight in range(200 if FLIGHTS > 1000 else 30):
+        x = start.c + start.G @ rng.choice([-1, 1], start.G.shape[1])
+        push, before = rng.choice([-1.0, 1.0], system.m) * system.u_max, 0
+        library.decide_from(0)
+        for node in range(grid.last + 2 * grid.clearance.q):
+            if flight % 2 and rng.random() < 0.2:
+                push = rng.choice([-1.0, 1.0], system.m) * system.u_max
+            answer = library.decide(node, x, 1, push.tolist())
+            assert answer.mode or not answer.fault & CLIPPED  # S never needs more than there is
+            w = rng.normal(size=system.D.shape[1])
+            x = Ad @ x + Bd @ np.array(answer.command) + Dd @ w * (0.99 * system.w_max / np.linalg.norm(w))
+            rows, offsets, _ = grid.facets
+            room = grid.nearest(rows @ x - offsets[node + 1])
+            assert room > 0, (flight, node, room)
+            by_u, switches, before = by_u + answer.mode, switches + (answer.mode != before), answer.mode
+    assert by_u > 100 and switches > 30
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_monitor_of_the_code_decides_in_simulation(flown, precision):
+    """U asks in every period, under random and the worst disturbances: no set is entered, S never clips."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
+    runs = simulate(schedule, n=2000 if FLIGHTS > 1000 else 60, seed=4, tail=True, mode=1, code=code)
+    assert runs.metrics().summary()["collided_runs"] == 0
+    answers = {(0, 0), (0, REFUSED), (1, 0)}
+    assert answers <= code.answers.keys() <= answers | {(1, CLIPPED)}
+
+
+# -- the checker ------------------------------------------------------------------------------------
+
+
+def forged(flown, folder, change, precision="double"):
+    """Code of altered tables whose text and self-test agree with them; returns the verdict."""
+    prefix, tables, _ = read_code(flown / precision)
+    altered = replace(tables, **change(tables)).rounded(precision)
+    digest = read(flown / "run" / "certificate.json").digest
+    folder.mkdir()
+    texts = files(altered, prefix, precision, digest)
+    texts[f"{prefix}_selftest.c"] = selftest(altered, prefix, precision, calls(altered, 4, 0))
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return verify(flown / "run", folder)
+
+
+def scaled(table, by):
+    return [scaled(one, by) for one in table] if isinstance(table, list) else table * by
+
+
+def with_room(tables, by):
+    """More room at every limit that there is."""
+    return [[[x + by * (i % 2 == 0) for i, x in enumerate(row)] for row in cell] for cell in tables.room]
+
+
+def lowered(tables, lag, by):
+    return [[x - by * (i in (lag, None)) for x in row] for i, row in enumerate(tables.booked)]
+
+
+FORGERIES = {
+    "more room": lambda t: {"room": with_room(t, 1e-3)},
+    "more room in one step": lambda t: {"room": [with_room(t, 1.0)[0], *t.room[1:]]},
+    "rooms of the step after": lambda t: {"room": [*t.room[1:], t.room[-1]]},
+    "rooms that grow": lambda t: {
+        "room": [[[a, b + 0.01, c, d + 0.01] for a, b, c, d in cell] for cell in t.room]
+    },
+    "fewer rooms": lambda t: {"room": t.room[:-1]},
+    "less booked in the first period": lambda t: {"booked": lowered(t, 0, 0.1)},
+    "less booked at the next node": lambda t: {"booked": lowered(t, 1, 0.1)},
+    "less booked at the last node": lambda t: {"booked": lowered(t, len(t.booked) - 1, 0.1)},
+    "errors of no size": lambda t: {"sized": scaled(t.sized, 0.0)},
+    "no margin": lambda t: {"booked": scaled(t.booked, 0.9)},
+    "a shorter look ahead": lambda t: {"booked": t.booked[:-9], "sized": t.sized[:-9]},
+    "one node": lambda t: {"booked": t.booked[:1], "sized": t.sized[:1]},
+    "another row": lambda t: {"rows": [scaled(t.rows[0], 0.99), *t.rows[1:]]},
+    "rows exchanged": lambda t: {"rows": [*t.rows[:-2], t.rows[-1], t.rows[-2]]},
+    "another loop": lambda t: {"loop": scaled(t.loop, 0.999)},
+    "another plant": lambda t: {"held": scaled(t.held, 0.99)},
+    "a weaker thruster": lambda t: {"force": scaled(t.force, 0.9)},
+    "larger errors": lambda t: {"apart": scaled(t.apart, 3.0)},
+    "facets that are none": lambda t: {"facets": t.facets - 1},
+}
+
+
+@pytest.mark.parametrize("label", FORGERIES)
+def test_altered_tables_that_agree_with_themselves_are_refused(flown, tmp_path, label):
+    verdict = forged(flown, tmp_path / "code", FORGERIES[label])
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "monitor"), verdict.witness
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_an_honest_code_is_confirmed_and_its_margin_is_near(flown, tmp_path, precision):
+    verdict = forged(flown, tmp_path / "code", lambda t: {}, precision)
+    assert verdict.outcome == "VERIFIED" and "monitor" in dict(verdict.checked)
+    assert any("online monitor" in assumption for assumption in verdict.trusted)
+    _, tables, _ = read_code(flown / precision)
+    for name in ONLINE_SHAPES:
+        assert getattr(tables, name) == getattr(tables.rounded(precision), name)
+    rows = np.array(tables.rows)
+    assert np.abs(rows).max() == rounded(np.abs(rows).max(), precision)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("share * above", "2 * above"),
+        ("good = 0;", "good = 1;"),
+        ("->lost = 1", "->lost = 0"),
+        (" | ", " & "),
+    ],
+)
+def test_an_altered_text_is_refused(flown, tmp_path, old, new):
+    for path in (flown / "double").glob("*.[ch]"):
+        text = path.read_text()
+        at = text.find("static int32_t kept(")
+        changed = text[:at] + text[at:].replace(old, new, 1) if at > 0 else text
+        (tmp_path / path.name).write_text(changed)
+    verdict = verify(flown / "run", tmp_path)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "code")
+
+
+@pytest.mark.parametrize("seed", [1, 4, 6])
+def test_monitors_of_random_scenes_are_confirmed(tmp_path, seed):
+    (tmp_path / "scene.toml").write_text(random_scenario(seed))
+    made = run(tmp_path / "scene.toml", tmp_path / "run", overrides=["simulation.runs=2"])
+    for precision in PRECISIONS:
+        export_c(made.path, tmp_path / precision, precision, monitor=True)
+        verdict = verify(made.path, tmp_path / precision)
+        assert verdict.outcome == "VERIFIED" and "monitor" in dict(verdict.checked), verdict.witness
+
+
+def test_the_verbs_export_and_verify(flown, tmp_path):
+    folder, out = str(flown / "run"), str(tmp_path / "code")
+    done = CliRunner().invoke(app, ["export", "c", folder, "--out", out, "--prefix", "demo", "--monitor"])
+    assert done.exit_code == 0, done.output
+    done = CliRunner().invoke(app, ["verify", folder, "--code", out])
+    assert done.exit_code == 0 and "S can take over wherever U may fly" in done.stdout
+
+
+def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path):
+    folder = make([QUARTER, "thrusters={magnitude_error=0.02}"], tmp_path)
+    with pytest.raises(ScenarioError, match="must be off where errors depend on commands"):
+        export_c(folder, tmp_path / "code", monitor=True)

@@ -1,0 +1,193 @@
+"""Compiled loops against the formulas in NumPy, their oracle; without numba, the loops as they stand."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks import asif
+from polaris.inspection.closest import TOLERANCE, ClosestApproach
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.filters.asif import ActiveSetFilter
+from polaris.inspection.filters.explicit import make_filter
+from polaris.inspection.inspection import Inspection
+from polaris.model import compiled
+from polaris.model.version import versions
+from polaris.rta import nearest
+from polaris.rta.projection import FILTERED, PRIMAL, project_coupled
+from tests.polaris.inspection.test_filters import situation
+
+NUMBA = importlib.util.find_spec("numba") is not None
+EXAMPLES = 25 if NUMBA else 2  # as the loops stand, a plain run takes a fifth of them
+needs_numba = pytest.mark.skipif(not NUMBA, reason="numba (the extra `fast`) is not installed")
+
+
+def both(make):
+    """Make one with the loops, compiled or as they stand, and one without them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "wanted", lambda: True)
+        looped = make()
+        patch.setattr(compiled, "wanted", lambda: False)
+        plain = make()
+    assert looped.loops is not None and plain.loops is None
+    return looped, plain
+
+
+def drawn(seed, deputies, wide):
+    """A random problem, and states and suns of it, one near the centre, where directions fade."""
+    rng = np.random.default_rng(seed)
+    q = Inspection(
+        deputies=deputies,
+        mean_motion=rng.uniform(5e-4, 1.2e-3),
+        field_of_view=rng.uniform(0.2, 2.0),
+        passive_time=rng.uniform(50.0, 900.0),
+        deputy_radius=rng.uniform(1.0, 8.0),
+    )
+    x, sun, _ = situation(seed, R=8)
+    x = np.tile(x, (1, 2, 1))[:, 2 : 2 + deputies] * rng.uniform(0.8, 1.2, (8, deputies, 1))
+    x[0, 0, :3] *= 0.01 if wide else 1e-6
+    return q, x, sun, rng
+
+
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans(), known=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_for_sampled_data_are_those_of_the_formulas(seed, deputies, wide, known):
+    q, x, sun, rng = drawn(seed, deputies, wide)
+    sampled = SampledData(rng.uniform(0.2, 5.0), rng.uniform(0.1, 1.0))
+    looped, plain = both(lambda: Families(q, sampled=sampled))
+    held = rng.uniform(-1, 1, (8, deputies, 3)) if known else None
+    a, b = looped(x, sun, held), plain(x, sun, held)
+    for one, other in ((a.h, b.h), (a.G, b.G), (a.bound, b.bound)):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # inf where it is inf, too
+    one = looped(x[3], sun[3], None if held is None else held[3])
+    assert np.array_equal(one.bound, a.bound[3])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
+    q, x, sun, _ = drawn(seed, deputies, wide)
+    looped, plain = both(lambda: Families(q, exact=exact))
+    a, b = looped(x, sun), plain(x, sun)
+    # A closest approach may be found at another time, as near but for the tolerance: another gradient.
+    passive = plain.among("passive", "deputy_passive")
+    np.testing.assert_allclose(a.h[:, ~passive], b.h[:, ~passive], rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(a.h, b.h, rtol=1e-9, atol=2 * TOLERANCE)
+    alike = ~passive | (np.abs(a.h - b.h) < 1e-12)
+    size = 1 + np.abs(b.G).max(axis=-1)
+    assert (np.abs(a.G - b.G).max(axis=-1) / size)[alike].max() < 1e-9
+    assert (np.abs(a.bound - b.bound) / (1 + np.abs(b.bound)))[alike].max() < 1e-9
+    one = looped(x[3], sun[3])  # leading axes are kept
+    assert np.array_equal(one.h, a.h[3]) and one.G.shape == b.G[3].shape
+
+
+@given(seed=st.integers(0, 10**6), coupled=st.booleans())
+@settings(max_examples=4 * EXAMPLES)
+def test_programs_are_answered_as_by_the_solver_or_left(seed, coupled):
+    rng = np.random.default_rng(seed)
+    N, M = (3, 12) if coupled else (1, 6)
+    first = rng.integers(0, N, M)
+    second = np.where(rng.random(M) < 0.5, (first + 1) % N, -1) if coupled else np.full(M, -1)
+    G = rng.standard_normal((1, M, 3)) * 10 ** rng.uniform(-3, 1, (1, M, 1))
+    if rng.random() < 0.3:  # rows that nearly say the same
+        G[0, 1], first[1], second[1] = G[0, 0] * (1 + 1e-9 * rng.standard_normal(3)), first[0], second[0]
+    bound = rng.uniform(-1.5, 0.6, (1, M)) * np.linalg.norm(G, axis=2)
+    desired = rng.uniform(-1, 1, (1, N, 3)) * 10 ** rng.uniform(-1, 3)
+    u, status, left = nearest.coupled(G, bound, first, second, desired, 1.0)
+    expected = project_coupled(G, bound, np.clip(desired, -1.0, 1.0), 1.0, first, second)
+    if expected.status[0] != FILTERED:
+        assert left == 1 and (status == nearest.LEFT).all()
+    elif not left:
+        np.testing.assert_allclose(u, expected.u, atol=1e-8)
+        relative = u[0, first] - np.where(second[:, None] >= 0, u[0, second], 0.0)
+        length = np.linalg.norm(G[0], axis=1) * np.where(second >= 0, 2.0, 1.0) ** 0.5
+        assert ((bound[0] - (G[0] * relative).sum(axis=1)) / length).max() <= 2 * PRIMAL
+        assert np.abs(u).max() <= 1.0
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # as they stand, the loops say so
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_left(bad):
+    G, bound, desired = np.diag([1.0, 1.0, -1.0])[None], np.full((1, 3), 0.5), np.zeros((1, 1, 3))
+    index = np.zeros(3, dtype=int), np.full(3, -1)
+    for values in (G, bound, desired):
+        kept = values.copy()
+        values[0, 0] = bad
+        u, status, left = nearest.coupled(G, bound, *index, desired, 1.0)
+        good = values is bound and bad == -np.inf or values is desired and abs(bad) == np.inf  # clipped
+        assert left == (not good) and (good or (status == nearest.LEFT).all())
+        values[:] = kept
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_table_of_the_page(capsys):
+    """One deputy's row, of two calls; the names of the others."""
+    asif.main(["--only", "0", "--calls", "2", "--turns", "1"])
+    page = (Path(asif.__file__).parents[1] / "docs" / "inspection.md").read_text(encoding="utf-8")
+    head, row = capsys.readouterr().out.splitlines()
+    assert head.split()[:2] == ["filter", "N"] and row.split()[:2] == ["centralized", "1"]
+    assert len(row.split()) == (8 if NUMBA else 5)
+    assert all(word in page for word in head.split() if word != "compiled/NumPy")
+    assert {asif._name(row) for row in asif.ROWS} >= {line[:28].strip() for line in table(page)}
+
+
+def table(page):
+    """The lines of the page's table of speeds."""
+    lines = page.split("```text\nfilter ")[1].split("```")[0].splitlines()
+    assert len(lines) > 5
+    return lines[1:]
+
+
+@needs_numba
+@pytest.mark.parametrize("sharing", ["centralized", "coasting", "half", "consensus"])
+@pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=8)
+def test_filters_answer_alike(sharing, sampled, seed):
+    kind = {"sampled": sampled, "exact": True}
+    looped, plain = both(lambda: make_filter(Families(Inspection(deputies=4), **kind), sharing))
+    plain.families = both(lambda: Families(Inspection(deputies=4), **kind))[1]
+    x, sun, desired = situation(seed)
+    a, b = looped.batch(x, sun, desired), plain.batch(x, sun, desired)
+    same = (np.abs(a.rows.h - b.rows.h) < 1e-12).all(axis=1)
+    assert np.array_equal(a.status[same], b.status[same])
+    regular = same & (b.status <= FILTERED).all(axis=1)
+    np.testing.assert_allclose(a.u[regular], b.u[regular], atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="a plain run compiles nothing")
+@needs_numba
+def test_calls_in_odd_arrays_compile_nothing_anew(monkeypatch):
+    monkeypatch.setenv("POLARIS_COMPILED", "1")
+    q = Inspection(deputies=2)
+    one = ActiveSetFilter(make_filter(Families(q), "coasting"))
+    loops = (one.families.loops.rows, one.filtering.loops.alone, one.filtering.loops.tight)
+    before = [len(loop.signatures) for loop in loops]
+    x = np.array([[200.0, 30, 0, 0, 0.1, 0], [-90.0, 200, 50, 0, 0, 0.2]])
+    frozen = x.copy()
+    frozen.flags.writeable = False
+    answers = [
+        one.filter(float(k), state, np.asfortranarray(np.full((2, 3), 0.7)))
+        for k, state in enumerate((x, frozen, np.asfortranarray(x), x.tolist(), x.astype(np.float32)))
+    ]
+    assert all(np.isfinite(answer.u).all() for answer in answers)
+    for state in (frozen[None], np.asfortranarray(x[None])):
+        one.families(state, np.broadcast_to(0.3, 1))
+        ClosestApproach(q.mean_motion, 100.0)(state)
+    assert [len(loop.signatures) for loop in loops] == before
+
+
+def test_the_switch(monkeypatch):
+    monkeypatch.setenv("POLARIS_COMPILED", "0")
+    assert Families(Inspection(deputies=1)).loops is None
+    assert versions()["numba"] == "not used"
+    monkeypatch.setenv("POLARIS_COMPILED", "1")
+    assert (Families(Inspection(deputies=1)).loops is not None) == NUMBA
+    assert (versions()["numba"] != "not used") == NUMBA

@@ -1,0 +1,697 @@
+"""The planner: every plan is simulated densely by code that shares nothing with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from time import perf_counter
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.model.errors import (
+    ClockWarning,
+    NotCertified,
+    OutOfTime,
+    PolarisError,
+    ScenarioError,
+    SynthesisInfeasible,
+)
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.scene.timed_polytope import TimedPolytope
+from polaris.model.system import LinearSystem
+from polaris.model.tolerances import GOAL, SOLVER_FEASIBILITY
+from polaris.planning import backends, diagnose, effort, model, search, solve, tree
+from polaris.planning import problem as problem_module
+from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
+from polaris.planning.lp import GrowingLP
+from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
+from polaris.planning.recheck import recheck
+from polaris.planning.rows import Rows
+from polaris.planning.search import PathSearch
+from polaris.planning.solve import plan
+from polaris.runs.certificate import certificate
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule import in_view
+from polaris.synthesis.schedule.synthesize import synthesize
+from tests.polaris.tiny import TINY
+
+ETA = 0.0012
+CW = clohessy_wiltshire(ETA, 10.0, 1.0)
+NMT = EllipticalNMT(ETA, 100.0, 250.0)
+START = np.array([0, -1000, 0, 0, 0, 0.0])
+
+
+def box(name, center, half, K=60, velocity=0.0, delta=50.0, d=3):
+    """A box at constant velocity, as a timed polytope."""
+    center, half, velocity = (np.broadcast_to(np.asarray(v, float), (d,)) for v in (center, half, velocity))
+    normals = np.vstack([np.eye(d), -np.eye(d)])
+    b = (center + velocity * np.arange(K + 1)[:, None] * delta) @ normals.T + np.r_[half, half]
+    return TimedPolytope(name, normals, np.stack([b[:-1], b[1:]], axis=1), static=not np.any(velocity))
+
+
+def problem(unsafe, goal=NMT, K=60, delta=50.0, x0=START, margin=10.0, extra=20.0, u=0.9, system=CW, **more):
+    return PlanProblem(
+        system,
+        np.asarray(x0, float),
+        K,
+        delta,
+        tuple(unsafe),
+        tuple(np.full((K, len(b.normals)), margin) for b in unsafe),
+        np.full((K, system.m), u),
+        goal,
+        extra_margin=extra,
+        **more,
+    )
+
+
+def simulate(task: PlanProblem, nu, parts=40):
+    """Times and states on a fine grid, by the exponential of the augmented matrix."""
+    n, m = task.system.n, task.system.m
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = task.system.A, task.system.B
+    step = expm(block * task.delta / parts)
+    x, states = task.x0.copy(), [task.x0.copy()]
+    for u in np.vstack([nu, np.zeros((task.tail_cells, m))]):
+        for _ in range(parts):
+            x = step[:n, :n] @ x + step[:n, n:] @ u
+            states.append(x)
+    return np.arange(len(states)) * task.delta / parts, np.array(states)
+
+
+def clearance(task: PlanProblem, i, times, positions):
+    """Largest ``n p - b(t) - margin`` over the facets of unsafe set i at every time [m]."""
+    body, last = task.unsafe[i], len(task.unsafe[i].offsets) - 1
+    out = []
+    for t, p in zip(times, positions, strict=True):
+        k = min(int(t / task.delta + 1e-9), task.cells - 1)
+        share = t / task.delta - k
+        b = body.offsets[min(k, last)]
+        offset = b[0] * (1 - share) + b[1] * share
+        out.append(np.max(body.normals @ p - offset - task.margins[i][min(k, task.K - 1)]))
+    return np.array(out)
+
+
+def assert_holds(task: PlanProblem, answer: Plan, parts=40):
+    """Everything a plan promises, by dense simulation."""
+    assert np.all(np.abs(answer.nu) <= task.u_limit)
+    times, states = simulate(task, answer.nu, parts)
+    assert np.allclose(states[::parts][: task.K + 1], answer.chi, atol=1e-6, rtol=1e-9)
+    assert task.goal.violation(states[task.K * parts])[0] == 0.0
+    positions = states @ task.system.position.T
+    worst = np.inf
+    for i in range(len(task.unsafe)):
+        gap = clearance(task, i, times, positions)
+        assert gap.min() >= 0, f"{task.unsafe[i].name}: {gap.min()}"
+        planned = gap[: task.K * parts + 1]
+        worst = min(worst, planned.min())
+        # one facet separates the whole of each cell
+        for k in range(task.K):
+            f, span = answer.facets[i, k], slice(k * parts, (k + 1) * parts + 1)
+            share = np.linspace(0, 1, parts + 1)
+            b = task.unsafe[i].offsets[min(k, task.unsafe[i].cells - 1), :, f]
+            along = positions[span] @ task.unsafe[i].normals[f] - (b[0] * (1 - share) + b[1] * share)
+            assert along.min() >= task.margins[i][k, f] + answer.extra[i, k] - 1e-6
+    if task.unsafe:
+        assert answer.margin <= worst + 1e-6
+        assert answer.margin == pytest.approx(answer.extra.min())
+    assert answer.delta_v == pytest.approx(np.abs(answer.nu).sum() * task.delta / task.system.mass)
+
+
+STATIC = box("box", (-250, -600, 0), 120)
+KEEP_OUT = box("keep-out", (0, 0, 0), 50)
+CROSSING = box("crossing", (-700, -400, 0), 110, velocity=(0.25, 0, 0))
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        problem([]),
+        problem([STATIC]),
+        problem([STATIC, KEEP_OUT], tail_cells=110),
+        problem([CROSSING, KEEP_OUT]),
+        problem([STATIC, KEEP_OUT], objective="fuel"),
+        problem([STATIC], goal=LinearNMT(ETA, 60.0, -100.0)),
+        problem([STATIC], goal=Box([0, -200, 0, 0, 0, 0], [20, 20, 20, 0.05, 0.05, 0.05])),
+        problem([box("box", (0, -500, 0), 50)], goal=StationaryPoint([0, -100, 0, 0, 0, 0])),
+    ],
+    ids=["free", "static", "coasting", "crossing", "fuel", "linear", "box-goal", "point"],
+)
+def test_plan_holds_in_dense_simulation(task):
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert answer.status == "optimal" and answer.gap <= 1e-3
+    if task.objective == "margin_then_fuel" and task.unsafe:
+        assert answer.margin >= task.extra_margin * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_scenes(seed):
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for j in range(rng.integers(1, 4)):
+        t = rng.uniform(500, 2500)
+        velocity = rng.choice([0.0, 1.0]) * rng.uniform(-0.1, 0.1, 3)
+        on_the_way = START[:3] * (1 - t / 3000) + np.array([-250 * np.sin(np.pi * t / 3000), 0, 0])
+        center = on_the_way - velocity * t + rng.uniform(-40, 40, 3)
+        bodies.append(box(f"box {j}", center, rng.uniform(20, 70, 3), K=40, velocity=velocity, delta=75.0))
+    task = problem(
+        bodies,
+        K=40,
+        delta=75.0,
+        x0=START + np.r_[rng.uniform(-60, 60, 3), rng.uniform(-0.1, 0.1, 3)],
+        margin=5.0,
+        extra=5.0,
+    )
+    try:
+        answer = plan(task, PlannerOptions(time_limit=10))
+    except PolarisError as error:  # a random scene may be impossible, but must say so
+        assert isinstance(error, SynthesisInfeasible)
+        return
+    assert_holds(task, answer)
+
+
+def test_planar_robot():
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
+    robot = LinearSystem(
+        A,
+        np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.vstack([np.zeros((2, 2)), np.eye(2)]),
+        np.array([1.0, 1.0]),
+    )
+    bodies = [box("shelf", (5, 0), (1, 3), K=30, delta=0.5, d=2)]
+    task = problem(
+        bodies,
+        goal=Box([10, 0, 0, 0], [0.5, 0.5, 0.1, 0.1]),
+        K=30,
+        delta=0.5,
+        x0=np.zeros(4),
+        margin=0.2,
+        extra=0.3,
+        system=robot,
+    )
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert answer.margin == pytest.approx(0.3, abs=0.05)
+
+
+def test_first_order_system():
+    still = LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.array([1.0, 1.0]), C=np.eye(2))
+    task = problem(
+        [box("block", (5, 0), (1, 2), K=20, delta=1.0, d=2)],
+        goal=StationaryPoint([10.0, 0.0]),
+        K=20,
+        delta=1.0,
+        x0=np.zeros(2),
+        margin=0.1,
+        extra=0.2,
+        system=still,
+    )
+    assert_holds(task, plan(task))
+
+
+def test_keep_in_facets_hold():
+    facets = [
+        TimedPolytope(f"side {j}", np.array([n], float), np.full((60, 2, 1), -120.0), keep_in=True)
+        for j, n in enumerate(([1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]))
+    ]
+    task = problem(
+        [*facets, box("box", (0, -500, 0), 40)],
+        goal=StationaryPoint([0, -100, 0, 0, 0, 0]),
+        margin=5.0,
+        extra=10.0,
+    )
+    answer = plan(task)
+    assert_holds(task, answer)
+    assert np.abs(answer.chi[:, 0]).max() <= 115.0
+
+
+def test_cheaper_than_any_single_side_and_than_more_margin():
+    little, much = (plan(problem([STATIC], extra=e)).delta_v for e in (0.0, 60.0))
+    free = plan(problem([])).delta_v
+    assert free < little < much
+
+
+def small_robot(shelves=(((5, 0), (1, 2)),)):
+    """A plane, ten steps, a few shelves: small enough for any back end and licence."""
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
+    push = np.vstack([np.zeros((2, 2)), np.eye(2)])
+    robot = LinearSystem(A, push, push, np.array([1.0, 1.0]))
+    return problem(
+        [box(f"shelf {i}", at, half, K=10, delta=1.0, d=2) for i, (at, half) in enumerate(shelves)],
+        goal=Box([10, 0, 0, 0], [0.5] * 4),
+        K=10,
+        delta=1.0,
+        x0=np.zeros(4),
+        margin=0.1,
+        extra=0.2,
+        system=robot,
+    )
+
+
+def test_back_end_alone_agrees_with_the_tree():
+    task = small_robot()
+    by_tree = plan(task)
+    by_solver = plan(task, PlannerOptions(solver="highs", time_limit=20))
+    assert_holds(task, by_solver)
+    assert by_solver.delta_v == pytest.approx(by_tree.delta_v, rel=2.5e-3)
+    assert by_solver.stats["binaries"] > 0
+
+
+def by_back_end(task, solver, **options):
+    """Plan with one back end, or skip the test where it is not to be had."""
+    if solver == "gurobi":
+        pytest.importorskip("gurobipy", reason="gurobipy is not installed")
+    try:
+        return plan(task, PlannerOptions(solver=solver, **options))
+    except ScenarioError as error:
+        pytest.skip(f"{solver} is installed but cannot solve this model: {error}")
+
+
+@pytest.mark.parametrize("solver", ["highs", "gurobi"])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), 2])
+def test_every_solver_solves_the_same_program(seed, solver):
+    """To the last digit: no bound above another's optimum, wherever each looked for its cells."""
+    rng = np.random.default_rng(seed)
+    shelves = [(rng.uniform((2, -1.5), (8, 1.5)), rng.uniform(0.3, 1.2, 2)) for _ in range(3)]
+    task = small_robot(shelves)
+    ours, theirs = plan(task, PlannerOptions(gap=0.0)), by_back_end(task, solver, gap=0.0)
+    assert_holds(task, theirs)
+    assert ours.status == theirs.status == "optimal"
+    assert theirs.delta_v == pytest.approx(ours.delta_v, rel=1e-6)
+    assert max(ours.bound, theirs.bound) <= min(ours.delta_v, theirs.delta_v) * (1 + 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["highs", "gurobi"])
+def test_static_has_one_optimum(solver):
+    """Cells that one search had stated and the other had not once made a difference of 1.5e-5 m/s."""
+    from polaris.scenario.scenario import load_scenario
+    from polaris.synthesis.safety.get_safety import get_safety
+
+    problem = load_scenario("static").problem()
+    ours = get_safety(problem).plan
+    if solver == "gurobi":
+        pytest.importorskip("gurobipy", reason="gurobipy is not installed")
+    options = replace(problem.planner, solver=solver)
+    theirs = get_safety(replace(problem, planner=options)).plan
+    assert theirs.delta_v == pytest.approx(ours.delta_v, rel=1e-7)
+    assert theirs.bound <= ours.delta_v * (1 + 1e-7) and ours.bound <= theirs.delta_v * (1 + 1e-7)
+
+
+@pytest.mark.parametrize("solver", ["highs", "gurobi"])
+def test_a_back_end_asked_for_does_the_work_and_prints_nothing(solver, capfd):
+    answer = by_back_end(small_robot(), solver)
+    assert answer.solver == solver and answer.stats["rounds"] > 0
+    search = [stage for stage in answer.stages if stage.name != "path search"]
+    assert [stage.status for stage in search] == ["optimal"]
+    assert all({"highs": "HiGHS", "gurobi": "Gurobi"}[solver] in stage.by for stage in search)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_back_end_has_the_whole_time_and_effort(monkeypatch):
+    given, run = [], backends.run
+
+    def briefly(lp, options, nodes, seconds, hear):
+        given.append((nodes, seconds, hear))
+        return run(lp, options, nodes, 1.0, hear)
+
+    monkeypatch.setattr(backends, "run", briefly)
+    options = PlannerOptions(solver="highs", time_limit=40.0, max_nodes=500)
+    with pytest.warns(ClockWarning):
+        plan(problem([STATIC, KEEP_OUT]), options)
+    nodes, seconds, hear = given[0]  # a path is known: all of it
+    assert nodes == 500 and 30.0 < seconds <= 40.0
+    assert hear(np.inf, -np.inf, 499) == ""
+    given.clear()
+    answer = plan(small_robot(), options)
+    nodes, seconds, hear = given[0]  # none is: a quarter to find one, and if one is found, all of it
+    assert nodes == 500 and 30.0 < seconds <= 40.0
+    assert answer.status == "optimal"
+    assert hear(np.inf, -np.inf, 124) == hear(1.0, 0.0, 400) == ""
+    assert hear(np.inf, -np.inf, 125) == "effort_limit"
+    now = perf_counter()
+    monkeypatch.setattr(effort, "perf_counter", lambda: now + 10.0)
+    assert hear(np.inf, -np.inf, 3) == "time_limit" and hear(1.0, 0.0, 3) == ""
+
+
+def test_distance_reaches_further_than_the_default():
+    task = problem([box("box", (-250, -600, 0), 60)], extra=20.0)
+    default = plan(task)
+    furthest = plan(replace(task, objective="distance", extra_margin=0.0))
+    assert_holds(task, furthest)
+    assert furthest.margin > default.margin + 20
+    assert furthest.delta_v > default.delta_v
+
+
+def corridor():
+    """A gap 260 m wide where 210 m are asked for on either side."""
+    walls = [
+        box("left", (-400, -550, 0), (100, 100, 2000)),
+        box("right", (60, -550, 0), (100, 100, 2000)),
+        box("far left", (-2400, -550, 0), (1900, 100, 2000)),
+        box("far right", (2060, -550, 0), (1900, 100, 2000)),
+    ]
+    return problem(walls, margin=10.0, extra=200.0)
+
+
+@cache
+def planned_corridor():
+    task = corridor()
+    return task, plan(task, PlannerOptions(max_linear_programs=400))
+
+
+def test_margin_out_of_reach_gives_what_there_is():
+    task, answer = planned_corridor()
+    assert_holds(task, answer)
+    # half of the gap less the margin is what there is
+    assert 100.0 <= answer.margin <= 120.0 + 1e-6
+    assert answer.bound >= answer.objective
+
+
+def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
+    """The largest margin alone costs 1.47 m/s, because fuel hardly counts there; 0.58 m/s are enough."""
+    _, answer = planned_corridor()
+    names = [stage.name for stage in answer.stages]
+    assert names == ["path search", "fuel", "margin", "fuel at the margin found"]
+    share = [stage.linear_programs for stage in answer.stages]
+    assert share[1] <= 101 + 40 and share[3] >= 100 and sum(share) <= 400 + 40
+    assert answer.margin >= 119.9 and answer.delta_v < 0.7
+    assert answer.status == "effort_limit" and answer.cut_by_clock == ()
+
+
+def clock(monkeypatch, tell):
+    """Give the planner another clock."""
+    for module in (problem_module, solve, effort, model, search, tree, diagnose, in_view):
+        monkeypatch.setattr(module, "perf_counter", tell)
+
+
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        (problem([CROSSING, KEEP_OUT]), {}),
+        pytest.param(
+            problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)), {}, marks=pytest.mark.slow
+        ),
+        pytest.param(corridor(), {"max_linear_programs": 60}, marks=pytest.mark.slow),
+    ],
+    ids=["crossing", "annulus", "limited"],
+)
+def test_a_slower_machine_finds_the_same_plan(monkeypatch, recwarn, task, options):
+    """A hundred thousand times slower, and one that stands still."""
+    plans = []
+    for speed in (1.0, 1e5, 0.0):
+        clock(monkeypatch, lambda speed=speed: speed * perf_counter())
+        plans.append(plan(task, PlannerOptions(**options)))
+    assert len({answer.nu.tobytes() for answer in plans}) == 1
+    assert len({(answer.stages, answer.status, answer.bound) for answer in plans}) == 1
+    assert all(answer.cut_by_clock == () for answer in plans)
+    assert not [w for w in recwarn if issubclass(w.category, ClockWarning)]
+
+
+def test_infeasible_is_told_in_the_same_words_on_a_slower_machine(monkeypatch):
+    said = []
+    for speed in (1.0, 1e5):
+        clock(monkeypatch, lambda speed=speed: speed * perf_counter())
+        with pytest.raises(SynthesisInfeasible) as raised:
+            plan(problem([box("huge", (0, 0, 0), 495)]))
+        said.append(str(raised.value))
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("solver", ["facets", "highs"])
+def test_a_clock_that_jumps_changes_no_run(monkeypatch, solver):
+    """A day at every look: no search ends by the clock unless a scenario sets one, a back end's included."""
+    scenario = load_scenario(TINY).with_assignments([f"planner.solver={solver}"])
+    known, looks = certificate(synthesize(scenario), "tiny")["digest"], iter(range(10**9))
+    clock(monkeypatch, lambda: 86400.0 * next(looks))
+    assert certificate(synthesize(scenario), "tiny")["digest"] == known
+
+
+def test_a_back_end_that_does_not_come_to_its_next_node_is_ended_by_a_count(monkeypatch):
+    given = []
+    whole = backends._highs
+    monkeypatch.setattr(backends, "_highs", lambda *args: given.append(whole(*args)) or given[-1])
+    task = small_robot(
+        [(np.array([4.0, 0.3]), np.array([0.8, 0.9])), (np.array([7.0, -0.4]), np.array([0.6, 0.9]))]
+    )
+    plan(task, PlannerOptions(solver="highs", gap=0.0))
+    assert given[-1].status == "optimal"
+    monkeypatch.setattr(backends, "ASKED", 1e-5)
+    with suppress(NotCertified):
+        plan(task, PlannerOptions(solver="highs", gap=0.0))
+    assert given[-1].status == "effort_limit"
+
+
+@pytest.mark.parametrize("readings", [40, 60, 100, 200])
+def test_a_clock_that_strikes_is_told(monkeypatch, readings):
+    """Whenever it does: a plan that another machine might not find says so, or there is none."""
+    count = iter(range(10**6))
+    clock(monkeypatch, lambda: 0.0 if next(count) < readings else 1e4)
+    task = problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0))
+    try:
+        with pytest.warns(ClockWarning, match="time_limit_s = 600"):
+            answer = plan(task, PlannerOptions(time_limit=600.0))
+    except OutOfTime:
+        return
+    assert answer.cut_by_clock
+    assert_holds(task, answer, parts=10)
+
+
+@pytest.mark.parametrize("away", [1.0, 30.0, 1e3, 1e5])
+def test_what_the_solver_takes_for_the_goal_counts_as_the_goal(away):
+    """A row that is missed by its tolerance, however far away the flight begins."""
+    system = LinearSystem(np.eye(4, k=2), np.eye(4)[:, 2:], np.eye(4)[:, 2:], [1.0, 1.0])
+    start, goals = np.array([away, -away, 0.0, 0.0]), (np.zeros(4), np.array([0.3, 20.0, 0.0, 0.0]))
+    for goal in (StationaryPoint(goals[0]), StationaryPoint(goals[1]), Box(goals[1], np.full(4, 0.2))):
+        task = PlanProblem(system, start, 20, 1.0, (), (), np.ones((20, 2)), goal.of(system))
+        rows, wanted = Rows(task), task.goal.conditions
+        lp, z = PathSearch(rows, np.inf).lp, np.random.default_rng(0).uniform(-1, 1, rows.N)
+        last = rows.free[20] + rows.state_rows(np.eye(4), 20) @ z
+        over = np.concatenate([wanted.E @ last - wanted.e, wanted.g - wanted.G @ last])
+        missed = np.vstack(lp._a)[:, : rows.N] @ z - np.concatenate(lp._least)
+        assert np.all(np.abs(over) * SOLVER_FEASIBILITY <= GOAL * wanted.scale * np.abs(missed))
+
+
+def test_extra_margin_is_asked_for_only_where_start_leaves_room():
+    near = box("near", (0, -1130, 0), 100)
+    answer = plan(problem([near], margin=10.0, extra=60.0))
+    assert answer.margin == pytest.approx(20.0, abs=0.1)
+    assert answer.wanted[0, 0] == pytest.approx(20.0, abs=0.1)
+    assert answer.extra[0, 10:].min() >= 60.0 * (1 - 1e-3)
+
+
+def test_unreachable_goal_names_the_limits_needed():
+    with pytest.raises(SynthesisInfeasible) as caught:
+        plan(problem([STATIC], u=0.0002))
+    error = caught.value
+    assert error.shortfall > 1.0 and "cannot be reached" in str(error)
+    factor = float(error.relax.split("input limits ")[1].split(" times")[0])
+    plan(problem([], u=0.0002 * factor * 1.01))
+    with pytest.raises(SynthesisInfeasible):
+        plan(problem([], u=0.0002 * factor * 0.97))
+
+
+def test_start_inside_names_the_set_and_the_shortfall():
+    with pytest.raises(SynthesisInfeasible, match="too close to blob") as caught:
+        plan(problem([box("blob", (0, -1000, 0), 20)]))
+    assert caught.value.shortfall == pytest.approx(30.0)
+
+
+def test_a_start_outside_a_box_to_stay_inside_names_its_side():
+    """The start is 1000 m behind; bounds of navigation hold within 990 m, or from a phase on."""
+    for name, end in (("within[4]", "within_m of navigation;"), ("within-2[4]", r"navigation.phases\[2\];")):
+        side = TimedPolytope(name, np.array([[0.0, 1.0, 0.0]]), np.full((60, 2, 1), -990.0), keep_in=True)
+        with pytest.raises(SynthesisInfeasible, match=rf"10 m outside the - side, along axis 1, .*{end}"):
+            plan(problem([side]))
+    side = replace(side, name="corridor[0]")
+    with pytest.raises(SynthesisInfeasible, match=r"10 m outside corridor\[0\]") as caught:
+        plan(problem([side]))
+    assert caught.value.shortfall == pytest.approx(20.0)
+
+
+def test_blocked_goal_names_what_to_relax():
+    task = problem([box("huge", (0, 0, 0), 495)])
+    with pytest.raises(SynthesisInfeasible, match="without huge") as caught:
+        plan(task, PlannerOptions(time_limit=20))
+    short = caught.value.shortfall
+    assert short is not None and short > 0
+    relaxed = replace(task, margins=(task.margins[0] - short * 1.05 - 0.01,), objective="fuel")
+    assert_holds(relaxed, plan(relaxed))
+
+
+def test_no_time_is_not_no_solution():
+    with pytest.raises(NotCertified, match="none found in the time given"):
+        plan(problem([STATIC, KEEP_OUT]), PlannerOptions(time_limit=1e-4))
+
+
+def test_time_limit_is_kept_and_incumbent_is_certified():
+    bodies = [box(f"box {i}", (-150 - 15 * i, -930 + 75 * i, 0), 45, K=120, delta=25.0) for i in range(8)]
+    task = problem(bodies, K=120, delta=25.0, margin=5.0, extra=5.0, goal=EllipticalNMT(ETA, 150.0, 400.0))
+    begun = perf_counter()
+    try:
+        answer = plan(task, PlannerOptions(time_limit=1.0, gap=0.0))
+    except NotCertified:
+        answer = None
+    assert perf_counter() - begun < 4.0
+    if answer is not None:
+        assert_holds(task, answer, parts=10)
+
+
+@pytest.mark.parametrize("wrong", [{"surplus": (np.full((60, 6), -1.0),)}, {"goal": (0.5, "off")}])
+def test_failed_recheck_is_an_error(monkeypatch, wrong):
+    module = sys.modules["polaris.planning.recheck"]
+    monkeypatch.setattr(module, "recheck", lambda *asked: replace(recheck(*asked), **wrong))
+    with pytest.raises(NotCertified, match="found but not certified: (clearance from|the goal is missed)"):
+        plan(problem([STATIC]))
+
+
+def test_recheck_finds_a_collision_between_waypoints():
+    body = box("thin", (0, -900, 0), (50, 5, 50))
+    task = problem([body], margin=0.0)
+    nu = np.zeros((60, 3))
+    nu[0, 1], nu[1, 1] = 1.0, 1.0  # both waypoints about the body are clear of it
+    check = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
+    assert check.surplus[0].max(axis=1).min() < 0
+
+
+def test_progress_and_bound_are_reported():
+    heard = []
+    answer = plan(
+        problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)),
+        PlannerOptions(progress=heard.append),
+    )
+    assert heard and all(h.seconds >= 0 for h in heard)
+    assert answer.bound <= answer.objective
+    assert answer.seconds["total"] > 0
+
+
+def test_same_problem_same_plan():
+    task = problem([STATIC, KEEP_OUT])
+    assert np.array_equal(plan(task).nu, plan(task).nu)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"K": 0}, "K"),
+        ({"delta": 0.0}, "delta"),
+        ({"delta": np.nan}, "delta"),
+        ({"objective": "speed"}, "objective"),
+        ({"x0": np.zeros(5)}, "x0"),
+        ({"u_limit": -np.ones((60, 3))}, "u_limit"),
+        ({"margins": ()}, "margins"),
+        ({"margins": (np.zeros((60, 5)),)}, "margins"),
+        ({"tail_cells": -1}, "tail_cells"),
+        ({"extra_margin": -1.0}, "extra_margin"),
+        ({"goal": StationaryPoint([0.0, 0.0])}, "goal"),
+        ({"unsafe": (box("b", (9e3, 0, 0), 1, K=10, velocity=1.0),)}, "unsafe"),
+    ],
+)
+def test_malformed_problems_name_the_field(change, field):
+    with pytest.raises(ScenarioError) as caught:
+        replace(problem([STATIC]), **change)
+    assert field in caught.value.field
+
+
+def test_importing_does_not_load_the_solvers():
+    solvers = "('pulp', 'highspy', 'gurobipy')"
+    code = f"import sys, polaris.planning; print([m for m in {solvers} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("prices", [{}, {"margin": 50.0, "fuel": 1e-3}, {"short": 1e3}])
+def test_prices_of_facets_are_lower_bounds(prices):
+    task = problem([STATIC, KEEP_OUT, CROSSING], goal=EllipticalNMT(ETA, 150.0, 400.0))
+    search = PathSearch(Rows(task), perf_counter() + 60)
+    search.rows.extra[0][:] = search.rows.extra[2][:] = 20.0
+    search.set_prices(0.0, 1.0, **prices)
+    keys = [(-1, 0), *((i, k) for i in (0, 1, 2) for k in (10, 25, 40))]
+    choice, sharp = {}, 0
+    for key in keys:  # prices at the program solved so far against what each alternative really costs
+        path = search.solve(choice)
+        bounds = search.bounds(path, [key])[key]
+        real = [search.solve({**choice, key: j}) for j in range(len(bounds))]
+        for bound, better in zip(bounds, real, strict=True):
+            value = np.inf if better is None else search.value(better)
+            assert bound <= value + 1e-6 * max(abs(search.value(path)), 1.0)
+            sharp += bound > search.value(path) + 0.3 * (value - search.value(path)) > search.value(path)
+        choice[key] = int(np.argmin([np.inf if p is None else search.value(p) for p in real]))
+    assert sharp > 5  # and worth their while
+
+
+def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
+    code = (
+        "import sys; sys.path.insert(0, '.'); import numpy as np\n"
+        "from polaris.model.hill import clohessy_wiltshire\n"
+        "from polaris.planning.goals import EllipticalNMT\n"
+        "from polaris.planning.problem import PlanProblem\nfrom polaris.planning.solve import plan\n"
+        "cw, start = clohessy_wiltshire(0.0012, 10.0, 1.0), np.array([0, -1000, 0, 0, 0, 0.0])\n"
+        "goal = EllipticalNMT(0.0012, 100.0, 250.0)\n"
+        "p = PlanProblem(cw, start, 60, 50.0, (), (), np.ones((60, 3)), goal)\n"
+        "print(plan(p).stats['rounds'], 'pulp' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0.0", "False"]
+
+
+def test_back_end_that_is_not_installed_is_refused_at_once(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gurobipy", None)
+    with pytest.raises(ScenarioError, match=r"gurobipy: pip install 'polaris-rta\[gurobi\]'"):
+        plan(problem([]), PlannerOptions(solver="gurobi"))
+
+
+def test_program_that_runs_out_of_time_is_not_infeasible(monkeypatch):
+    """Whatever clock the solver looks at."""
+    import highspy
+
+    once, solved = GrowingLP._run, []
+
+    def run(self, seconds):
+        solved.append(seconds)
+        return once(self, seconds) if len(solved) < 12 else highspy.HighsModelStatus.kTimeLimit
+
+    monkeypatch.setattr(GrowingLP, "_run", run)
+    try:
+        task = problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0))
+        answer = plan(task, PlannerOptions(time_limit=3600.0))
+    except NotCertified as error:
+        assert "none found in the time given" in str(error)
+    else:
+        assert answer.status == "time_limit"
+
+
+def test_costs_in_small_units_do_not_leave_a_program_without_an_answer():
+    def solved(unit):
+        program = GrowingLP(unit * np.linspace(0.5, 2, 6), np.zeros(6), np.full(6, 2.0))
+        rng = np.random.default_rng(0)
+        program.add(rng.uniform(-1, 1, (8, 6)), rng.uniform(-0.5, 0.5, 8), np.inf)
+        return program.solve(5.0)[0] / unit
+
+    assert solved(1e18) == pytest.approx(solved(1.0))
+
+
+def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
+    monkeypatch.setattr(effort, "SPARE_SHARE", 0.0)
+    monkeypatch.setattr(PathSearch, "first", lambda self: None)
+    task = problem([STATIC, KEEP_OUT])
+    assert_holds(task, plan(task))
+
+
+def test_whatever_ends_a_back_end_is_an_answer():
+    """One node is too few for most: a plan, or a refusal, never an error of the back end's."""
+    base = load_scenario(TINY)
+    scenario = base.with_assignments(["planner.solver=highs", "planner.max_nodes=1"])
+    with suppress(NotCertified):
+        assert get_safety(scenario).start_margin.inside
+
+
+def test_a_reserve_that_leaves_nothing_is_named():
+    with pytest.raises(SynthesisInfeasible, match="planner.thrust_reserve"):
+        get_safety(load_scenario(TINY).with_assignments(["planner.thrust_reserve=0.99"]))

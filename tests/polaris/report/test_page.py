@@ -1,0 +1,435 @@
+"""Whole pages: the folder's numbers, nothing raw, nothing that a file's text could start, no network."""
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+from unittest import mock
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from polaris.cli import app as cli
+from polaris.cli.show.schedule import show_summary
+from polaris.model.errors import ScenarioError
+from polaris.report import write_report
+from polaris.report.html.assets import own_script, plotly
+from polaris.report.html.page import page_html
+from polaris.report.html.timelines import kept
+from polaris.runs.run import read_run
+from tests.polaris.report.folders import EVIL, rename, rewrite_json, write_comparison, write_tiny
+from tests.polaris.report.test_pieces import Tags
+
+HIDDEN = re.compile(r"<(script|style)\b.*?</\1>", re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return write_tiny(tmp_path_factory.mktemp("runs") / "tiny")
+
+
+@pytest.fixture(scope="module")
+def html(run, tmp_path_factory):
+    return write_report(run, tmp_path_factory.mktemp("page") / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def comparison(run, tmp_path_factory):
+    target = tmp_path_factory.mktemp("comparison")
+    shutil.copytree(run, target / "run")
+    opened = read_run(target / "run")
+    return write_comparison(target, opened, opened.picture().flights)
+
+
+def data_of(html):
+    text = re.search(r'<script type="application/json" id="data">(.*?)</script>', html, re.DOTALL)
+    return json.loads(text[1])
+
+
+def words(html):
+    """Return the text that a reader sees, scripts and styles apart."""
+    return " ".join(" ".join(Tags(HIDDEN.sub("", html)).texts).split())
+
+
+def report_of(folder, tmp_path):
+    """A report with something else in place of plotly: five megabytes take long to read."""
+    with mock.patch("polaris.report.html.page.plotly", lambda: "var Plotly;"):
+        return write_report(folder, tmp_path / "report.html", force=True).read_text(encoding="utf-8")
+
+
+# -- an ordinary run --------------------------------------------------------------------------------
+
+
+def test_page_can_be_read_without_sight(html):
+    tags = Tags(HIDDEN.sub("", html)).tags
+    names = [tag for tag, _ in tags]
+    assert ("html", {"lang": "en"}) in tags and names.count("h1") == 1 and names.count("title") == 1
+    sections = [attrs for tag, attrs in tags if tag == "section"]
+    heads = {attrs.get("id") for tag, attrs in tags if tag == "h2"}
+    assert sections and all(attrs["aria-labelledby"] in heads for attrs in sections)
+    assert all("scope" in attrs for tag, attrs in tags if tag == "th")
+    assert names.count("caption") == names.count("table") - 1  # the table of values at a time has a label
+    for control in ("play", "time", "run"):
+        assert any(attrs.get("id") == control for _, attrs in tags)
+
+
+def test_nothing_is_asked_of_the_network(html):
+    tags = Tags(HIDDEN.sub("", html)).tags
+    asked = [attrs[key] for _, attrs in tags for key in ("src", "href", "action", "srcset") if key in attrs]
+    assert all(value.startswith(("#", "data:")) for value in asked)
+    assert "url(" not in re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL)
+    policy = next(attrs["content"] for _, attrs in tags if attrs.get("http-equiv"))
+    assert "default-src 'none'" in policy and "connect-src 'none'" in policy and "unsafe-eval" not in policy
+
+
+def test_policy_admits_the_scripts_of_this_page_and_no_others(html):
+    scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
+    assert scripts == [plotly(), own_script()]
+    for text in scripts:
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in html
+    assert "<script" not in own_script() and "eval(" not in own_script()
+
+
+def test_page_is_small_enough_and_repeats_byte_for_byte(run, html, tmp_path):
+    assert len(html.encode()) < 10_000_000
+    assert write_report(run, tmp_path / "again.html").read_text(encoding="utf-8") == html
+
+
+def test_paths_are_those_of_the_folder(run, html):
+    data, flights = data_of(html), read_run(run).picture().flights["polaris"]
+    pilot = next(one for one in data["pilots"] if one["key"] == "polaris")
+    chosen = kept(len(flights.times))
+    assert pilot["labels"] == list(flights.labels) and pilot["labels"][0] == "nominal"
+    for one, states in zip(pilot["runs"], flights.states, strict=True):
+        assert np.allclose(np.array(one["p"]).T, states[chosen, :2], rtol=1e-5, atol=1e-9)
+    who = np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
+    assert pilot["runs"][0]["modes"] == who[chosen[:-1]].tolist()
+
+
+def test_timelines_are_those_of_the_folder(run, html):
+    folder, data = read_run(run), data_of(html)
+    panels = {panel["key"]: panel for panel in data["panels"]}
+    (margin,) = panels["margin"]["series"]
+    margins = [step["margin"] for step in folder.json("schedule.json")["steps"]]
+    assert np.allclose(
+        [np.nan if v is None else v for v in margin["y"]],
+        [np.nan if v is None else v for v in margins],
+        rtol=1e-5,
+        equal_nan=True,
+    )
+    shares = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
+    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, shares, strict=True))
+    flights = folder.picture().flights["polaris"]
+    series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
+    assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
+    assert [one["y"] for one in panels["input0"]["limits"]] == [-1, 1]
+
+
+def test_band_and_proof_lie_around_the_simulated_distances(run, html):
+    (panel,) = [panel for panel in data_of(html)["panels"] if panel["key"] == "distance"]
+    flights = read_run(run).picture().flights["polaris"]
+    series = next(one for one in panel["series"] if one["pilot"] == "polaris")
+    assert np.allclose(series["band"], flights.nearest[[0, 2]], rtol=1e-5)
+    assert np.allclose(np.min(series["runs"], axis=1).min(), flights.nearest[0].min(), rtol=1e-5)
+    proven = next(one for one in panel["series"] if one["pilot"] is None)
+    at = np.searchsorted(proven["t"], flights.times, side="right") - 1
+    assert np.all(np.array(proven["y"])[at] <= flights.nearest[0] + 1e-5)
+    assert max(proven["y"]) > 0
+
+
+def test_first_screen_answers_what_a_reader_asks(run, html):
+    summary, shown = read_run(run).summary, words(html)
+    head = shown[: shown.index("The flight")]
+    goal, known = summary["guarantee"]["goal"], summary["synthesis"]
+    assert goal["reached"] is True and f"Does it arrive? at {goal['by_s']:.6g} s proven, within" in head
+    assert "Is it safe? ✓ proved" in head
+    for key, text in (
+        ("distance_m", r"within ([\d.]+) m of the goal"),
+        ("delta_v_max_m_s", r"at most ([\d.]+) m/s"),
+    ):
+        (bound,) = re.findall(text, head)
+        assert goal[key] <= float(bound) <= goal[key] * 1.001
+    for who in ("polaris", "safety"):
+        assert f"{summary[who]['delta_v_m_s']:.4g} m/s" in head
+    assert f"U {100 * known['experimental_share']:.1f} %" in head and f"{known['switches']} switch" in head
+    modes = read_run(run).picture().modes
+    bar = [int(width) for width in re.findall(r'<i style="flex: (\d+)', html)]
+    assert sum(bar) == len(modes) and len(bar) == 1 + known["switches"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"goal": {"reached": "not_proven", "by_s": None}}, "Does it arrive? not proven at best within"),
+        ({"goal": {"reached": False, "by_s": None}}, "Does it arrive? no at best within"),
+        ({"kind": "none"}, "Does it arrive? nothing is claimed"),
+    ],
+)
+def test_first_screen_says_no_more_than_is_proven(run, tmp_path, change, told):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def less(data):
+        claim = data["guarantee"]
+        claim |= change | {"goal": claim["goal"] | change.get("goal", {})}
+
+    rewrite_json(folder / "summary.json", less)
+    html = report_of(folder, tmp_path)
+    assert told in words(html) and "of the goal at" not in words(html)
+    assert "That the schedule reaches the goal." in words(html)
+    assert data_of(html)["marks"] == [] or "kind" not in change
+
+
+def test_sets_of_the_hand_overs_are_those_of_their_times(run, html):
+    data, modes = data_of(html), np.array(read_run(run).json("schedule.json")["modes"])
+    (layer,) = [layer for layer in data["scene"]["layers"] if layer["kind"] == "slice"]
+    switches = np.flatnonzero(np.diff(modes)) + 1
+    assert len(layer["over"]) == len(switches) > 0
+    for (i, name, _), k in zip(layer["over"], switches, strict=True):
+        assert layer["t"][i] == pytest.approx(float(k)) and name == f"{'SU'[modes[k]]} from {float(k):.3g} s"
+
+
+def test_velocity_change_adds_up_to_what_was_flown(run, html):
+    folder = read_run(run)
+    picture, (panel,) = folder.picture(), [one for one in data_of(html)["panels"] if one["key"] == "spent"]
+    (bound,) = panel["limits"]
+    assert bound["y"] == pytest.approx(folder.summary["guarantee"]["goal"]["delta_v_max_m_s"], rel=1e-5)
+    for series in panel["series"]:
+        flights = picture.flights[series["pilot"]]
+        for inputs, drawn in zip(flights.inputs, series["runs"], strict=True):
+            whole = (np.abs(inputs) * np.diff(flights.times)[:, None]).sum() / picture.system.mass
+            assert (
+                drawn[0] == 0 and np.all(np.diff(drawn) >= 0) and drawn[-1] == pytest.approx(whole, rel=1e-5)
+            )
+            assert series["pilot"] != "polaris" or drawn[-1] <= bound["y"]
+
+
+def test_page_opens_at_the_closest_approach(run, html):
+    flights = read_run(run).picture().flights["polaris"]
+    picture = read_run(run).picture()
+    near = np.min(
+        [one.signed_distance(flights.times, picture.positions(flights)) for one in picture.obstacles], axis=0
+    )
+    assert data_of(html)["open"] == pytest.approx(flights.times[np.argmin(near)])
+
+
+def test_tables_show_the_numbers_of_the_summary(run, html):
+    summary, text = read_run(run).summary, words(html)
+    for who in ("safety", "experimental", "polaris"):
+        assert f"{summary[who]['min_distance_m']:.4g} m" in text
+        assert f"{100 * summary[who]['experimental_share']:.1f} %" in text
+    for assumption in summary["guarantee"]["assumptions"]:
+        assert assumption in text
+    assert "What is not proven" in text and "How far it reaches" in text and "✓ proved" in text
+
+
+def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def nearly(data):
+        data["synthesis"]["start_margin"] = 0.99996
+        data["synthesis"]["planner"]["margin_m"] = 29.99996
+
+    rewrite_json(folder / "summary.json", nearly)
+    text = words(report_of(folder, tmp_path))
+    assert "99.9% of the room is left, least at" in text and "29.99 m" in text
+    show_summary(read_run(folder).summary, "run")
+    printed = capsys.readouterr().out
+    assert "Start: 99.9% of the room" in printed and "clearance 29.99 m" in printed
+
+
+def test_no_raw_value_is_ever_printed(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def empty(data):
+        for who in ("safety", "experimental", "polaris"):
+            data[who] |= {"min_ttc_s": None, "min_distance_m": None, "max_thrust_ratio_safety": None}
+        data["synthesis"]["start_margin"] = None
+        del data["definitions"]  # they explain what null means
+
+    rewrite_json(folder / "summary.json", empty)
+    text = words(report_of(folder, tmp_path))
+    assert not re.search(r"\b(null|nan|NaN|inf|Infinity|None|undefined)\b", text)
+    assert "∞" in text and "none" in text
+
+
+def test_horizon_is_said(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    for horizon, until, text in (
+        ("infinite", None, "for all time"),
+        ("none", 12.0, "end of the schedule only"),
+    ):
+        change = {"horizon": horizon, "until_s": until}
+        rewrite_json(folder / "summary.json", lambda data, change=change: data["guarantee"].update(change))
+        assert text in words(report_of(folder, tmp_path))
+
+
+def test_a_run_that_claims_nothing_says_aloud_that_nothing_is_proven(run, html, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    rewrite_json(folder / "summary.json", lambda data: data["guarantee"].update(kind="none"))
+    unsafe = report_of(folder, tmp_path)
+    assert words(unsafe).count("NOTHING IS PROVEN") == 1 and "What is proven" not in words(unsafe)
+    assert "NOTHING IS PROVEN" not in words(html)
+    names = [one.get("name") for panel in data_of(unsafe)["panels"] for one in panel["series"]]
+    assert not any(name and "proven" in name for name in names)
+
+
+# -- texts of files ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "title", [EVIL, "</script><script>alert(1)</script>", '"><svg onload=alert(1)>', "<!--", "&lt;"]
+)
+def test_titles_are_inert(run, tmp_path, title):
+    folder = shutil.copytree(run, tmp_path / "run")
+    rename(folder, title)
+    html = report_of(folder, tmp_path)
+    tags = Tags(html).tags
+    assert len([tag for tag, _ in tags if tag == "script"]) == 3 and "svg" not in dict(tags)
+    assert title in words(html)
+
+
+def test_names_of_methods_are_inert(comparison, tmp_path):
+    folder = shutil.copytree(comparison, tmp_path / "folder")
+    name = "</script><script>alert(1)</script>"
+    rewrite_json(folder / "comparison.json", lambda data: data["methods"][1].update(name=name, key="safety"))
+    html = report_of(folder, tmp_path)
+    assert len(re.findall(r"<script", html)) == 3
+    assert data_of(html)["pilots"][1]["name"] == name
+
+
+# -- comparisons ------------------------------------------------------------------------------------
+
+
+def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
+    html = report_of(comparison, tmp_path)
+    text, data = words(html), data_of(html)
+    assert [one["key"] for one in data["pilots"]] == ["schedule", "safety", "experimental", "filter_0"]
+    assert "slice" not in {layer["group"] for layer in data["scene"]["layers"]}  # they are not of these runs
+    for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
+        assert name in text
+    assert "4.5 to 5.5" in text and "worst 4" in text and "never heard of (m)" in text
+    assert "-1.5 to -0.5" in text and "Method less Polaris schedule" in text
+    assert {one["mode"] for one in data["modes"]} == {-1, 0, 1}
+    assert (
+        "40 decisions in 2 stretches" in text
+        and EVIL in text
+        and "alert(1)</script>" not in HIDDEN.sub("", html)
+    )
+
+
+def test_what_is_gained_and_lost_is_on_top_and_wide_tables_can_be_cards(comparison, tmp_path):
+    html = report_of(comparison, tmp_path)
+    image = html.index('<img src="data:image/png;base64,')
+    assert html.index("<h1>") < image < html.index('<section id="flight"')
+    tags = Tags(HIDDEN.sub("", html)).tags
+    assert any(tag == "table" and "wide" in attrs.get("class", "") for tag, attrs in tags)
+    assert all(attrs.get("data-head") is not None for tag, attrs in tags if tag == "td")
+    flown = np.load(comparison / "comparison.npz")
+    near = [flown[f"{key}_distance_m"][0] for key in ("schedule", "safety", "experimental", "filter_0")]
+    nearest = min(near, key=np.min)
+    assert data_of(html)["open"] == pytest.approx(flown["schedule_t_s"][np.argmin(nearest)])
+
+
+def test_tables_of_a_comparison_can_be_sorted(comparison, tmp_path):
+    tags = Tags(HIDDEN.sub("", report_of(comparison, tmp_path))).tags
+    assert len([1 for tag, attrs in tags if tag == "table" and "sortable" in attrs.get("class", "")]) == 2
+    sorts = [attrs["data-sort"] for tag, attrs in tags if tag == "td"]
+    assert "5.0" in sorts and "" in sorts
+
+
+def test_comparison_without_a_log_says_so(comparison, tmp_path):
+    folder = shutil.copytree(comparison, tmp_path / "folder")
+    (folder / "decisions.jsonl").unlink()
+    assert "no log of decisions" in words(report_of(folder, tmp_path))
+
+
+# -- the inspection problem -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def inspections(tmp_path_factory):
+    place = tmp_path_factory.mktemp("inspection")
+    done = {}
+    for kind, command in {
+        "flight": ("run", "inspection", "--set", "flight.duration_s=20"),
+        "fuel": ("run", "fuel-limit", "--set", "flight.duration_s=20"),
+        "campaign": ("campaign", "inspection-monte-carlo", "--runs", "2", "--set", "campaign.duration_s=5"),
+    }.items():
+        done[kind] = place / kind
+        extra = ("--set", "campaign.deputies=2", "--workers", "1") if kind == "campaign" else ()
+        ran = CliRunner().invoke(cli.app, [*command, *extra, "--out", str(done[kind]), "--no-figures", "-q"])
+        assert ran.exit_code == 0, ran.output
+    return done
+
+
+def test_flight_of_deputies(inspections, tmp_path):
+    html = report_of(inspections["flight"], tmp_path)
+    data, text = data_of(html), words(html)
+    assert [one["name"] for one in data["pilots"]] == [f"deputy {i}" for i in range(5)]
+    lines = {one["name"]: one for panel in data["panels"] for one in panel["series"] if one["pilot"] is None}
+    assert set(lines) == {f"phi{i}" for i in range(1, 12)}
+    summary = json.loads((inspections["flight"] / "summary.json").read_text())
+    for row in summary["constraints"]:
+        assert min(lines[row["constraint"]]["y"]) == pytest.approx(
+            row["least_at_samples"], rel=1e-5, abs=1e-9
+        )
+        assert f"{row['least']:.4g} {row['unit']}".replace("^2", "²") in text
+    assert "No constraint is violated" in text and "What is claimed" in text
+
+
+def test_flight_into_the_fuel_limit(inspections, tmp_path):
+    data = data_of(report_of(inspections["fuel"], tmp_path))
+    panel = next(panel for panel in data["panels"] if panel["key"] == "fuel")
+    ((fuel,), (limit,)), flown = (panel["series"], panel["limits"]), np.load(inspections["fuel"] / "fuel.npz")
+    assert np.allclose(fuel["runs"][0], flown["delta_v_m_s"], rtol=1e-5, atol=1e-9)
+    assert limit == {"y": 20, "text": "fuel limit", "unsafe": "above"}
+
+
+def test_campaign_is_tables_alone(inspections, tmp_path):
+    html = report_of(inspections["campaign"], tmp_path)
+    assert data_of(html) == {} and "var Plotly" not in html and len(html) < 100_000
+    text = words(html)
+    assert "statistical" in text and "decentralized-no-h5" in text
+
+
+# -- the command ------------------------------------------------------------------------------------
+
+
+def invoke(*args):
+    return CliRunner().invoke(cli.app, ["report", *map(str, args)])
+
+
+def test_command_writes_beside_the_run(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    result = invoke(folder)
+    assert result.exit_code == 0 and result.stdout.strip() == str(folder / "report.html")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
+    assert not list(folder.glob(".report*"))
+
+
+def test_one_error_for_what_is_no_folder_of_ours(run, tmp_path):
+    (tmp_path / "empty").mkdir()
+    damaged = shutil.copytree(run, tmp_path / "damaged")
+    (damaged / "trajectories.npz").write_bytes(b"nothing")
+    cases = [(tmp_path / "empty",), (tmp_path / "missing",), (damaged,), (run, "--out", tmp_path)]
+    cases.append((run, "--out", tmp_path / "no" / "where.html"))
+    for case in cases:
+        asked = invoke(*case)
+        assert asked.exit_code == 2 and asked.stderr.startswith("error: ") and asked.stderr.count("\n") == 1
+    assert not list(damaged.glob("*report*"))
+
+
+def test_damaged_comparison_is_one_error(comparison, tmp_path):
+    folder = shutil.copytree(comparison, tmp_path / "folder")
+    (folder / "comparison.json").write_text("[]")
+    with pytest.raises(ScenarioError, match="damaged"):
+        write_report(folder)
+
+
+def test_pages_without_a_flight_have_no_plotly():
+    from polaris.report.html.page import Page
+
+    assert len(page_html(Page("t", "", ()))) < 50_000

@@ -1,0 +1,238 @@
+"""The comparison page: defaults follow from the sweep, words from the tables, and all can be flown again."""
+
+import math
+import re
+
+import pytest
+
+from benchmarks import comparison as page
+from docs.generate import method_docs
+from polaris.rta.methods import METHODS
+from tests.kept import scheduled
+from tests.polaris.rta.scenes import scene
+from tests.sizes import fewer
+
+TEXT = page.PAGE.read_text(encoding="utf-8")
+TABLES = page.blocks(TEXT)
+NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+
+
+def rows(table):
+    """Cells of a scene's table, by method and column."""
+    head, _, *lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    assert tuple(head) == page.COLUMNS
+    return {cells[0]: dict(zip(head[1:], cells[1:], strict=True)) for cells in lines}
+
+
+def value(name, method, column):
+    """The number of one cell, a mean without its interval."""
+    matches = {key: row for key, row in rows(TABLES[name]).items() if key.startswith(method)}
+    assert matches, (name, method)
+    cells = next(iter(matches.values()))
+    return float(cells[column].split(" ± ")[0])
+
+
+def test_the_page_holds_every_table():
+    written = method_docs.tables()
+    assert set(TABLES) == {*written, "sweep", *page.SCENES}
+    assert {name: TABLES[name] for name in written} == written, "run: python -m docs.generate.method_docs"
+    for name in page.SCENES:
+        made = len(rows(TABLES[name]))
+        assert made >= len(METHODS), name
+
+
+def test_defaults_are_what_the_sweep_of_the_page_says():
+    swept, defaults = page.read_sweep(TABLES["sweep"])
+    assert set(swept) == set(page.SWEPT) and page.RUNS == page.SWEPT_RUNS
+    rivals = set(METHODS) - {"safety", "experimental", "schedule", "code", "monitor", "monitor_declared"}
+    assert rivals == {
+        key for key, one in METHODS.items() if any(each.name == "buffer" for each in one.options)
+    }
+    tuned = {key for key, one in METHODS.items() if one.options}
+    assert {name.partition(".")[0] for name in swept} | {"monitor_declared"} == tuned
+    made = scene("robot")
+    for full, values in swept.items():
+        assert list(values) == page.VALUES[full]
+        assert page.chosen(values) == defaults[full]
+        method = METHODS[full.partition(".")[0]](made)
+        for option, value in zip(page.SWEPT[full], defaults[full], strict=True):
+            assert page.standing(made, method, option) == pytest.approx(value), full
+            assert option is not page.BUFFER or option.default == "0" and value == 0
+            if option.name == "buffer" and value:
+                assert option.default == f"{value:g} {option.unit}"
+    assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
+
+
+def test_scenes_have_a_row_for_a_value_that_is_better_there():
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    for name in page.SCENES:
+        for full, values in swept.items():
+            best, (key, _, option) = page.own(values, name), full.partition(".")
+            marked = [row for row in rows(TABLES[name]) if f", {option} = " in row and made_by(row) == key]
+            assert len(marked) == (best is not None), (name, full, best)
+
+
+def made_by(row):
+    return {
+        "Polaris online monitor": "monitor",
+        "Explicit simplex": "simplex_explicit",
+        "Implicit simplex": "simplex_implicit",
+        "Explicit ASIF": "asif_explicit",
+        "Implicit ASIF": "asif_implicit",
+        "Look-ahead by simulation": "simulation",
+        "Forward reachability of U": "reachability",
+    }[row.split(", ")[0]]
+
+
+MONITOR, SCHEDULE, LIMITS = "Polaris online monitor", "Polaris schedule", "Polaris online monitor, U at"
+EXPLICIT, IMPLICIT, AHEAD = "Explicit ASIF", "Implicit ASIF", "Look-ahead by simulation"
+SHARE, COST, AWAY, NEAR = "Share of U", "Delta-v m/s", "Deviation", "Least distance m"
+SWITCHES, HITS = "Switches", "Violations"
+
+
+def test_the_words_of_the_page_follow_from_its_tables():
+    swept, defaults = page.read_sweep(TABLES["sweep"])
+
+    def ratio(name, one, other, column):
+        return value(name, one, column) / value(name, other, column)
+
+    # Look-ahead.
+    for row in (AHEAD, "Forward reachability"):
+        assert [value(name, row, HITS) for name in page.SCENES] == [0, 0, 0]
+    ahead = swept["simulation.horizon, buffer"]
+    horizon, buffer = defaults["simulation.horizon, buffer"]
+    assert all(cells["static"].violations for (_, kept), cells in ahead.items() if not kept)
+    best = f"{AHEAD}, horizon, buffer = {horizon / 2:g} of the duration, {buffer:g} half widths of Θ"
+    assert (best in rows(TABLES["static"]), buffer * 3.0) == (True, pytest.approx(0.6))
+    assert value("static", best, HITS) == 0 and rows(TABLES["static"])[best]["Proven"] == "no"
+    assert value("static", best, SHARE) - value("static", MONITOR, SHARE) == pytest.approx(0.01, abs=0.005)
+    assert ratio("static", best, SCHEDULE, COST) == pytest.approx(1, abs=0.02)
+    assert all(
+        cells["robot"].violations == page.RUNS for (far, _), cells in ahead.items() if far == horizon / 2
+    )
+    # The monitor.
+    for name in page.SCENES:
+        more = value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE)
+        assert -0.045 < more < -0.035 if name == "static" else 0 < more < 0.03
+        trusting = value(name, LIMITS, SHARE) - value(name, MONITOR, SHARE)
+        assert trusting < {"static": 0.035, "dynamic": 0.0, "robot": 0.01}[name]
+        assert 0.97 < ratio(name, MONITOR, SCHEDULE, COST) < (1.1 if name == "dynamic" else 1.03)
+        assert value(name, MONITOR, NEAR) <= value(name, SCHEDULE, NEAR)
+        assert 0 <= value(name, MONITOR, SWITCHES) - value(name, SCHEDULE, SWITCHES) < 1
+        reentry, dwell = (
+            {at: cells[name] for (at,), cells in swept[f"monitor.{option}"].items()}
+            for option in ("reentry", "dwell")
+        )
+        left = {"static": 1.0, "dynamic": 0.55, "robot": 1 / 3}[name]
+        assert reentry[0.1].switches < reentry[0.0].switches * left + 0.05
+        assert reentry[0.0].share - reentry[0.1].share < 0.03
+        assert max(cell.worth for cell in dwell.values()) < dwell[1].worth + page.DEARER
+    # All that fly S's reference.
+    others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
+    assert len(others) > 8
+    assert all(ratio("static", row, "S alone", COST) == pytest.approx(1, abs=0.1) for row in others)
+    # Filters.
+    for name in ("static", "dynamic"):
+        assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
+        assert 2 < ratio(name, EXPLICIT, MONITOR, AWAY) < 4.2
+    assert ratio("robot", EXPLICIT, MONITOR, COST) < 1
+    filtered = swept["asif_explicit.alpha, buffer"]
+    clear = [cells["dynamic"].delta_v for (_, kept), cells in filtered.items() if not (kept or hits(cells))]
+    assert 1.7 < max(clear) / min(clear) < 2
+    steepest = [cells for (alpha, _), cells in filtered.items() if alpha == max(filtered)[0]]
+    assert all(cells[name].violations for cells in steepest for name in page.SCENES)
+    for name in page.SCENES:
+        assert ratio(name, IMPLICIT, MONITOR, COST) == pytest.approx(1, abs=0.03)
+        more = value(name, IMPLICIT, SHARE) - value(name, MONITOR, SHARE)
+        assert more == pytest.approx(0.03, abs=0.005) if name == "static" else more < 0
+        slopes = [
+            cells[name] for (_, kept), cells in swept["asif_implicit.slope, buffer"].items() if not kept
+        ]
+        spent, shares = [one.delta_v for one in slopes], [one.share for one in slopes]
+        assert spent == sorted(spent) and shares == sorted(shares)
+    # Simplex.
+    for name in page.SCENES:
+        assert value(name, "Explicit simplex", SHARE) < 0.35 and value(name, "Implicit simplex", SHARE) < 0.35
+    plain, *_, furthest = swept["simplex_implicit.buffer"].values()
+    assert plain["robot"].violations == pytest.approx(page.RUNS / 2, abs=2) and plain["static"].violations > 0
+    for name in page.SCENES:
+        assert furthest[name].violations == 0 == value(name, "Implicit simplex", HITS)
+        assert plain[name].share - furthest[name].share < 0.01
+    assert max(page.VALUES["simplex_implicit.buffer"]) == defaults["simplex_implicit.buffer"]
+    proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
+    assert proved and all(row[HITS] == "0" for row in proved)
+
+
+MUST = [("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)]
+
+
+@pytest.mark.parametrize(("name", "share", "switches", "spent"), MUST)
+def test_the_monitor_is_worth_flying(name, share, switches, spent):
+    assert value(name, MONITOR, SHARE) >= share
+    assert value(name, MONITOR, SWITCHES) <= switches and value(name, MONITOR, COST) <= spent
+
+
+def hits(cells):
+    return cells["dynamic"].violations
+
+
+def test_the_rule_prefers_safety_then_closeness_then_u():
+    def cell(violations, share, deviation):
+        return {"a": page.Cell(violations, share, 1.0, deviation)}
+
+    values = {1: cell(1, 1.0, 0.1), 2: cell(0, 0.5, 1.0), 3: cell(0, 0.9, 1.01), 4: cell(0, 0.99, 1.2)}
+    assert page.chosen(values) == 3
+    text = str(page.Cell(3, 0.5, 12.5, 0.01))
+    assert page.read_cell(text) == page.Cell(3, 0.5, 12.5, 0.01)
+
+
+def compare(shown, real, tolerance=0.05):
+    """Tables agree, number by number: counts of a few runs to one in ten, the rest to five per cent."""
+    assert [line.count("|") for line in shown.splitlines()] == [line.count("|") for line in real.splitlines()]
+    for one, other in zip(shown.splitlines(), real.splitlines(), strict=True):
+        one, other = (re.sub(r" ± [\d.e+-]+", "", line.replace("*", "")) for line in (one, other))
+        assert re.sub(NUMBER, "", one) == re.sub(NUMBER, "", other)
+        for ours, theirs in zip(re.findall(NUMBER, one), re.findall(NUMBER, other), strict=True):
+            assert math.isclose(float(ours), float(theirs), rel_tol=tolerance, abs_tol=0.02), (one, other)
+
+
+def test_tables_that_differ_are_found():
+    table = TABLES["robot"]
+    compare(table, table)
+    with pytest.raises(AssertionError):
+        compare(table, table.replace("Explicit ASIF", "Explicit ASIG"))
+    number = re.search(r"\| (\d+\.\d+) ±", table)[1]
+    with pytest.raises(AssertionError):
+        compare(table, table.replace(number, f"{1.2 * float(number) + 0.1:g}", 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", page.SCENES)
+def test_a_scenes_table_is_flown_again(name):
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    own = {key: page.own(values, name) for key, values in swept.items()}
+    tuned = {key: best for key, best in own.items() if best is not None}
+    table, _ = page.scene_table(scheduled(name)[1], page.RUNS, tuned)
+    compare(TABLES[name], table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", page.SCENES)
+def test_the_sweep_is_flown_again(name, monkeypatch):
+    """Every value on one scene, or on all, but for the longest look-aheads and the largest buffers."""
+    for key, options in page.SWEPT.items():
+        for i, limit in ((i, {"horizon": 0.2, "buffer": 0.2}.get(one.name)) for i, one in enumerate(options)):
+            if limit is not None and len(options) > 1:
+                monkeypatch.setitem(page.VALUES, key, [at for at in page.VALUES[key] if at[i] <= limit])
+        one_in = fewer(1, len(page.SCENES))
+        some = page.VALUES[key][page.SCENES.index(name) % one_in :: one_in]
+        monkeypatch.setitem(page.VALUES, key, some)
+    again = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
+    swept, _ = page.read_sweep(TABLES["sweep"])
+    for key, values in again.items():
+        for setting, cells in values.items():
+            shown, real = swept[key][setting][name], page.read_cell(str(cells[name]))
+            assert shown.violations == pytest.approx(real.violations, abs=1), (key, setting)
+            assert shown.share == pytest.approx(real.share, abs=0.02), (key, setting)
+            assert shown.delta_v == pytest.approx(real.delta_v, rel=0.05), (key, setting)
+            assert shown.deviation == pytest.approx(real.deviation, rel=0.05), (key, setting)

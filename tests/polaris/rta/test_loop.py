@@ -1,0 +1,308 @@
+"""The flight loop: answers in time, permissions that end, S wherever U has none; corrupted in every way."""
+
+import io
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polaris.model.errors import ScenarioError
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
+from polaris.rta.online.decision_log import DecisionLog
+from polaris.rta.online.estimate import Measurement
+from polaris.rta.online.loop import FlightLoop
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
+from polaris.rta.online.runtime_options import RuntimeOptions
+from tests.polaris.rta import oddities
+from tests.polaris.rta.streams import inside_unsafe, need_of_recovery, robot_schedule
+from tests.sizes import fewer
+
+PATIENT = RuntimeOptions(deadline=1e3, budget=1e3, latch=None, latch_conflicts=None)
+HALF = 0.005
+SETTINGS = {"no latency": (0.05, 0.0), "late": (0.25, 0.1), "a whole period late": (0.05, 0.05)}
+
+
+@cache
+def monitor(setting="no latency"):
+    period, latency = SETTINGS[setting]
+    return Monitor(DecisionGrid.of(robot_schedule(), period=period, latency=latency, half_widths=HALF))
+
+
+def loop(setting="no latency", log=None, laws=None, options=PATIENT):
+    return FlightLoop(OnlineMonitor(monitor(setting), options, log), laws)
+
+
+class World:
+    """The robot under the loop's commands, the worst of its disturbance, and what goes wrong in flight.
+
+    At every decision one of `missed` (no call), `jitter`, `clock` (set for this call), `number`, `odd`
+    (a measurement that is none), at every node one of `back` (the clock runs backwards), `gone`, `odd`,
+    by their probabilities; `fails`: how often a call of U raises or returns nonsense.
+    """
+
+    def __init__(self, flying, seed, rates, fails=0.0):
+        self.loop, self.grid = flying, flying.grid
+        self.rng, self.rates, self.fails = np.random.default_rng(seed), rates, fails
+        self.modes, self.answers, self.states, self.strict = [], {}, [], True
+
+    def happens(self, what):
+        return self.rng.random() < self.rates.get(what, 0.0)
+
+    def law(self, t, x):
+        if self.rng.random() < self.fails:
+            if self.rng.random() < 0.3:
+                raise [ValueError, SystemExit, KeyboardInterrupt][int(self.rng.integers(3))]
+            odd = {**oddities.unreadable(2), **oddities.not_finite(2)}
+            return odd[list(odd)[int(self.rng.integers(len(odd)))]]
+        u = 3 * self.grid.command(1, min(int((t + 1e-9) / self.grid.h), len(self.grid.mu) - 1), x)
+        x += np.nan  # U may spoil what it is given
+        return u
+
+    def decide(self, k, t, x):
+        scene, rng = self.grid, self.rng
+        if self.happens("missed"):
+            return
+        now, number = t, k
+        if self.happens("jitter"):
+            now = t + rng.uniform(-0.3, 0.3) * scene.period
+        if self.happens("clock"):
+            now = t + rng.choice([-3, -1, 1, 5, np.nan]) * scene.period
+        if now is t and self.happens("number"):  # two that lie alike cannot be told from the truth
+            number = [k + 1, k - 1, None, 0.5, "k"][int(rng.integers(5))]
+        measured = Measurement(t, x + rng.uniform(-1, 1, len(x)) * HALF)
+        if self.happens("odd"):
+            measured = [None, oddities.Raises(), Measurement(t, oddities.NeedsGradient())][
+                int(rng.integers(3))
+            ]
+        self.answers[k] = self.loop.decide(number, now, measured)
+
+    def fly(self):
+        scene, rng = self.grid, self.rng
+        Ad, Bd, Dd = scene.held
+        theta = scene.schedule.safety.problem.initial_set
+        x = theta.c + theta.G @ rng.choice([-1, 1], theta.G.shape[1])
+        self.states.append(x)
+        for node in range(scene.decisions * scene.nodes):
+            self.t = t = node * scene.h
+            if node % scene.nodes == 0:
+                self.decide(node // scene.nodes, t, x)
+            now, seen = t, x.copy()
+            if self.happens("back"):
+                now = t - scene.h * rng.choice([1, 1.3, 7, 40])  # of the last reading, or before
+            if self.happens("gone"):
+                now = [None, np.nan, oddities.Raises()][int(rng.integers(3))]
+            mode, u, until = self.loop.command(now, seen)
+            assert (np.abs(u) <= scene.system.u_max).all()
+            assert mode == 0 or until > t or now is not t or not self.strict
+            self.modes.append(mode)
+            w = rng.normal(size=Dd.shape[1])
+            x = Ad @ x + Bd @ u + Dd @ (w * scene.system.w_max / max(np.linalg.norm(w), 1e-9))
+            self.states.append(x)
+        return self
+
+    def permitted(self):
+        """By mode: what the answers of the flight allow at every node, by hand."""
+        scene, out = self.grid, np.zeros(len(self.modes), dtype=int)
+        for k, answer in self.answers.items():
+            first = k * scene.nodes + scene.delay
+            out[first : first + scene.nodes] = answer.mode
+        return out
+
+
+def wanted(t, x):
+    raise AssertionError
+
+
+def world(setting, seed, rates, fails=0.0, log=None):
+    scene, made = monitor(setting).grid, []
+    plan = loop(setting).laws[0]  # S has a clock of its own
+
+    def safe(t, x):
+        return plan(made[0].t, x)
+
+    flying = loop(setting, log, [safe, *[lambda t, x: made[0].law(t, x)] * (len(scene.controllers) - 1)])
+    made.append(World(flying, seed, rates, fails))
+    return made[0]
+
+
+ALL = {"missed": 0.05, "jitter": 0.1, "clock": 0.03, "number": 0.03, "odd": 0.05, "back": 0.03, "gone": 0.03}
+STREAMS = [
+    {},
+    {"missed": 0.3},
+    {"jitter": 0.5},
+    {"clock": 0.2, "number": 0.2},
+    {"back": 0.1, "gone": 0.1},
+    ALL,
+]
+
+
+def check(setting, seed, rates, fails):
+    scene = monitor(setting).grid
+    flown = world(setting, seed, rates, fails).fly()
+    states = np.array(flown.states)
+    assert not inside_unsafe(scene, states[:, None]).any()
+    permitted, modes = flown.permitted(), np.array(flown.modes)
+    assert ((modes == 0) | (modes == permitted)).all()
+    if not fails and not {"back", "gone", "clock", "number", "jitter"} & set(rates):
+        np.testing.assert_array_equal(modes, permitted)
+    at = np.arange(scene.delay, len(modes) + 1, scene.nodes)  # moments of effect
+    need = [need_of_recovery(monitor(setting), node, states[node][None])[0] for node in at]
+    assert max(need) <= 1
+    assert (modes > 0).any()
+
+
+@pytest.mark.parametrize("setting", ["late", pytest.param("a whole period late", marks=pytest.mark.slow)])
+def test_u_flies_only_with_a_permission_and_s_can_always_take_over(setting):
+    for seed, rates in enumerate(STREAMS):
+        check(setting, seed, rates, 0.02 * (seed % 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_the_same_in_many_flights(setting):
+    for seed in range(10, fewer(70, 30)):
+        check(setting, seed, STREAMS[seed % len(STREAMS)], [0.0, 0.02, 0.2][seed % 3])
+
+
+def test_a_loop_that_ignores_the_end_of_permissions_does_harm():
+    """Shows that the streams can find what a wrong loop lets through."""
+    harm = 0
+    for seed in range(6):
+        flown = world("no latency", seed, {"missed": 0.3})
+        take, flown.strict = flown.loop._take_effect, False
+
+        def endless(t, loop=flown.loop, take=take):
+            mode = loop._mode
+            take(t)
+            loop._mode = loop._mode or (mode if not loop._waiting else 0)
+
+        flown.loop._take_effect = endless
+        states = np.array(flown.fly().states)
+        need = need_of_recovery(monitor(), len(states) - 1, states[-1][None])[0]
+        harm += bool(inside_unsafe(monitor().grid, states[:, None]).any() or need > 1)
+    assert harm
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_missed_calls_cost_only_what_they_would_have_allowed(setting):
+    """U at its declared law, undisturbed by anything else: with and without missed calls."""
+    scene = monitor(setting).grid
+    flying, x, modes = loop(setting), scene.xi[0].copy(), []
+    missed = {3, 11, 12, 20}
+    quiet = range(scene.nodes * 26)
+    for node in quiet:
+        k, within = divmod(node, scene.nodes)
+        t, x = node * scene.h, scene.xi[node]  # on the reference U is always welcome
+        if within == 0 and k not in missed:
+            assert flying.decide(k, t, Measurement(t, x)).mode == 1
+        modes.append(flying.command(t, x).mode)
+    wanted = [
+        int((node - scene.delay) // scene.nodes not in missed and node >= scene.delay) for node in quiet
+    ]
+    assert modes == wanted
+
+
+def test_the_log_of_a_corrupted_flight_is_replayed(tmp_path):
+    out = io.StringIO()
+    flown = world("late", 7, ALL, 0.02, DecisionLog(out)).fly()
+    records = [json.loads(line) for line in out.getvalue().splitlines()]
+    again = replay_log(records, monitor("late"), PATIENT)
+    assert [repr(one) for one in again] == [repr(one) for one in flown.answers.values()]
+
+
+def permitted_loop(laws=None):
+    """A loop in which U has just been allowed to fly, for the whole of a period."""
+    flying = loop("late", laws=laws)
+    scene = flying.grid
+    for k in (0, 1):
+        answer = flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes]))
+    assert answer.mode == 1
+    return flying, scene.period + scene.latency, scene.xi[scene.nodes + scene.delay].copy()
+
+
+def test_answers_wait_for_their_moment():
+    flying = loop("late")
+    scene = flying.grid
+    period, first = scene.period, scene.latency
+    x = scene.xi[scene.delay]
+    assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
+    assert flying.command(first - 0.01, x)[::2] == (0, first)
+    assert flying.command(first, x)[::2] == (1, period + first)
+    assert flying.decide(1, period, Measurement(period, scene.xi[scene.nodes])).mode == 1
+    assert flying.command(period, x)[::2] == (1, period + first)
+    assert flying.command(period + first, x).until == pytest.approx(2 * period + first)
+    assert flying.command(2 * period + first, x)[::2] == (0, np.inf)
+
+
+def test_an_answer_that_comes_after_its_moment_is_too_late():
+    flying = loop("late")
+    scene = flying.grid
+    assert flying.command(scene.latency, scene.xi[scene.delay]).mode == 0
+    assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
+    assert flying.command(scene.latency, scene.xi[scene.delay]).mode == 0
+
+
+@pytest.mark.parametrize("kind", ["none", "nan", "text", "raises", "back"])
+def test_a_clock_that_cannot_be_read_or_runs_backwards_means_s(kind):
+    wrong = {"none": None, "nan": np.nan, "text": "now", "raises": oddities.Raises(), "back": -5.0}[kind]
+    flying, effect, x = permitted_loop()
+    assert flying.command(effect + 0.1, x).mode == 1
+    assert flying.command(wrong, x).mode == 0
+    assert flying.command(effect + 0.15, x).mode == 0  # until the next answer
+
+
+def test_permissions_do_not_survive_a_clock_that_runs_backwards_within_them():
+    flying, effect, x = permitted_loop()
+    assert [flying.command(effect + late, x).mode for late in (0.0, 0.1, 0.05, 0.15)] == [1, 1, 0, 0]
+    flying, effect, x = permitted_loop()
+    assert [flying.command(effect + late, x).mode for late in (0.0, 0.1, 0.1, 0.15)] == [1, 1, 0, 0]
+
+
+def test_a_reading_far_ahead_costs_no_more_than_what_it_ends():
+    flying, effect, x = permitted_loop()
+    scene = flying.grid
+    assert [flying.command(now, x).mode for now in (effect, 1e308, effect + 0.05)] == [1, 0, 0]
+    for k in (2, 3):
+        flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes]))
+    assert flying.command(3 * scene.period, scene.xi[3 * scene.nodes]).mode == 1
+
+
+@pytest.mark.parametrize("kind", ["raises", "short", "nan", "none"])
+def test_a_state_that_is_none_means_s_on_the_last_good_one(kind):
+    odd = {"raises": oddities.Raises(), "short": np.zeros(3), "nan": np.full(4, np.nan), "none": None}
+    wrong, seen = odd[kind], []
+
+    def safe(t, x):
+        seen.append((t, x))
+        return [0.0, 1e9]
+
+    flying, effect, x = permitted_loop([safe, *loop().laws[1:]])
+    assert flying.command(effect, x).mode == 1
+    mode, u, _ = flying.command(effect + 0.05, wrong)
+    assert mode == 0 and u.tolist() == [0.0, flying.grid.system.u_max[1]]
+    assert seen[0][0] == effect + 0.05 and seen[0][1].tolist() == x.tolist()
+
+
+def test_u_loses_its_permission_with_its_first_fault():
+    calls = []
+
+    def failing(t, x):
+        calls.append(t)
+        raise SystemExit
+
+    flying, effect, x = permitted_loop([loop().laws[0], *[failing] * (len(monitor().grid.controllers) - 1)])
+    assert flying.command(effect, x).mode == flying.command(effect + 0.05, x).mode == 0
+    assert calls == [effect]
+    scene = flying.grid
+    reasons = [
+        flying.decide(k, k * scene.period, Measurement(k * scene.period, scene.xi[k * scene.nodes])).reason
+        for k in (2, 3)
+    ]
+    assert reasons[0] == "controller: raised SystemExit" and reasons[1].startswith("nearest limit")
+
+
+def test_laws_fit_the_scene():
+    with pytest.raises(ScenarioError, match="laws"):
+        loop(laws=[wanted])

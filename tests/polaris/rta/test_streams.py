@@ -1,0 +1,144 @@
+"""Corrupted measurement streams, flown closed loop: U flies only where S can still take over."""
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polaris.rta.online.decision_log import DecisionLog, read_log
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
+from polaris.rta.online.runtime_options import OnlineDecision, RuntimeOptions
+from tests.polaris.rta import streams
+from tests.polaris.rta.streams import HALF, fly_streams, inside_unsafe, need_of_recovery, plans, robot
+
+PATIENT = RuntimeOptions(deadline=1e3, budget=1e3)  # a busy machine must not decide
+LATENCIES = [0.0, 0.05]
+
+
+@cache
+def flown(latency):
+    """(monitor, operators, steps, states) of the streams of one latency; every second has two clocks."""
+    monitor = robot(latency)
+    scene = monitor.grid
+    operators = plans(int(latency > 0), scene.decisions, scene.system.n)
+    deciders = [OnlineMonitor(monitor, PATIENT).step for _ in operators]
+    runs = len(operators)
+    # A lie that is a possible flight is found only where the inputs are known.
+    flattered = {
+        run for run, mine in enumerate(operators) if any(isinstance(o, streams.Flattering) for o in mine)
+    }
+    options = {"second_clock": range(0, runs, 2), "applied": flattered.union(range(0, runs, 3))}
+    return monitor, operators, *fly_streams(monitor, operators, deciders, 7, **options)
+
+
+def test_there_are_enough_streams_and_both_controllers_fly():
+    assert sum(len(flown(latency)[1]) for latency in LATENCIES) >= 100
+    for latency in LATENCIES:
+        _, operators, steps, _ = flown(latency)
+        assert {type(operator) for mine in operators for operator in mine} == set(streams.OPERATORS)
+        share = np.mean([step.answer.mode > 0 for run in steps for step in run])
+        assert 0.3 < share < 0.9
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_no_stream_leads_into_an_unsafe_set(latency):
+    monitor, _, _, states = flown(latency)
+    assert not inside_unsafe(monitor.grid, states).any()
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_u_only_flies_where_s_can_still_take_over(latency):
+    """At the moment of effect, and at the moment at which the permission ends."""
+    monitor, _, steps, states = flown(latency)
+    scene = monitor.grid
+    need = np.array([need_of_recovery(monitor, node, x) for node, x in enumerate(states)])
+    checked = 0
+    for run, mine in enumerate(steps):
+        honoured = True
+        for step in mine:
+            if step.answer.mode:
+                used = step.delivery.measurement
+                age = step.k * scene.period - used.stamp
+                # Without faults a measurement is used; one that is delayed was true at its stamp.
+                honoured &= bool(age > 1e-9 or (np.abs(used.state - step.state) <= HALF * (1 + 1e-9)).all())
+                node = step.k * scene.nodes + scene.delay
+                if honoured:
+                    assert need[node, run] <= 1 and need[node + scene.nodes, run] <= 1
+                    checked += 1
+    assert checked > 5000
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_every_answer_has_a_reason_and_every_fault_its_family(latency):
+    _, operators, steps, _ = flown(latency)
+    explained = Counter()
+    for mine, run in zip(operators, steps, strict=True):
+        for step in run:
+            answer, wanted = step.answer, set(step.delivery.families)
+            assert answer.reason
+            assert (answer.mode > 0) <= all(fault.harmless for fault in answer.faults)
+            families = {fault.family for fault in answer.faults}
+            if latency and any(isinstance(operator, streams.Jitter) for operator in mine):
+                wanted.discard("clock")  # what the latency allows for is no fault
+            if wanted and answer.k >= 0:
+                assert families & wanted, (step.k, [type(o).__name__ for o in mine], answer)
+                explained.update(families & wanted)
+            elif wanted:
+                assert "clock" in families  # nothing else can be judged then
+                explained["clock"] += 1
+    assert min(explained[family] for family in ("measurement", "estimate", "clock")) > 20
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_lies_that_grow_are_found(latency):
+    _, operators, steps, _ = flown(latency)
+    for (first, *others), run in zip(operators, steps, strict=True):
+        if isinstance(first, (streams.Drifting, streams.Flattering)) and not others:
+            hit = [s for s in run if first.first <= s.k < first.last and s.answer.faults]
+            assert any(fault.family == "estimate" for s in hit for fault in s.answer.faults)
+        if isinstance(first, streams.Frozen) and not others:
+            texts = {s.answer.reason for s in run if first.first < s.k < first.last}
+            assert texts == {"measurement: frozen: the same state as before with a new stamp"}
+
+
+def test_without_the_checks_the_same_streams_do_harm():
+    """The monitor on whatever arrived last, at whatever the clock says: shows that the tests can fail."""
+    monitor = robot()
+    scene = monitor.grid
+
+    class Unchecked:
+        def __init__(self):
+            self.state, self.k, self.flown = scene.xi[0], 0, 0
+
+        def step(self, now, measurement, applied, reference):
+            arrived = None if measurement is None else streams.as_array(measurement.state)
+            if arrived is not None and arrived.shape == self.state.shape:
+                self.state = np.where(np.isfinite(arrived), arrived, self.state)
+            if isinstance(now, float) and np.isfinite(now):
+                self.k = int(np.clip(round(now / scene.period), 0, scene.decisions - 1))
+            e = np.clip(self.state, -1e6, 1e6) - scene.xi[self.k]
+            mode, margin = monitor.judge_one(self.k, e, self.flown)
+            self.flown = mode
+            return OnlineDecision(self.k, mode, margin, np.inf, "")
+
+    operators = plans(0, scene.decisions, scene.system.n, each=8, mixed=0)
+    operators = [mine for mine in operators if isinstance(mine[0], (streams.Flattering, streams.Drifting))]
+    _, states = fly_streams(monitor, operators, [Unchecked().step for _ in operators], 7)
+    need = np.array([need_of_recovery(monitor, node, x) for node, x in enumerate(states)])
+    assert (need > 1).any(axis=0).sum() >= 3
+    assert inside_unsafe(scene, states).any()
+
+
+def test_a_replayed_log_gives_the_same_decisions(tmp_path):
+    monitor = robot()
+    scene = monitor.grid
+    operators = plans(3, scene.decisions, scene.system.n)[::8]
+    logs = [DecisionLog(tmp_path / f"{run}.jsonl", flush_every=50) for run in range(len(operators))]
+    deciders = [OnlineMonitor(monitor, PATIENT, log).step for log in logs]
+    options = {"second_clock": range(0, len(logs), 2), "applied": range(0, len(logs), 3)}
+    steps, _ = fly_streams(monitor, operators, deciders, 8, **options)
+    for run, log in enumerate(logs):
+        log.close()
+        again = replay_log(read_log(tmp_path / f"{run}.jsonl"), monitor, PATIENT)
+        assert [repr(answer) for answer in again] == [repr(step.answer) for step in steps[run]]

@@ -1,0 +1,444 @@
+"""Environments for training: what gymnasium asks of them, and a shield that no adversary gets through."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+
+from gymnasium.error import ResetNeeded  # noqa: E402
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
+
+from benchmarks.policies import write_onnx  # noqa: E402
+from benchmarks.training import commanded, folded, speed, train, unpacked  # noqa: E402
+from polaris.certificate.checker import verify_document  # noqa: E402
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible  # noqa: E402
+from polaris.rta.arena import compare_methods  # noqa: E402
+from polaris.rta.decision_grid import DecisionGrid  # noqa: E402
+from polaris.runs.certificate import certificate  # noqa: E402
+from polaris.runs.training import (  # noqa: E402
+    InspectionEnv,
+    InspectionVectorEnv,
+    Shield,
+    SwitchingEnv,
+    SwitchingVectorEnv,
+    VectorShield,
+)
+from polaris.scenario.reading import write_toml  # noqa: E402
+from polaris.scenario.scenario import bundled_files, load_scenario  # noqa: E402
+from polaris.synthesis.controllers.neural import NeuralController  # noqa: E402
+from polaris.synthesis.controllers.policy import Policy  # noqa: E402
+from polaris.synthesis.schedule.synthesize import synthesize  # noqa: E402
+from reach.networks.layers import Affine  # noqa: E402
+from reach.networks.network import Network  # noqa: E402
+from tests.kept import scheduled  # noqa: E402
+from tests.polaris.random_scenarios import synthesised as random_schedule  # noqa: E402
+from tests.polaris.tiny import TINY  # noqa: E402
+from tests.polaris.tiny import synthesised as tiny  # noqa: E402
+from tests.sizes import fewer  # noqa: E402
+
+SAMPLED = {"feedback": {"period_s": 0.25}, "tracking.R": [60.0, 60.0]}
+INSPECTED = {
+    "initial": {"kind": "states", "states": [[0.0, -60.0, 0.0, 0.0, 0.0, 0.0]], "sun_angle_deg": 20.0},
+    "flight.duration_s": 60.0,
+}
+
+
+@cache
+def sampled():
+    return synthesize(load_scenario(TINY, SAMPLED))
+
+
+@cache
+def inexact():
+    """With errors of the estimates that S acts on as well, and of thrusters."""
+    navigation, thrusters = {"state_error": [0.004, 0.004, 0.001, 0.001]}, {"magnitude_error": 0.02}
+    return synthesize(load_scenario(TINY, SAMPLED | {"navigation": navigation, "thrusters": thrusters}))
+
+
+@cache
+def inspected():
+    return load_scenario("inspection", INSPECTED)
+
+
+# -- what gymnasium asks ----------------------------------------------------------------------------
+
+
+MADE = {
+    "sampled": lambda: SwitchingEnv(
+        sampled(), half_widths=0.005, inputs=("state", "time", "reference_input")
+    ),
+    "chosen": lambda: SwitchingEnv(tiny()[1], period_s=1 / 3),
+    "inspection": lambda: InspectionEnv(inspected()),
+}
+
+
+@pytest.mark.parametrize("shielded", [False, True])
+@pytest.mark.parametrize("name", MADE)
+def test_environments_pass_the_check_of_the_library(name, shielded):
+    env = MADE[name]()
+    if shielded:
+        Shield(env)
+    check_env(env, skip_render_check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(bundled_files()))
+def test_every_bundled_scenario_passes_it_or_is_refused(name):
+    scenario = load_scenario(name)
+    if scenario.kind not in ("schedule", "inspection") or name == "infeasible":
+        with pytest.raises((ScenarioError, SynthesisInfeasible)):
+            (SwitchingEnv if scenario.kind == "schedule" else InspectionEnv)(scenario)
+        return
+    env = InspectionEnv(scenario) if scenario.kind == "inspection" else SwitchingEnv(scheduled(name)[1])
+    for keys in ({"intervened"}, {"intervened", "proven" if scenario.kind == "inspection" else "margin"}):
+        check_env(env.unwrapped, skip_render_check=True)
+        env.reset(seed=1)
+        assert keys <= env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4].keys()
+        env = Shield(env, penalty=0.5)
+
+
+def test_they_are_registered_under_names():
+    made = gymnasium.make("polaris.runs.training:polaris/Switching-v0", scenario=sampled())
+    assert made.reset(seed=1)[0] in made.observation_space
+    made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
+    assert made.reset(seed=1)[0].shape == (3, 4)
+    made = VectorShield(gymnasium.make_vec("polaris/Inspection-v0", 2, scenario=inspected()))
+    assert made.reset(seed=1)[0].shape == (2, 9)
+    assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
+
+
+def flown(env, seed, steps):
+    """Observations, rewards, ends and interventions of random actions."""
+    rng, out = np.random.default_rng(seed), []
+    seen, _ = env.reset(seed=seed)
+    for _ in range(steps):
+        actions = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        seen, reward, over, ended, info = env.step(actions)
+        out.append(np.c_[seen, reward, over, ended, info["intervened"]])
+    return np.array(out)
+
+
+def test_one_seed_fixes_all_episodes_and_another_gives_others():
+    one, same = (flown(VectorShield(SwitchingVectorEnv(sampled(), 4)), 3, 60) for _ in range(2))
+    assert np.array_equal(one, same)
+    env = VectorShield(SwitchingVectorEnv(sampled(), 4))
+    assert not np.array_equal(one, flown(env, 4, 60))
+    assert np.array_equal(one, flown(env, 3, 60)), "what was flown before leaves no trace"
+    assert len(np.unique(one[0, :, 0])) == 4, "and episodes differ"
+
+
+def test_an_episode_begins_with_reset():
+    env = SwitchingEnv(sampled())
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2))
+    env.reset(seed=0)
+    Shield(env)  # whatever was flown without it need not be recoverable
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2))
+
+
+def test_what_does_not_fit_is_told():
+    for make, field in (
+        (lambda: SwitchingEnv(inspected()), "scenario"),
+        (lambda: InspectionEnv(load_scenario(TINY)), "scenario"),
+        (lambda: SwitchingEnv(sampled(), inputs=("error", "error")), "inputs"),
+        (lambda: SwitchingEnv(sampled(), inputs=("sun",)), "inputs"),
+        (lambda: SwitchingEnv(sampled(), input_scale=np.ones(3)), "input_scale"),
+        (lambda: SwitchingEnv(DecisionGrid.of(sampled(), 0.5, 0.25)), "latency"),
+    ):
+        with pytest.raises(ScenarioError) as raised:
+            make()
+        assert raised.value.field == field
+
+
+# -- what a policy reads and is paid for ----------------------------------------------------------------
+
+
+def test_observations_are_what_a_network_reads_in_flight():
+    """A network that hands its inputs on commands what the environment shows, up to its scales."""
+    reads, schedule = ("error", "state", "time", "reference_input"), sampled()
+    reads += ("relative_position:trolley", "velocity:trolley")
+    env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 16.0))
+    seen, _ = env.reset(seed=5)
+    W, problem = np.eye(15)[[0, 2, 5, 8, 9, 10, 11, 14, 12, 13]], schedule.safety.problem
+    law, flights, q = schedule.controllers[1], env.many.flights, schedule.safety.clearance.q
+    for row in range(0, 10, 2):
+        network = Network((Affine(W[row : row + 2], np.zeros(2)),))
+        policy = Policy(network, reads, np.arange(1.0, 16.0), np.ones(2))
+        given = problem.system, policy, law.reference, law.own, schedule.safety.tracking, problem.unsafe
+        env.reset(seed=5)
+        for k in range(30):
+            node, (cell, place) = k, divmod(k, q)
+            controller = NeuralController("same", *given)
+            own, later = flights.grid.own[1][node], place * schedule.safety.tracking.flow.h
+            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0], later)
+            # What is told of a body that nothing is uncertain of is off by what rounding is booked with.
+            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
+            env.step(np.zeros(2))
+
+
+def test_reward_pays_for_being_near_and_for_idle_thrusters():
+    def worth(action, **given):
+        env = SwitchingEnv(sampled(), **given)
+        env.reset(seed=0)
+        return env.step(np.array(action, dtype=np.float32))
+
+    idle, busy, free = worth([0, 0])[1], worth([1, 1])[1], worth([1, 1], effort=0.0)[1]
+    assert 0 < busy < free <= 1 / 48 and idle <= 1 / 48
+    assert free - busy == pytest.approx(0.05 / 48)
+    assert worth([1, 1])[4]["delta_v_m_s"] == pytest.approx(0.5)
+    # The seed fixes start and disturbance: one action is as good as ten times it, which the limits clip.
+    assert worth([10, 10])[1] == busy
+
+
+# -- the shield ---------------------------------------------------------------------------------------
+
+
+def towards(flights):
+    """Full thrust towards the nearest facet, of shape (R, m): bang-bang into what is near."""
+    grid, k = flights.grid, flights.k
+    rows, offsets, _ = grid.facets
+    room = flights.x @ rows.T - offsets[k * grid.nodes]
+    starts = np.r_[grid.facets[2], len(rows)]
+    best = [room[:, i:j].argmax(axis=1) + i for i, j in zip(starts, starts[1:], strict=False)]
+    farthest = np.stack(best, axis=1)
+    nearest = farthest[np.arange(len(room)), np.take_along_axis(room, farthest, axis=1).argmin(axis=1)]
+    push = rows @ np.linalg.matrix_power(grid.system.A, 1) @ grid.system.B
+    push = np.where(np.abs(push) > 1e-12 * np.abs(push).max(initial=1e-300), push, 0)
+    return -np.sign(push[nearest])
+
+
+def recoverable(flights):
+    """Largest share of the room that any present state needs, which must not exceed 1."""
+    grid, recovery = flights.grid, flights.monitor.recovery
+    nothing = recovery.demand(np.zeros((grid.system.n, 1)))
+    worst = 0.0
+    for k in np.unique(flights.k):
+        e = flights.x[flights.k == k] - grid.xi[k * grid.nodes]
+        size = np.linalg.norm(e @ grid.tracking.W.T, axis=1)
+        worst = max(worst, float(recovery.share(int(k) * grid.nodes, e, size, nothing).max()))
+    return worst
+
+
+def attacked(scene, steps, seed, policies=("towards", "random", "still"), **given):
+    """Episodes under adversaries, shielded: collisions, interventions, periods, and the least room."""
+    runs = 16
+    env = VectorShield(SwitchingVectorEnv(scene, runs, **given))
+    flights, rng = env.unwrapped.flights, np.random.default_rng(seed)
+    env.reset(seed=seed)
+    collided = intervened = periods = 0
+    worst, drawn = 0.0, np.zeros(0)
+    for i in range(-(-steps // runs)):
+        if i % 7 == 0:
+            drawn = rng.choice([-1.0, 1.0], (runs, env.single_action_space.shape[0]))
+        choice = np.arange(runs) % len(policies)
+        options = {"towards": towards(flights), "random": drawn, "still": 0 * drawn}
+        given_ = [policy(flights) if callable(policy) else options[policy] for policy in policies]
+        action = np.stack(given_)[choice, np.arange(runs)]
+        action = np.where(rng.random(runs)[:, None] < 0.02, np.nan, action)
+        *_, over, _, info = env.step(action)
+        collided += int(over.sum())
+        intervened += int(info["intervened"].sum())
+        periods += int(info["_intervened"].sum())
+        if "half_widths" not in given:
+            worst = max(worst, recoverable(flights))
+    return collided, intervened, periods, worst
+
+
+def unshielded(scene, steps, **given):
+    """Collisions of the same bang-bang without the shield."""
+    env = SwitchingVectorEnv(scene, 16, **given)
+    env.reset(seed=0)
+    return sum(int(env.step(towards(env.flights))[2].sum()) for _ in range(-(-steps // 16)))
+
+
+@cache
+def colliding():
+    """A network that has learned to collide: it is paid for what it hits."""
+
+    class Reckless(SwitchingVectorEnv):
+        def step(self, actions):
+            seen, reward, over, ended, info = super().step(actions)
+            return seen, -np.minimum(info["distance_m"], 3.0) / 48 + over, over, ended, info
+
+    env = Reckless(sampled(), 32)
+    mean, collisions = train(env, 12)
+    dims = [4, 16, 16, 2]
+
+    def policy(flights):
+        P = [np.repeat(part, flights.runs, axis=0) for part in unpacked(mean[None], dims)]
+        return commanded(P, flights.observe())
+
+    return policy, collisions
+
+
+SCENES = {
+    "sampled": (sampled, {}),
+    "estimated": (sampled, {"half_widths": 0.01}),
+    "chosen": (lambda: tiny()[1], {"period_s": 1 / 9}),
+    "inexact": (inexact, {}),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "inexact")) for name in SCENES]
+)
+def test_adversaries_do_not_get_through(name):
+    make, given = SCENES[name]
+    policy, learned = colliding()
+    assert learned > 20, "without the shield it hits something in most episodes"
+    policies = ("towards", "random", policy) if name in ("sampled", "estimated") else ("towards", "random")
+    collided, intervened, periods, worst = attacked(make(), 2000, 1, policies, **given)
+    assert collided == 0 and worst <= 1 + 1e-9
+    assert 0.05 * periods < intervened < 0.98 * periods
+    assert unshielded(make(), 2000, **given) > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["static", "robot", "dynamic", "hold_point", "sampled"])
+def test_many_shielded_periods_without_a_violation(name):
+    """4,000 of each of five scenes; 10^5 in all in a campaign."""
+    scene = sampled() if name == "sampled" else scheduled(name)[1]
+    policies = ("towards", "random", colliding()[0]) if name == "sampled" else ("towards", "random")
+    collided, intervened, periods, worst = attacked(scene, fewer(22_000, 4_400), 2, policies)
+    assert periods >= fewer(20_000, 4_000) and collided == 0 and worst <= 1 + 1e-9
+    assert intervened > 0
+    assert unshielded(scene, 16 * DecisionGrid.of(scene).decisions) > 0
+
+
+UNCERTIFIED = (20, 24, 27, 29, 30, 33, 35, 37, 39)
+"""Random scenes that no monitor holds from the start."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20, fewer(40, 32)))
+def test_random_scenes_are_held_too(seed, tmp_path):
+    try:
+        _, schedule = random_schedule(seed, tmp_path)
+        collided, _, _, worst = attacked(schedule, 600, seed)
+    except PolarisError as error:
+        assert seed in UNCERTIFIED, error
+        pytest.skip(str(error))
+    assert collided == 0 and worst <= 1 + 1e-9
+
+
+def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
+    base = SwitchingEnv(sampled())
+    env = TimeLimit(ClipAction(Shield(ClipAction(base), penalty=2.0)), 40)
+    assert env.reset(seed=0)[0] in env.observation_space
+    held = 0
+    for _ in range(40):
+        _, reward, over, _, info = env.step(towards(base.many.flights)[0].astype(np.float32))
+        assert not over and (reward < -1.9) == info["intervened"]
+        held += info["intervened"]
+        assert (info["margin"] >= 0) or info["intervened"]
+    assert 0 < held < 40
+    with pytest.raises(TypeError):
+        Shield(base, trust="declared")  # a policy obeys no declared law
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_an_input_that_is_no_number_is_none(wrong):
+    """S flies, and nothing thrusts where there is no S; the limits are those of any that is too large."""
+    env = SwitchingVectorEnv(sampled(), num_envs=3)
+    asked = np.ones((3, 2)) * [[wrong, 0.0], [1e300, 1.0], [1.0, 1.0]]
+    env.reset(seed=0)
+    spent = env.step(asked)[4]["delta_v_m_s"]
+    assert spent[0] == 0.0 and spent[1] == spent[2] > 0
+    env = VectorShield(env)
+    env.reset(seed=0)
+    while env.step(np.zeros((3, 2)))[4]["intervened"].any():
+        pass
+    assert env.step(asked)[4]["intervened"].tolist() == [True, False, False]
+
+
+def test_a_step_that_only_begins_anew_costs_nothing():
+    env = Shield(Autoreset(SwitchingEnv(sampled())), penalty=2.0)
+    env.reset(seed=0)
+    over = False
+    while not over:
+        _, _, over, ended, _ = env.step(np.zeros(2))
+        over |= ended
+    assert env.step(np.zeros(2))[1:3] == (0.0, False)
+
+
+def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
+    """From the first episode to the arena, in a small scene."""
+    pytest.importorskip("onnx")
+    env = VectorShield(SwitchingVectorEnv(sampled(), 32), penalty=0.01)
+    mean, collisions = train(env, 8)
+    write_onnx(tmp_path / "trained.onnx", folded(env, mean))
+    scene = load_scenario(TINY, SAMPLED).to_dict()
+    network = {"kind": "neural", "name": "trained", "path": "trained.onnx", "output_scale_N": 1.0}
+    scene["experimental"] = [network | {"reference": scene["experimental"][0]["reference"]}]
+    (tmp_path / "scene.toml").write_text(write_toml(scene), encoding="utf-8")
+    scenario = load_scenario(tmp_path / "scene.toml")
+    schedule = synthesize(scenario)
+    assert collisions == 0 and schedule.guarantee == "proved" and schedule.share() > 0.2
+    verdict = verify_document(certificate(schedule, scenario.name))
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    results = compare_methods(schedule, 6, methods=["experimental", "schedule", "monitor"]).results
+    assert all(results[key].claim.kind == "proved" for key in ("schedule", "monitor"))
+    assert not any(results[key].metrics.collided.any() for key in ("schedule", "monitor"))
+    assert results["schedule"].metrics.experimental_share.mean() == pytest.approx(schedule.share())
+
+
+def test_inspection_is_kept_by_an_assured_filter():
+    ends = {}
+    for shielded in (True, False):
+        env = InspectionEnv(inspected())
+        env = Shield(env, penalty=0.5) if shielded else env
+        env.reset(seed=0)
+        rows = []
+        for _ in range(60):
+            inward = -np.sign(env.unwrapped.many.flights.x[0, :, :3]).ravel()
+            _, reward, over, ended, info = env.step(inward.astype(np.float32))
+            rows.append((over, info["intervened"], info["proven"], info["least"]))
+            assert not shielded or reward <= 1 / 60 - 0.5 * info["intervened"]
+            if over or ended:
+                break
+        ends[shielded] = np.array(rows, dtype=float)
+    assert not ends[True][:, 0].any() and ends[True][:, 2].all() and (ends[True][:, 3] >= 0).all()
+    assert 0 < ends[True][:, 1].sum() < len(ends[True]) == 60
+    assert ends[False][-1, 0] and ends[False][-1, 3] < 0
+
+
+@pytest.mark.parametrize("proven", [True, False])
+def test_inspections_flown_together_are_those_flown_alone(proven):
+    """Each begins anew on its own; the one batch of the barrier filter keeps them as well."""
+    short = load_scenario("inspection", INSPECTED | {"flight.duration_s": 8.0})
+    rng = np.random.default_rng(0)
+    actions = rng.choice([-1.0, 1.0], (20, 3, 3)).astype(np.float32)
+    actions[4, 1] = np.nan
+    many = VectorShield(InspectionVectorEnv(short, 3), proven=proven)
+    together = [many.reset(seed=0), *(many.step(action) for action in actions)]
+    for run in range(3):
+        one = Shield(InspectionEnv(short), proven=proven)
+        seen, over = one.reset(seed=0)[0], False
+        for action, step in zip(actions[:, run], together[1:], strict=True):
+            if over:  # a step that only begins anew
+                (seen, _), over = one.reset(), False
+                assert not step[4]["_least"][run] and step[1][run] == 0
+            else:
+                seen, reward, failed, over, info = one.step(action)
+                assert not failed and info["least"] >= 0 and info["proven"] == proven
+                assert (reward, over) == pytest.approx((step[1][run], step[3][run]), abs=1e-12)
+                assert info["status"] == step[4]["status"][run]
+                assert np.isfinite(action).all() or info["intervened"] == 1
+            np.testing.assert_allclose(seen, step[0][run], atol=1e-6)
+    assert sum(step[3].sum() for step in together[1:]) == 6
+    assert speed(many, 1) > 0
+
+
+def test_a_flight_that_begins_anew_leaves_the_estimates_of_others():
+    errors = {"position_error_m": 0.05, "velocity_error_m_s": 0.002}
+    flights = InspectionVectorEnv(load_scenario("inspection", INSPECTED | {"navigation": errors}), 2).flights
+    rng, bound = np.random.default_rng(0), np.repeat([0.05, 0.002], 3)
+    flights.restart(np.ones(2, dtype=bool), rng, fresh=True)
+    seen = flights.seen.copy()
+    np.testing.assert_allclose(np.abs(seen - flights.x), np.broadcast_to(bound, seen.shape), rtol=1e-6)
+    flights.restart(np.array([True, False]), rng)
+    assert np.array_equal(flights.seen[1], seen[1]) and not np.array_equal(flights.seen[0], seen[0])

@@ -1,0 +1,768 @@
+"""Black boxes: what samples say of them, what they do not say, and that nobody calls it proven."""
+
+import json
+import re
+import shlex
+import shutil
+import sys
+import time
+import tomllib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import binom
+
+import polaris
+from polaris.certificate.checker import verify, verify_document
+from polaris.certificate.claims.argument import check_statement
+from polaris.certificate.files.document import digest
+from polaris.certificate.files.inputs import _check_asked
+from polaris.certificate.kernel.verdict import Rejected
+from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
+from polaris.rta.arena import compare_methods
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.runs.campaign import CampaignPlan, ScheduleRuns, local, make_cases, replay_run, run_campaign
+from polaris.runs.campaign.folder import read_campaign
+from polaris.runs.certificate import certificate
+from polaris.runs.program import program
+from polaris.runs.run import read_run, run
+from polaris.runs.tradeoff import tradeoff
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import ScheduleScenario, load_scenario
+from polaris.simulation.integration import Integrator
+from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
+from polaris.simulation.simulate import initial_states, simulate
+from polaris.synthesis.controllers.black_box import BlackBox
+from polaris.synthesis.sources.late_faults import moved
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
+from tests.polaris.random_scenarios import random_scenario
+from tests.polaris.tiny import TINY
+
+ROOT = Path(__file__).resolve().parents[4]
+PERIOD = 0.25
+TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
+LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
+
+
+def document(**table):
+    scene = load_scenario(TINY, {"feedback": {"period_s": PERIOD}}).to_dict()
+    return scene | {"experimental": [TABLE | table], "simulation": {"runs": 3}}
+
+
+@cache
+def hasty():
+    """Return what the box of these tests asks in secret: the affine law of the scene, by time."""
+    scenario = load_scenario(TINY, {"feedback": {"period_s": PERIOD}})
+    law = scenario.controllers(polaris.get_safety(scenario))[0]
+    nodes = law.own.fine(4)[:, :-1].reshape(-1, 4)
+
+    def ask(t, x, xi):
+        node = min(round(t / PERIOD), len(nodes) - 1)
+        return law.own.nu[min(node // 4, len(law.own.nu) - 1)] + (nodes[node] - x) @ law.gain.T
+
+    return ask
+
+
+ERRORS = {
+    "exact": {},
+    "navigation": {"navigation": {"state_error": [0.004, 0.004, 0.002, 0.002]}},
+    "thrusters": {"thrusters": {"magnitude_error": 0.05}},
+    "timing": {"timing": {"delay_s": 0.02, "jitter_s": 0.002}},
+}
+ERRORS["all"] = {
+    "navigation": {"state_error": [0.001, 0.001, 0.0005, 0.0005]},
+    "thrusters": {"magnitude_error": 0.01},
+    "timing": {"delay_s": 0.01, "jitter_s": 0.0005},
+}
+
+
+ERRORS["carried"] = {"thrusters": {"impulse_bit_N_s": 0.0002, "remainder": "carried"}}
+APART = ("navigation", "thrusters", "timing", "carried")
+
+
+@cache
+def safety(errors="exact"):
+    return polaris.get_safety(ScheduleScenario.from_dict(document() | ERRORS[errors]))
+
+
+def box(ask=None, part=None, **more):
+    part = part or safety()
+    return BlackBox("box", part.problem.system, part.reference, part.tracking, ask or hasty(), **more)
+
+
+# -- statistics -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("probability", "doubt"), [(0.01, 5e-4), (0.02, 1e-3), (0.2, 0.05)])
+def test_so_many_flights_are_enough_and_no_fewer_are(probability, doubt):
+    count = flights_needed(probability, doubt)
+    assert binom.cdf(SPARE, count, probability) <= doubt < binom.cdf(SPARE, count - 1, probability)
+    assert at_most(SPARE, count, doubt) <= probability < at_most(SPARE + 1, count, doubt)
+
+
+def test_the_bound_is_wrong_no_more_often_than_it_says():
+    """Over all numbers of flights outside, weighted by how probable each is."""
+    for probability in (0.001, 0.01, 0.1, 0.5, 0.9):
+        for flights, doubt in ((40, 0.05), (300, 0.01)):
+            counts = np.arange(flights + 1)
+            wrong = np.array([at_most(int(k), flights, doubt) < probability for k in counts])
+            assert binom.pmf(counts, flights, probability) @ wrong <= doubt
+
+
+def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
+    """Bands are about a motion that stands for the flight, as far from it as what is carried may be."""
+    part, flights = safety("carried"), 50
+    scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
+    schedule = polaris.synthesize(scenario, part, [box(part=part)])
+    runs, system = simulate(schedule, flights, 1), part.problem.system
+    bit, left, stands = system.timing.carried, np.zeros((flights, system.m)), runs.states.copy()
+    held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
+    for node in range(runs.inputs.shape[1]):
+        due = runs.inputs[:, node] * PERIOD + left
+        left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
+        stands[:, node + 1] += left @ held.T
+    arcs, far = part.reference.fine(4), outside(runs)
+    assert schedule.sampled_steps
+    for step in schedule.steps:
+        if step.mode:
+            at = slice(4 * step.k, 4 * step.k + 4)
+            errors = stands[:, at] - arcs[step.k, :-1]
+            off = step.tube.outside(errors, runs.inputs[:, at], np.zeros(system.n))
+            assert np.all(off <= far * (1 + 1e-9))
+
+
+# -- sets -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("errors", ["exact", "all", "carried"])
+def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
+    law, rng = box(part=safety(errors)), np.random.default_rng(0)
+    start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
+    tube = law.fly(start, k)
+    system, q, parts = law.system, 4, 8
+    xi = law.reference.fine(parts * q)[k]
+    x = xi[0] + rng.uniform(-1, 1, (200, 4)) @ start.G.T
+    Ad, Bd = discretize(system.A, system.B, PERIOD / parts)
+    Dd = discretize(system.A, system.D, PERIOD / parts)[1]
+    rows = rng.normal(size=(40, 4))
+    support = tube.nodes.support(rows)
+    for i in range(q):
+        asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
+        K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
+        fitted = (x - xi[i * parts]) @ K.T + c
+        u = np.clip(np.clip(asked, -system.u_max, system.u_max), fitted - r, fitted + r)
+        u[::2] = fitted[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
+        w = rng.normal(size=(len(x), system.p))
+        w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
+        u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
+        drift = rng.choice([-1.0, 1.0], (len(x), system.adrift.shape[1])) @ system.adrift.T
+        drift = drift @ discretize(system.A, np.eye(system.n), PERIOD / parts)[1].T
+        for part in range(1, parts + 1):
+            x = x @ Ad.T + u @ Bd.T + w @ Dd.T + drift
+            s, e = part / parts, x - xi[i * parts + part]
+            bound = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
+            assert np.all(e @ rows.T <= bound + 1e-9)
+
+
+def test_an_affine_box_is_fitted_to_rounding():
+    law = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2])
+    tube = law.fly(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
+    assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
+    assert np.all(tube.fit[..., 5] < 1e-7)
+
+
+def test_states_that_do_not_vary_are_not_fitted():
+    flat = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
+    tube = box().fly(flat, 0)
+    assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.abs(tube.fit).max() < 1e3
+
+
+def test_sets_without_bound_refuse_a_step():
+    wild = box(lambda t, x, xi: np.sign(np.sin(1e9 * x[:, :2])))
+    assert wild.fly(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
+
+
+def test_the_same_seed_gives_the_same_sets():
+    start = Zonotope.box(np.zeros(4), np.full(4, 0.02))
+    assert np.array_equal(box().fly(start, 3).fit, box().fly(start, 3).fit)
+    assert not np.array_equal(box().fly(start, 3).fit, box(seed=1).fly(start, 3).fit)
+
+
+# -- what the statement catches, and what it does not ---------------------------------------------------
+
+
+def follower(t, x, xi, part=None):
+    """Nearly the safety controller: it may fly most of the time."""
+    part = part or safety()
+    nu = part.reference.nu[min(int(t + 1e-9), len(part.reference.nu) - 1)]
+    return nu + 0.8 * (xi - x) @ part.tracking.gain.T
+
+
+def faulty(width):
+    """Return the follower, but with full thrust the wrong way where x starts within a narrow strip."""
+
+    def ask(t, x, xi):
+        wrong = (np.abs(x[:, 0] - 0.02) < width) & (t < 0.1)
+        return np.where(wrong[:, None], -1.0, follower(t, x, xi))
+
+    return ask
+
+
+def sampled(ask, errors="exact", **asked):
+    scenario = ScheduleScenario.from_dict(document() | ERRORS[errors])
+    return synthesize_sampled(scenario, safety(errors), [box(ask, safety(errors))], attacks=200, **asked)
+
+
+def leaving(schedule, n=4000, seed=10**8):
+    """Share of flights, drawn afresh, that leave their bands."""
+    return np.mean(outside(simulate(schedule, n, seed, initial="random", disturbance="random")) > 1)
+
+
+def started(schedule, x):
+    """Return how far flights leave their sets that start at a given position along the first axis."""
+    flight = Integrator(schedule, schedule.modes, 1)
+    x0 = initial_states(schedule, 50, np.random.default_rng(0), "random")
+    x0[:, 0] = x
+    return outside(flight.run(x0, np.zeros((flight.steps, 50, 2))))
+
+
+def test_a_rare_fault_is_within_what_is_said_and_not_found():
+    """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
+    result = sampled(faulty(5e-5), probability=0.02)
+    schedule, said = result.schedule, result.schedule.statement
+    assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
+    assert 0.001 <= said.probability <= 0.02
+    assert result.worst.failure is None and result.adverse < 0.05
+    assert np.all(started(schedule, 0.02) > 1)
+    assert np.mean(started(schedule, 0.03) > 1) < 0.1
+
+
+def test_no_attempt_counts_flights_of_another(monkeypatch):
+    """Nor of the search for bands; however many flights an attempt needs."""
+    drawn = []
+
+    def flown(schedule, n, seed, **_):
+        drawn.append(range(seed, seed + n))
+        return np.full(n, np.nan)  # what cannot be worked out has left its bands
+
+    made = polaris.synthesize(ScheduleScenario.from_dict(document()), safety(), [box()])
+    monkeypatch.setattr("polaris.simulation.sampled.synthesize", lambda *_, **__: made)
+    monkeypatch.setattr("polaris.simulation.sampled.simulate", flown)
+    monkeypatch.setattr("polaris.simulation.sampled.outside", lambda runs: runs)
+    result = synthesize_sampled(None, safety(), [box()], probability=1e-5)
+    assert result.schedule is result.proven and result.worst is None
+    assert sum(map(len, drawn)) > 4_000_000 and min(map(min, drawn)) > 0
+    ends = sorted((part.start, part.stop) for part in drawn)
+    assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
+
+
+@pytest.mark.parametrize("asked", [{"confidence": 1.0}, {"probability": 0.0}, {"probability": 1.0}])
+def test_certainty_is_refused_with_the_open_interval(asked):
+    with pytest.raises(ScenarioError, match="must be > 0 and < 1"):
+        synthesize_sampled(None, safety(), [box()], **asked)
+
+
+@pytest.mark.slow
+def test_the_page_shows_what_becomes_of_a_fault():
+    """A frequent one is seen: the sets of the first step hold it, or the box does not fly that step."""
+    page = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| ([\d.]+) % \| (\d+) of (\d+) \| ([\d.]+) % \| ([\d.]+) % \| (\w+) \|$", page, re.M
+    )
+    assert len(rows) == 4
+    for share, *shown, by in rows:
+        result = sampled(faulty(float(share) / 100 * 0.05), probability=0.02)
+        said, schedule = result.schedule.statement, result.schedule
+        near = leaving(schedule, 5000)
+        row = [said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)]
+        assert [float(x) for x in shown] == row and near <= said.probability <= 0.02
+        assert by == ("box", "S")[int(schedule.modes[0] == 0)] and result.worst.failure is None
+        assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
+
+
+@pytest.mark.parametrize("errors", ["all", *(pytest.param(x, marks=pytest.mark.slow) for x in APART)])
+def test_errors_are_flown_and_covered(errors):
+    def ask(t, x, xi):
+        return follower(t, x, xi, safety(errors)) + 0.02 * np.sin(40 * (x - xi)[:, :2])
+
+    trial = sampled(ask, errors, probability=0.02)
+    assert trial.schedule.guarantee == "statistical" and trial.schedule.share() > 0.2
+    assert (
+        leaving(trial.schedule, 2000) <= trial.schedule.statement.probability and trial.worst.failure is None
+    )
+    verdict = verify_document(certificate(trial.schedule, "tiny"))
+    assert verdict.outcome == "STATISTICAL", verdict.text()
+
+
+# -- boxes with memory ----------------------------------------------------------------------------------
+
+
+class Lagging:
+    """The follower behind a filter: what it commands depends on all that it was asked in a flight."""
+
+    def __init__(self, lag=0.6):
+        self.lag, self.asked = lag, []
+
+    def reset(self, flights):
+        self.u = np.zeros((flights, 2))
+        self.asked.append([])
+
+    def __call__(self, t, x, xi):
+        self.asked[-1].append(t)
+        self.u += (1 - self.lag) * (follower(t, x, xi) - self.u)
+        return self.u
+
+
+class Forgetful:
+    """Box with memory of which nobody is told that it has one."""
+
+    def __init__(self):
+        self.box = Lagging()
+
+    def __call__(self, t, x, xi):
+        if t == 0 or len(self.box.u) != len(x):
+            self.box.reset(len(x))
+        return self.box(t, x, xi)
+
+
+def test_what_a_box_recalls_is_part_of_its_bands():
+    """Of every flight it is asked once a period from the start on, whoever flies; what is said holds."""
+    result = sampled(Lagging(), probability=0.02)
+    schedule, ask = result.schedule, result.schedule.controllers[1].ask
+    assert (
+        result.repeats
+        and schedule.statement.attempts == 1
+        and not any(schedule.modes[:2])
+        and schedule.modes[2]
+    )
+    assert leaving(schedule, 2000) <= schedule.statement.probability
+    last = PERIOD * 4 * (np.flatnonzero(schedule.modes)[-1] + 1)
+    assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
+    unaware = sampled(Forgetful(), probability=0.02).schedule
+    assert leaving(unaware, 2000) <= 0.02 and unaware.share() < schedule.share()
+    assert any("asked once in every control period" in line for line in schedule.assumptions)
+
+
+def test_a_drift_from_flight_to_flight_breaks_the_condition_and_is_noticed():
+    """It does not show in the samples, or hardly: the statement is about boxes that do not drift."""
+    flown = [0]
+
+    def ask(t, x, xi):
+        flown[0] += len(x) * (t == 0)
+        return follower(t, x, xi) + 0.02 * np.sin(40 * (x - xi)[:, :2]) + 1e-6 * flown[0]
+
+    result = sampled(ask, probability=0.02)
+    assert result.schedule.guarantee == "statistical" and not result.repeats
+    assert sampled(follower, probability=0.02).repeats
+    flown[0] = 10**6
+    assert leaving(result.schedule, 100) > 0.9
+    assert any(line.startswith("no drift") for line in result.schedule.assumptions)
+
+
+def test_a_box_that_mixes_up_flights_is_noticed():
+    """Of a flight that is asked about alone the samples, a thousand at a time, say nothing."""
+
+    def ask(t, x, xi):
+        return follower(t, x, xi) - 0.5 * (len(x) < 100)
+
+    result = sampled(ask, probability=0.02)
+    assert result.schedule.guarantee == "statistical" and not result.repeats
+
+
+# -- campaigns, comparisons and trade-offs --------------------------------------------------------------
+
+
+def test_a_comparison_asks_once_a_period_for_all_flights():
+    grid = DecisionGrid.of(sampled(Lagging(), probability=0.02).schedule)
+    ask = grid.controllers[1].ask
+    before = len(ask.asked)
+    compared = compare_methods(grid, 6, methods=["experimental", "schedule", "monitor", "simplex_implicit"])
+    claims = {key: one.claim.kind for key, one in compared.results.items()}
+    assert claims == {"experimental": "none", "schedule": "statistical", "monitor": "proved"}
+    assert "memory" in compared.refused["simplex_implicit"]
+    whole = [times for times in ask.asked[before:] if times[-1] == 12 - PERIOD]
+    assert len(whole) >= 6 and all(np.allclose(np.diff(times), PERIOD) for times in ask.asked[before:])
+    forgetful = replace(grid.schedule, controllers=(grid.controllers[0], box(follower)))
+    assert not compare_methods(
+        DecisionGrid.of(forgetful), 2, methods=["simplex_implicit", "simulation"]
+    ).refused
+
+
+@pytest.mark.slow
+def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
+    pytest.importorskip("pyarrow")
+    plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document(**LIKELY))]), 4, batch=2)
+    plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
+    boxes = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}
+    folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
+    modes = folder.summary["cases"][0]["modes"]
+    assert [modes[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
+    assert read_campaign(folder.path).plan.data()["boxes"] == ["box"], "its name, and nothing to run"
+    more = replace(plan, runs=6)
+    with pytest.raises(PolarisError, match="different schedules"):
+        run_campaign(more.asking({"box": lambda t, x, xi: 0.8 * follower(t, x, xi)}), folder.path)
+    with pytest.raises(ScenarioError, match="boxes"):
+        run_campaign(more, folder.path)
+    with pytest.raises(PolarisError, match="this process"):
+        run_campaign(more.asking(boxes), folder.path, executor=local(2))
+    silent = {"box": lambda t, x, xi: None}
+    with pytest.raises(PolarisError, match="goes on from there"):
+        run_campaign(more.asking(silent), folder.path)
+    assert run_campaign(more.asking(boxes), folder.path).summary["flown"] == 18
+    read = read_campaign(folder.path)
+    with pytest.raises(ScenarioError, match="must be given where it is run"):
+        replay_run(read, 0, 0, 1)
+    again = replace(read, plan=read.plan.asking(boxes))
+    assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
+
+
+@pytest.mark.slow
+def test_points_of_a_trade_off_are_statistical_and_nothing_needed_is_read_from_them(tmp_path):
+    scenario, boxes = ScheduleScenario.from_dict(document(**LIKELY)), {"box": follower}
+    asked = {"system.disturbance_max": [0.02]}
+    folder = tradeoff(scenario, tmp_path / "front", asked, share=0.5, black_boxes=boxes)
+    (row,) = folder.summary["points"]
+    assert row["guarantee"] == "statistical" and row["share"] > 0.5
+    assert folder.summary["needed"][0]["last_proven"] is None
+    (point,) = (tmp_path / "front").glob("system*")
+    written = (point / "summary.json").stat().st_mtime_ns
+    tradeoff(scenario, tmp_path / "front", asked, share=0.5, black_boxes=boxes)
+    assert (point / "summary.json").stat().st_mtime_ns > written, "nothing tells whose box it was"
+    with pytest.raises(ScenarioError, match="executor"):
+        tradeoff(scenario, tmp_path / "front", asked, black_boxes=boxes, executor=local(1))
+
+
+def test_without_a_statement_nothing_is_guaranteed():
+    scenario = ScheduleScenario.from_dict(document())
+    schedule = polaris.synthesize(scenario, safety(), [box()])
+    assert schedule.sampled_steps and schedule.guarantee == "none"
+
+
+def test_a_box_that_is_never_followed_leaves_the_proven_schedule():
+    result = sampled(lambda t, x, xi: np.tile([1.0, -1.0], (len(x), 1)))
+    assert result.schedule.guarantee == "proved" and result.worst is None
+
+
+# -- runs and their certificates ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("box")
+    return run(ScheduleScenario.from_dict(document()), folder / "run", black_boxes={"box": hasty()}).path
+
+
+def test_the_run_is_statistical_and_so_is_its_verdict(made):
+    folder, verdict = read_run(made), verify(made)
+    assert folder.summary["guarantee"]["kind"] == "statistical"
+    assert folder.summary["synthesis"]["experimental_share"] > folder.summary["synthesis"]["proven_share"]
+    assert folder.summary["synthesis"]["worst_found"]["violated"] is False
+    assert (verdict.outcome, verdict.exit_code) == ("STATISTICAL", 7), verdict.text()
+    assert "VERIFIED" not in verdict.text()
+    assert any("rest on samples" in text for _, text in verdict.checked)
+    assert any(line.startswith("distribution") for line in verdict.trusted)
+    assert any("other seeds" in line for line in verdict.trusted)
+    assert any(line.startswith("no drift") for line in verdict.trusted)
+    assert any(line.startswith("the share proven without") for line in verdict.trusted)
+
+
+def forged(made, change):
+    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
+    change(data)
+    data["digest"] = digest(data)
+    return verify_document(data)
+
+
+def _proved(data):
+    data["guarantee"] = "proved"
+
+
+def _no_samples(data):
+    del data["samples"]
+
+
+def _fewer_outside(data):
+    data["samples"]["probability"] = (1e-4).hex()
+
+
+def _later_attempt(data):
+    data["samples"]["attempts"] = 40
+
+
+def _narrower(data):
+    """A band of a negative width holds no command."""
+    for fit in filter(None, data["samples"]["fits"]):
+        for row in fit[1]:
+            row[-1] = (-1.0).hex()
+
+
+def _another_step(data):
+    data["samples"]["fits"] = [None, *data["samples"]["fits"][:-1]]
+
+
+def _anything(data):
+    data["controllers"][1] = {"name": "box", "kind": "any_thrust"}
+    del data["samples"]
+    data["guarantee"] = "proved"
+    data["assumptions"] = [
+        x for x in data["assumptions"] if not x.startswith(("black", "distribution", "no drift"))
+    ]
+
+
+FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _narrower, _another_step, _anything)
+
+
+@pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)
+def test_a_forged_certificate_is_refused(change, made):
+    verdict = forged(made, change)
+    assert verdict.outcome in ("REJECTED", "UNKNOWN"), verdict.text()
+
+
+def _less_sure(said):
+    said |= {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 10, "attempts": 1}
+
+
+def _other_seed(said):
+    said["seed"] = 3
+
+
+@pytest.mark.parametrize("change", [_less_sure, _other_seed], ids=lambda change: change.__name__)
+def test_a_statement_is_what_the_scenario_asks_for(change, made):
+    """True in itself, but of fewer flights than were asked for, or of a seed that was looked for."""
+    scenario = document()
+    said = dict(read_run(made).summary["guarantee"]["statement"])
+    _check_asked(said, scenario)
+    change(said)
+    assert check_statement(said)
+    with pytest.raises(Rejected, match="asked for|seed"):
+        _check_asked(said, scenario)
+
+
+# -- programs -------------------------------------------------------------------------------------------
+
+GOOD = """
+import json, sys
+for line in sys.stdin:
+    asked = json.loads(line)
+    xi = asked["reference"][:2]
+    print(json.dumps({"u": [[0.3 * (r - v) for r, v in zip(xi, x)] for x in asked["x"]]}), flush=True)
+"""
+
+
+def python(text, seconds=20.0):
+    return program([sys.executable, "-c", text], seconds)
+
+
+def test_a_program_answers_like_a_callable():
+    x, xi = np.arange(12.0).reshape(3, 4), np.ones(4)
+    with python(GOOD) as asked:
+        for t in (0.0, 1.5):
+            assert_allclose(asked(t, x, xi), 0.3 * (xi - x)[:, :2])
+
+
+ANSWER = "print('{\"u\": [[0, 0], [0, 0]]}', flush=True)"
+BAD = {
+    "ends": ("raise SystemExit('tired')", "tired"),
+    "silent": ("import time; time.sleep(60)", "within"),
+    "garbage": ("input(); print('hello', flush=True); input()", "must answer"),
+    "no command": ("input(); print('{}', flush=True); input()", "must answer"),
+    "half a line": ("input(); print('{\"u\": [', end='', flush=True)", "it ended"),
+    "half a line, and waits": ("input(); print('{\"u\": [', end='', flush=True); input()", "within"),
+    "after two answers": (f"input(); {ANSWER}; input(); {ANSWER}; raise SystemExit('worn out')", "worn out"),
+    "no end": ("while True: print('x' * 65536, end='')", "wrote too much"),
+    "unasked": (f"while True: {ANSWER}", "it wrote more"),
+    "twice": (f"while input(): {ANSWER}; {ANSWER}", "it wrote more"),
+    "complaints": ("import sys\nfor _ in range(3000): sys.stderr.write('no! ' * 250)\ninput()", "no!"),
+    "never reads": ("import time; time.sleep(60)", "within"),
+    "depth": ("input(); print('[' * 100000, flush=True); input()", "must answer"),
+    "no text": (
+        "import sys; input(); sys.stdout.buffer.write(bytes([255, 254, 10])); input()",
+        "must answer",
+    ),
+}
+HASTY = ("silent", "half a line, and waits", "never reads")
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_program_that_does_not_answer_is_one_error(name):
+    text, rule = BAD[name]
+    states = np.zeros((40_000 if name == "never reads" else 2, 4))  # more than a pipe holds
+    with python(text, 0.3 if name in HASTY else 20.0) as asked, pytest.raises(NoAnswer, match=rule) as error:
+        for t in range(9):
+            asked(t % 3.0, states, np.zeros(4))
+    assert "\n" not in str(error.value)
+
+
+def test_what_a_program_has_started_ends_with_it():
+    """Else whoever waits for its output would wait for the other."""
+    begun = time.monotonic()
+    box = shlex.join([sys.executable, "-c", f"input(); {ANSWER}"])
+    with program(["sh", "-c", f"sleep 60 & {box}"]) as asked:
+        assert asked(0.0, np.zeros((2, 4)), np.zeros(4)) == [[0, 0], [0, 0]]
+    assert time.monotonic() - begun < 30
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        *([[np.nan, 0.0]], [[np.inf, 0.0]], [[0.0, 0.0, 0.0]], [[0.0]], [0.0, 0.0], [[]], {}, "fast", None),
+        *([[0.0], [1.0, 2.0]], [[1j, 0]], [[True, False]], [["1", "2"]], [[10**400, 0]], [[None, 0.0]]),
+    ],
+)
+def test_an_answer_that_is_no_command_is_one_error(answer):
+    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+        box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+
+
+def test_what_was_found_besides_says_nothing_else(made, tmp_path):
+    summary = json.loads((made / "summary.json").read_text(encoding="utf-8"))
+    summary["synthesis"]["worst_found"]["guarantee"] = "proved"
+    copied = shutil.copytree(made, tmp_path / "run")
+    (copied / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    assert verify(copied).outcome == "REJECTED"
+
+
+class Refusing:
+    """Of which even the beginning fails, or what becomes of an answer."""
+
+    def reset(self, runs):
+        raise OSError("no memory left")
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("part of a graph")
+
+
+def test_a_box_that_fails_elsewhere_is_one_error():
+    with pytest.raises(NoAnswer, match="no memory left"):
+        box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    with pytest.raises(NoAnswer, match="must answer finite numbers") as error:
+        box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    assert str(error.value.__cause__) == "part of a graph"
+
+
+def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
+    with pytest.raises(NoAnswer, match="ZeroDivisionError"):
+        box(lambda t, x, xi: 1 // 0).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+
+    def scribbles(t, x, xi):
+        x += 1.0
+        xi += 1.0
+        return x[:, :2]
+
+    x, xi = np.zeros((3, 4)), np.zeros(4)
+    assert np.all(box(scribbles).command(0, xi, xi, x) == 1.0) and not x.any() and not xi.any()
+
+
+def test_a_program_that_is_none_is_one_error():
+    with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
+        pass
+
+
+def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, capsys):
+    from typer.testing import CliRunner
+
+    from polaris.cli.app import app
+
+    (tmp_path / "scene.toml").write_text(write_toml(document(**LIKELY)), encoding="utf-8")
+    (tmp_path / "box.py").write_text(GOOD, encoding="utf-8")
+    place = [str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
+    alone = CliRunner().invoke(app, ["run", *place])
+    assert alone.exit_code == 2 and "--black-box" in alone.output and not (tmp_path / "run").exists()
+    command = shlex.join([sys.executable, str(tmp_path / "box.py")])
+    given = CliRunner().invoke(app, ["run", *place, "--black-box", f"box={command}"])
+    assert given.exit_code == 0, given.output
+    assert "proven for anything within the thrust limits" in " ".join(given.output.split())
+    wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
+    assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
+    for arguments, reason in (
+        (["run", place[0], "--black-box", "box"], "NAME=COMMAND"),
+        (["run", place[0], "--black-box", "box='open"], "has no command"),
+        (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "asked by one process"),
+        (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "for switching schedules"),
+    ):
+        refused = CliRunner().invoke(app, arguments)
+        assert refused.exit_code == 2 and reason in " ".join(refused.output.split()), refused.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_statements_hold_of_other_boxes(seed):
+    """Random clipped laws with kinks: of flights drawn afresh no more leave their sets than is said."""
+    rng = np.random.default_rng(seed)
+    gain, bend = rng.normal(size=(2, 4)) * 0.3, rng.normal(size=(4, 2)) * 3
+
+    def ask(t, x, xi):
+        d = xi - x
+        return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ bend))
+
+    result = sampled(ask, probability=0.02, seed=seed)
+    if result.schedule.sampled_steps:
+        flown = simulate(result.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
+        assert np.mean(outside(flown) > 1) <= result.schedule.statement.probability
+
+
+def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
+    """Of the answers to states that it has moved nothing is known but the limits of the thrusters."""
+    fault = {"kind": "loss", "share": 0.05, "isolation_s": PERIOD}
+    soft = {"tracking": {"Q": [25.0] * 4, "R": [60.0] * 2}, "faults": [fault]}
+    scenario = ScheduleScenario.from_dict(document() | soft)
+    part = polaris.get_safety(scenario)
+    system, gain, loop, h = part.problem.system, part.tracking.gain, part.tracking.loop, part.tracking.flow.h
+    (known,) = system.transients
+    for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
+        fault = replace(known, lasts=lasts * h)
+        more = moved(system, replace(fault, asked=True), gain, loop)
+        none = moved(system, replace(fault, gains=0 * gain, asked=False), 0 * gain, loop)
+        least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
+        assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
+    asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
+    result = synthesize_sampled(scenario, part, [box(part=part)], **asked)
+    assert result.schedule.sampled_steps and result.worst.failure is None
+    verdict = verify_document(certificate(result.schedule, "scene"))
+    assert verdict.outcome == "STATISTICAL", verdict.text()
+    unknown = replace(part.problem, system=replace(system, transients=(replace(known, asked=False),)))
+    plain = polaris.get_safety(unknown)
+    with pytest.raises(ScenarioError, match="isolated late needs any thrust"):
+        polaris.synthesize(plain, experimental=[box(part=plain)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2, 3, 7, 14, 20, 28, 35])
+def test_random_scenes(seed):
+    """A tracker with ripples as the box: what is said holds of fresh flights, and the checker follows it."""
+    scene = tomllib.loads(random_scenario(seed))
+    scene["feedback"] = {"period_s": scene["horizon"]["step_s"] / 3}
+    scene["recoverable"] = {"kind": "polytope", "recourse": "none"}
+    scene.get("schedule", {}).pop("delta_v_max_m_s", None)
+    scene["experimental"] = [TABLE]
+    scenario = ScheduleScenario.from_dict(scene)
+    if seed % 2:
+        half = (0.02 * scenario.initial_set().half_widths).tolist()
+        error = {"position_error_m": half[0], "velocity_error_m_s": half[-1]}
+        error = error if scenario.system().mean_motion else {"state_error": half}
+        scene |= {"navigation": error, "thrusters": {"magnitude_error": 0.005}}
+        scenario = ScheduleScenario.from_dict(scene)
+    if seed % 14 == 0:
+        fault = {"kind": "loss", "share": 0.02, "isolation_s": scene["feedback"]["period_s"]}
+        scenario = ScheduleScenario.from_dict(scene | {"faults": [fault]})
+    part = polaris.get_safety(scenario)
+    nu, top = part.reference.nu, part.problem.system.u_max
+    gain = part.tracking.gain * np.random.default_rng(seed).uniform(0.6, 1.1, part.tracking.gain.shape)
+
+    def ask(t, x, xi):
+        u = (xi - x) @ gain.T
+        return nu[min(int(t / part.problem.delta + 1e-9), len(nu) - 1)] + u + 0.02 * top * np.sin(5 * u / top)
+
+    laws = scenario.controllers(part, {"box": ask})
+    result = synthesize_sampled(scenario, part, laws, probability=0.05, confidence=0.99, attacks=100)
+    schedule = result.schedule
+    assert schedule.sampled_steps and result.worst.failure is None
+    verdict = verify_document(certificate(schedule, scenario.name))
+    assert verdict.outcome == "STATISTICAL", verdict.text()
+    flown = simulate(schedule, 2000, 10**9 + seed, initial="random", disturbance="random")
+    assert np.mean(outside(flown) > 1) <= schedule.statement.probability

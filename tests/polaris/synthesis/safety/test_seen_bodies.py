@@ -1,0 +1,482 @@
+"""Networks that read where other bodies are: what they may be told, tubes, runs and forgeries."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+from polaris.certificate.checker import verify, verify_document
+from polaris.certificate.files.document import Document, digest
+from polaris.certificate.model.bodies import Whereabouts
+from polaris.certificate.model.plants import plant_of
+from polaris.model.errors import ScenarioError
+from polaris.model.scene.obstacles import BallObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle, true_states
+from polaris.model.tolerances import ROUNDING
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.methods.fixed import ExperimentalAlone
+from polaris.runs.certificate import certificate
+from polaris.runs.read_schedule import read_schedule
+from polaris.runs.run import run
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.scenario.schedule import ScheduleScenario
+from polaris.simulation.disturbances import adjoint_worst_case
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.integration import Integrator
+from polaris.simulation.run_metrics import evaluate
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.controllers.neural import NeuralController
+from polaris.synthesis.controllers.policy import OF_BODY, Policy
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
+from reach.networks.layers import Affine
+from reach.networks.network import Network
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
+from tests.polaris.forging import SETS
+from tests.polaris.random_scenarios import random_scenario
+from tests.polaris.synthesis.controllers.test_neural import (
+    HASTY,
+    SAMPLED,
+    WRONG_BY,
+    forged,
+    law_of,
+    random_network,
+    tiny_safety,
+)
+from tests.polaris.tiny import TINY
+
+VISITOR = {
+    "kind": "satellite",
+    "name": "visitor",
+    "state": [9.0, -2.0, -0.1, 0.05],
+    "state_half_widths": [0.1, 0.1, 0.01, 0.01],
+    "radius_m": 0.4,
+    "thrust_accel_max_m_s2": 0.004,
+}
+READS = (
+    ("error", "relative_position:visitor"),
+    ("position:trolley", "velocity:visitor", "state"),
+    ("relative_velocity:wall", "position:visitor", "error", "time"),
+    ("relative_velocity:visitor", "relative_position:visitor", "position:visitor"),
+    ("velocity:trolley", "error", "relative_position:trolley"),
+)
+
+
+def bodies():
+    """One that keeps its velocity, one that is uncertain and thrusts, and a wall that moves."""
+    wall = PolytopeObstacle("wall", [[1.0, 0.0]], [-9.0], velocity=[0.02, 0.0], unbounded=True)
+    given = {
+        key: value
+        for key, value in VISITOR.items()
+        if key not in ("kind", "thrust_accel_max_m_s2", "radius_m")
+    }
+    visitor = SatelliteObstacle(**given, radius=0.4, thrust_accel_max=0.004)
+    return BallObstacle("trolley", [7.0, 1.0], 0.5, velocity=[-0.05, 0.1]), visitor, wall
+
+
+def random_controller(seed, errors=False):
+    """A random network that reads bodies, about the safe reference of the tiny scene."""
+    rng, safety, reads = np.random.default_rng(seed), tiny_safety(), READS[seed % len(READS)]
+    system = replace(safety.problem.system, **WRONG_BY) if errors else safety.problem.system
+    count = sum({"error": 4, "state": 4, "time": 1}.get(name, 2) for name in reads)
+    network = random_network(rng, count, system.m, int(rng.integers(1, 4)))
+    scale = rng.uniform(0.05, 0.4, count) * rng.choice([-1, 1], count)
+    policy = Policy(network, reads, scale, rng.uniform(0.3, 3.0, system.m))
+    given = system, policy, safety.reference, safety.reference, safety.tracking, bodies()
+    return NeuralController("net", *given), rng
+
+
+# -- what may be told ---------------------------------------------------------------------------------
+
+
+def test_boxes_hold_where_a_satellite_may_be_and_no_more():
+    """Against motions that push along a row as hard as they may, all along."""
+    system, h, count = tiny_safety().problem.system, 0.25, 41
+    visitor = bodies()[1]
+    middle, half = visitor.whereabouts(system, h, count)
+    times, reach = np.arange(count) * h, np.zeros((count, 4))
+    drawn = true_states([visitor], system, times, 400, np.random.default_rng(0))["visitor"]
+    assert np.all(np.abs(drawn - middle) <= half)
+    # Both inputs act on the acceleration: at worst both along an axis, from a corner.
+    push, off = system.w_max + 0.004, np.asarray(VISITOR["state_half_widths"])
+    reach[:, :2] = off[:2] + times[:, None] * off[2:] + push * times[:, None] ** 2 / 2
+    reach[:, 2:] = off[2:] + push * times[:, None]
+    assert half == pytest.approx(reach, rel=1e-6)
+
+
+def test_a_rigid_body_is_where_it_is_but_for_the_clock():
+    trolley, _, wall = bodies()
+    system = tiny_safety().problem.system
+    late = replace(system, timing=replace(system.timing, clock=0.5))
+    middle, half = trolley.whereabouts(late, 2.0, 3)
+    assert middle == pytest.approx(
+        np.array([[7, 1, -0.05, 0.1], [6.9, 1.2, -0.05, 0.1], [6.8, 1.4, -0.05, 0.1]])
+    )
+    assert half == pytest.approx(np.tile([0.025, 0.05, 0, 0], (3, 1)), abs=1e-7)
+    assert wall.whereabouts(system, 2.0, 2)[0] == pytest.approx(
+        np.array([[0, 0, 0.02, 0], [0.04, 0, 0.02, 0]])
+    )
+
+
+@pytest.mark.parametrize("seed", range(len(READS)))
+def test_the_checker_finds_the_same_places(seed):
+    """Its own boxes lie in those that tubes are made from, and fill them."""
+    law = random_controller(seed)[0]
+    document = Document(certificate(synthesize(tiny_safety(), experimental=[law]), "tiny"))
+    checked = Whereabouts.of(document, document.laws[1], plant_of(document))
+    middle, half = law.told
+    for k, i in ((0, 0), (3, 2), (11, 4)):
+        for j, body in enumerate(law.senses.bodies):
+            at, off = checked._box(body.name, k * document.q + i)
+            for a, b, c, r in zip(at, off, middle[k, i, 4 * j :], half[k, i, 4 * j :], strict=False):
+                assert a + b <= c + r and a - b >= c - r
+                assert float(b.mid()) >= 0.98 * r - 1e-7
+
+
+@pytest.mark.parametrize(
+    ("seed", "errors"), [*((seed, False) for seed in range(10)), *((seed, True) for seed in range(5))]
+)
+def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
+    """States from corners, bodies at corners of where they may be, anew in every period."""
+    law, rng = random_controller(seed, errors)
+    system, k, q, h = law.system, seed % 11, law.feedback.nodes_per_cell, law.tracking.flow.h
+    start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
+    tube, safe = law.fly(start, k), law.reference.fine(q)[k]
+    assert not tube.refused
+    rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
+    e = start.c + rng.choice([-1.0, 1.0], (400, 6)) @ start.G.T
+    Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h)
+    middle, spread = law.commanded(tube.nodes, tube.bow, k)
+    for i in range(q):
+        readings = law.told[0][k, i] + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.told[1][k, i]
+        x = safe[i] + e
+        seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
+        u = np.clip(law.command(k, safe[i], safe[i], seen, i * h, readings), -system.u_max, system.u_max)
+        assert np.all(np.abs(u - middle[i]) <= spread[i] + ROUNDING)
+        u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
+        w = rng.normal(size=u.shape)
+        w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
+        e = x @ Ad.T + np.hstack([u, w]) @ Bd.T - safe[i + 1]
+        assert np.all(e @ rows.T <= tube.nodes[i + 1].support(rows) + ROUNDING)
+
+
+def test_a_tube_of_one_affine_layer_is_what_it_is_told():
+    """The effect of an uncertain reading is known in closed form if nothing bends or clips."""
+    safety = tiny_safety()
+    system, gain = safety.problem.system, 0.01
+    policy = Policy(Network((Affine(np.eye(2), np.zeros(2)),)), READS[3][2:], np.full(2, gain), np.ones(2))
+    law = NeuralController("net", system, policy, *[safety.reference] * 2, safety.tracking, bodies())
+    start, h = Zonotope(np.zeros(4), np.zeros((4, 0))), law.tracking.flow.h
+    tube, blind = (
+        law.fly(start, 5),
+        replace(law, unsafe=(replace(bodies()[1], state_half_widths=np.zeros(4)),)),
+    )
+    more = tube.nodes[1].half_widths - replace(blind).fly(start, 5).nodes[1].half_widths
+    less = blind.told[1][5, 0, :2]
+    moved = gain * (law.told[1][5, 0, :2] - less) * 1.02
+    assert more == pytest.approx(np.hstack([moved * h**2 / 2, moved * h]), rel=1e-3)
+
+
+# -- runs -----------------------------------------------------------------------------------------------
+
+
+def scene(
+    folder, seed=1, inputs=("error", "relative_position:visitor", "velocity:trolley"), size=0.05, **more
+):
+    """A scenario file beside a network that tracks, and gives way to other bodies at random."""
+    from benchmarks.policies import write_onnx
+    from reach.networks.onnx_file import read_onnx
+
+    data, rng = load_scenario(TINY, SAMPLED).to_dict(), np.random.default_rng(seed)
+    data["obstacles"] = [*data["obstacles"], VISITOR]
+    layers = [layer for layer in read_onnx(HASTY).layers if isinstance(layer, Affine)]
+    width = 2 * (len(inputs) - 1)
+    layers[0] = Affine(
+        np.hstack([layers[0].W, size * rng.normal(size=(len(layers[0].W), width))]), layers[0].b
+    )
+    write_onnx(folder / "net.onnx", [*(layer.W for layer in layers), *(layer.b for layer in layers)])
+    table = {
+        "kind": "neural",
+        "name": "net",
+        "path": "net.onnx",
+        "output_scale_N": 1.0,
+        "inputs": list(inputs),
+    }
+    data["experimental"] = [table | {"reference": {"kind": "unaware"}}]
+    data |= more
+    (folder / "scene.toml").write_text(write_toml(data), encoding="utf-8")
+    return folder / "scene.toml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    pytest.importorskip("onnx")
+    folder = tmp_path_factory.mktemp("bodies")
+    return run(scene(folder), folder / "run")
+
+
+@pytest.fixture(scope="module")
+def schedule(made):
+    return read_schedule(made)
+
+
+def test_a_run_verifies_flies_and_holds_under_attack(made, schedule):
+    verdict = verify(made.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert made.summary["synthesis"]["experimental_share"] > 0.3
+    assert made.summary["polaris"]["collided"] is False
+    assert falsify(schedule, 400).failure is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "more"),
+    [
+        (2, {"inputs": ("error", "position:visitor", "relative_velocity:visitor")}),
+        (3, {"navigation": {"state_error": [0.004, 0.004, 0.001, 0.001]}}),
+        (
+            4,
+            {
+                "inputs": ("error", "relative_position:trolley"),
+                "timing": {"clock_error_s": 0.2},
+                "obstacles": 2,
+            },
+        ),
+    ],
+)
+def test_other_runs_verify(seed, more, tmp_path):
+    pytest.importorskip("onnx")
+    if "obstacles" in more:
+        more = more | {"obstacles": load_scenario(TINY).to_dict()["obstacles"]}
+    folder = run(scene(tmp_path, seed, **more), tmp_path / "run")
+    verdict = verify(folder.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert 1 in folder.json("schedule.json")["modes"]
+    assert falsify(read_schedule(folder), 300).failure is None
+
+
+def test_flights_read_the_truth_and_are_judged_by_it(schedule):
+    runs = simulate(schedule, 8, 3)
+    law, q, k = schedule.controllers[1], schedule.safety.tracking.feedback.nodes_per_cell, None
+    k = schedule.modes.tolist().index(1)
+    truth, h = runs.bodies["visitor"], law.tracking.flow.h
+    for i in range(q):
+        readings = law.senses.seen(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
+        assert readings[:, :4] == pytest.approx(truth[:, k * q + i])
+        assert np.all(np.abs(readings - law.told[0][k, i]) <= law.told[1][k, i])
+        own, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]
+        u = np.clip(law.command(k, own, own, x, i * h, readings), -law.system.u_max, law.system.u_max)
+        assert runs.inputs[:, k * q + i] == pytest.approx(u, abs=1e-12)
+    far = replace(runs, bodies={"visitor": truth + [100.0, 0.0, 0.0, 0.0]})
+    assert np.all(evaluate(far).closest_set != 2)
+    assert evaluate(far).min_distance.min() >= evaluate(runs).min_distance.min()
+
+
+def test_what_is_told_is_steered_by_the_gradient(schedule):
+    """The readings that the adjoint chooses move a state further than any drawn at random."""
+    modes = np.ones(schedule.safety.problem.K, dtype=int)
+    flight, rows = Integrator(schedule, modes, 1), np.vstack([np.eye(4), -np.eye(4)])
+    readings, target = flight.columns[-1], flight.steps // 2
+    w = adjoint_worst_case(flight, rows, np.full(8, target))[0]
+    assert readings.stop - readings.start == 8 and np.any(w[:target, :, readings]) and not np.any(w[target:])
+    only, rng = 0 * w, np.random.default_rng(0)
+    only[..., readings] = w[..., readings]
+    x0 = np.repeat(schedule.safety.problem.initial_set.c[None], 8, axis=0)
+    still = flight.run(x0, 0 * w).states[:, target]
+    moved = np.sum(rows * (flight.run(x0, only).states[:, target] - still), axis=1)
+    for _ in range(20):
+        only[..., readings] = rng.choice([-1.0, 1.0], only[..., readings].shape)
+        chance = np.sum(rows * (flight.run(x0, only).states[:, target] - still), axis=1)
+        assert np.all(moved > chance)
+
+
+def test_the_arena_flies_it(schedule):
+    grid = DecisionGrid.of(schedule, 0.5, 0.0, None)
+    flown = fly(grid, ExperimentalAlone(grid), Conditions.draw(grid, 6, 0))
+    assert np.ptp(flown.inputs[:, 0], axis=0).max() > 0, "told different things at once"
+    assert fly(grid, ExperimentalAlone(grid), Conditions.undisturbed(grid)).states.shape[0] == 1
+
+
+def test_the_worst_case_is_found_where_estimates_are_an_observers(tmp_path):
+    pytest.importorskip("onnx")
+    seen = {"matrix": np.eye(4).tolist(), "error": [0.002, 0.002, 0.001, 0.001]}
+    schedule = synthesize(load_scenario(scene(tmp_path, navigation={"measurement": seen})))
+    assert 1 in schedule.modes
+    assert evaluate(simulate(schedule, 8, disturbance="worst")).min_distance.min() > 0
+
+
+# -- forgeries ------------------------------------------------------------------------------------------
+
+
+def _path(data):
+    law_of(data)["bodies"][0]["state"][0] = (9.5).hex()
+
+
+def _surer(data):
+    law_of(data)["bodies"][0]["state_half_widths"] = [(0.0).hex()] * 4
+
+
+def _weaker(data):
+    law_of(data)["bodies"][0]["thrust_accel_max_m_s2"] = (0.0).hex()
+
+
+def _at_rest(data):
+    law_of(data)["bodies"][1]["velocity_m_s"] = None
+
+
+def _other(data):
+    law_of(data)["inputs"][1] = "relative_position:trolley"
+
+
+def _unknown(data):
+    del law_of(data)["bodies"][0]
+
+
+def _absolute(data):
+    law_of(data)["inputs"][1] = "position:visitor"
+
+
+@pytest.mark.parametrize(
+    "change",
+    (_path, _surer, _weaker, _at_rest, _other, _unknown, _absolute),
+    ids=lambda change: change.__name__,
+)
+def test_a_certificate_of_other_bodies_is_refused(change, made, tmp_path):
+    verdict = forged(made.path, tmp_path / "forged", change)
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("controllers", "format"), verdict.text()
+
+
+def _twice(data):
+    law_of(data)["bodies"].append(law_of(data)["bodies"][0])
+
+
+def _ghost(data):
+    law_of(data)["inputs"][1] = "relative_position:ghost"
+
+
+def _negative(data):
+    law_of(data)["bodies"][0]["thrust_accel_max_m_s2"] = (-0.004).hex()
+
+
+def _both(data):
+    law_of(data)["bodies"][0]["center_m"] = [(0.0).hex()] * 2
+
+
+def _half(data):
+    law_of(data)["bodies"][0]["state_half_widths"] = None
+
+
+@pytest.mark.parametrize(
+    "change", (_unknown, _twice, _ghost, _negative, _both, _half), ids=lambda change: change.__name__
+)
+def test_a_certificate_that_lies_alone_is_whole_about_bodies(change, made):
+    """No scenario is there to be compared with."""
+    data = json.loads((made.path / "certificate.json").read_text(encoding="utf-8"))
+    change(data)
+    verdict = verify_document(data | {"digest": digest(data)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "format"), verdict.text()
+
+
+def test_bodies_that_are_altered_in_certificate_and_scenario_alike_are_refused(made, tmp_path):
+    """Then the unsafe set is another; where that is altered too, what the network does is."""
+    scenario = tomllib.loads((made.path / "scenario.toml").read_text(encoding="utf-8"))
+    scenario["obstacles"][-1]["state"][0] += 0.5
+    moved = write_toml(scenario).encode()
+    verdict = forged(made.path, tmp_path / "forged", _path, [("scenario.toml", moved)])
+    assert verdict.outcome == "REJECTED" and verdict.claim == "unsafe_sets", verdict.text()
+
+
+@pytest.mark.parametrize("forgotten", [pytest.param("middle", marks=pytest.mark.slow), "half-widths"])
+def test_tubes_that_forget_where_bodies_may_be_are_rejected(forgotten, tmp_path, monkeypatch):
+    pytest.importorskip("onnx")
+    whereabouts = SatelliteObstacle.whereabouts
+
+    def wrong(self, system, h, count):
+        middle, half = whereabouts(self, system, h, count)
+        return (middle, 0 * half) if forgotten == "half-widths" else (middle[:1] + 0 * middle, half)
+
+    monkeypatch.setattr(SatelliteObstacle, "whereabouts", wrong)
+    verdict = verify(run(scene(tmp_path, size=0.2), tmp_path / "run").path)
+    assert verdict.outcome == "REJECTED" and verdict.claim in SETS
+
+
+# -- what is refused ------------------------------------------------------------------------------------
+
+WRONG = {
+    "no such body": (["error", "position:sun"], "pillar, trolley, visitor"),
+    "no such input of a body": (["error", "distance:visitor"], "must be of the form"),
+    "a width": (["error", "position:visitor"], "must be 8 numbers"),
+    "an input twice": (["error", "position:visitor", "position:visitor"], "once"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_does_not_fit_is_one_error(name, made, tmp_path):
+    inputs, words = WRONG[name]
+    path = scene(tmp_path)
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    data["experimental"][0]["inputs"] = inputs
+    path.write_text(write_toml(data), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=words) as raised:
+        load_scenario(path)
+    assert raised.value.field.startswith("experimental[0].inputs") and "\n" not in str(raised.value)
+
+
+def test_a_scene_without_bodies_has_none_to_read(tmp_path):
+    pytest.importorskip("onnx")
+    keep_in = {"kind": "polytope", "name": "hall", "normals": [[1.0, 0.0]], "offsets_m": [20.0]}
+    with pytest.raises(ScenarioError, match="there is none"):
+        load_scenario(scene(tmp_path, obstacles=[], keep_in=[keep_in]))
+
+
+# -- random scenes --------------------------------------------------------------------------------------
+
+
+SLOW = (11, 18, 25, 27, 36, 46, 53, 54, 56)
+
+
+def random_scene(seed, folder):
+    """A random scene whose network tracks, and gives way to all that moves, at random."""
+    from benchmarks.policies import write_onnx
+
+    data, rng = tomllib.loads(random_scenario(seed)), np.random.default_rng(seed)
+    data["feedback"] = {"period_s": data["horizon"]["step_s"] / 3}
+    data["recoverable"] = {"kind": "polytope", "recourse": "none"}
+    data.pop("timing", None)
+    data.get("schedule", {}).pop("delta_v_max_m_s", None)
+    moves = [o["name"] for o in data["obstacles"] if o["kind"] == "satellite" or o.get("velocity_m_s")]
+    inputs = ["error", *(f"{rng.choice(OF_BODY)}:{name}" for name in moves)]
+    data["experimental"] = [{"kind": "any_thrust", "name": "net"}]
+    scenario = ScheduleScenario.from_dict(data)
+    system = scenario.system()
+    safety = get_safety(scenario)
+    gain, size = safety.tracking.gain / system.u_max[:, None], 1e-9 + np.abs(safety.reference.chi).max(axis=0)
+    place = np.abs(safety.reference.chi @ system.position.T).max()
+    rates = (place, np.abs(safety.reference.chi @ system.velocity.T).max())
+    scales = [np.full(system.d, 1e-9 + rates["velocity" in name]) for name in inputs[1:]]
+    W = [np.hstack([gain * size * 0.5, *(0.05 * rng.normal(size=(system.m, system.d)) for _ in scales)])]
+    W += [np.eye(system.m)] * 2
+    write_onnx(folder / "net.onnx", [*W, *(np.zeros(system.m) for _ in W)])
+    table = {"kind": "neural", "name": "net", "path": str(folder / "net.onnx"), "inputs": inputs}
+    scale = (1 / np.concatenate([size, *scales])).tolist()
+    data["experimental"] = [table | {"input_scale": scale, "output_scale_N": system.u_max.tolist()}]
+    return ScheduleScenario.from_dict(data), moves
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, *SLOW])
+def test_random_scenes(seed, tmp_path):
+    pytest.importorskip("onnx")
+    scenario, moves = random_scene(seed, tmp_path)
+    schedule = synthesize(scenario)
+    assert moves and 1 in schedule.modes
+    verdict = verify_document(certificate(schedule, scenario.name))
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert falsify(schedule, 300, seed).failure is None

@@ -1,0 +1,427 @@
+"""Powered abort: flown at its worst, forged claims, and what is required of a schedule."""
+
+import copy
+import json
+import tomllib
+from dataclasses import replace
+from types import SimpleNamespace
+
+import flint
+import numpy as np
+import pytest
+
+from polaris.certificate.checker import verify_document
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.powered import branched
+from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.document import Document
+from polaris.certificate.kernel.verdict import Record, Rejected
+from polaris.certificate.model.plants import precision_for
+from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.report.html.run_report import aborts
+from polaris.runs.case import replay, write_case
+from polaris.runs.certificate import certificate
+from polaris.runs.files.tables import abort_told
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.failing import Failing
+from polaris.simulation.falsification.aborting import aborted, exceeded
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.safety.corrections import Corrections
+from polaris.synthesis.safety.demand import command_errors
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.goal_rows import distance
+from polaris.synthesis.schedule.arrival import SPARE
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.schedule.takeover import Branch, Takeover
+from reach.sets.zonotope import Zonotope
+from tests.polaris.closed_loops import attack
+from tests.polaris.forging import CERTIFICATE, COARSE, QUARTER, Forger, make
+from tests.polaris.synthesis.sources.test_error_sources import exact, tables
+from tests.polaris.synthesis.sources.test_transients import LATE, SOFT
+from tests.polaris.tiny import TINY
+from tests.sizes import fewer
+
+ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+STUCK = 'faults=[{kind="stuck_off"}]'
+NOISE = "navigation.state_error=[0.01,0.01,0.001,0.002]"
+OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    return synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER]))
+
+
+def proven(schedule):
+    return [k for k, way in enumerate(schedule.powered.ways) if way.branch is not None]
+
+
+def attacked(schedule, runs, seed, steps):
+    """Attack aborted flights by two integrators; the largest share of the claimed velocity change spent."""
+    tight = 0.0
+    for k in steps:
+        way, flown = schedule.powered.ways[k], schedule.aborted(k)
+        _, _, tried = aborted(schedule, k, runs, np.random.default_rng(seed))
+        failure, _ = exceeded(schedule, k, tried)
+        assert failure.margin >= -1e-6, (seed, k, failure.limit)
+        q, problem = flown.safety.clearance.q, flown.safety.problem
+        spent = np.abs(tried.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
+        tight = max(tight, spent / problem.system.mass / way.delta_v)
+        if min(flown.margins[flown.modes > 0], default=0) >= 0:  # else other branches serve the steps before
+            worst = attack(flown, runs, seed)
+            assert worst.left.min() >= -1e-3 and worst.over <= 1e-6, (seed, k)
+    return tight
+
+
+def test_aborted_flights_reach_their_orbit(tiny):
+    steps = proven(tiny)
+    assert len(steps) == 12 and len(tiny.powered.branches) >= 3
+    assert attacked(tiny, 8, 0, (0, 11)) > 0.5
+    for k in (3, 10):
+        way, runs = tiny.powered.ways[k], simulate(tiny.aborted(k), 40, k, tail=True)
+        at = way.cell * tiny.safety.clearance.q
+        assert np.abs(runs.positions[:, at] - [0.0, 6.0]).max() < 0.5
+        assert way.cell - k <= 10 and not runs.metrics().summary()["collided"]
+    assert falsify(tiny, 300, 0).failure is None
+    assert "0 to 1" in aborts({"powered_abort": tiny.powered.told()})
+
+
+def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkeypatch, tmp_path):
+    ways = tuple(replace(way, delta_v=0.4 * way.delta_v) for way in tiny.powered.ways)
+    bold = replace(tiny)
+    vars(bold)["powered"] = replace(tiny.powered, ways=ways)
+    result = falsify(bold, 2000, 0)
+    assert result.failure.kind == "abort" and result.abort is not None
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN, QUARTER]), result)
+    assert replay(case)[0] is None
+    monkeypatch.setattr("polaris.runs.case.synthesize", lambda scenario: bold)
+    assert str(replay(case)[0]) == str(result.failure)
+    sooner = tuple(replace(way, cell=max(way.cell - 4, k + 1)) for k, way in enumerate(tiny.powered.ways))
+    vars(bold)["powered"] = replace(tiny.powered, ways=sooner)
+    assert falsify(bold, 2000, 0).failure.limit == "orbit"
+
+
+def test_the_goal_is_the_schedule_s_own(tiny):
+    schedule = synthesize(load_scenario(TINY).with_assignments(['abort.orbit={kind="goal"}']))
+    (branch,), ways = schedule.powered.branches, schedule.powered.ways
+    assert branch.safety is schedule.safety and proven(schedule) == list(range(12))
+    assert ways[0].cell * 1.0 >= schedule.arrival.by and ways[0].delta_v > ways[8].delta_v
+    assert attacked(schedule, 8, 0, (9,)) > 0.5
+
+
+def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
+    plain = synthesize(load_scenario(TINY, [QUARTER]))
+    before, after = certificate(plain, "tiny"), certificate(tiny, "tiny")
+    assert "powered" not in before and plain.powered is None
+    changed = {k for k in after if k not in before or after[k] != before[k]}
+    assert changed <= {"powered", "digest", "unsafe_sets"}
+    with pytest.raises(ScenarioError):
+        plain.aborted(3)
+
+
+def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
+    def asked(within, budget):
+        table = f"abort={{{ORBIT},within_s={within},delta_v_max_m_s={budget},required=true}}"
+        return synthesize(load_scenario(TINY).with_assignments([table, QUARTER]))
+
+    assert abort_told(asked(10.0, 20.0).powered.told()).startswith("from 12 of 12 steps")
+    with pytest.raises(NotCertified, match=r"in step \d+ .* raise abort.delta_v_max_m_s by") as scarce:
+        asked(10.0, 4.5)
+    with pytest.raises(SynthesisInfeasible, match=r"in step \d+ .*no branch is found") as late:
+        asked(3.0, 20.0)
+    with pytest.raises(NotCertified, match=r"the tank holds 9 m/s; raise tank.delta_v_m_s by"):
+        synthesize(
+            load_scenario(TINY).with_assignments(
+                [OWN[:-1] + ",required=true}", "tank.delta_v_m_s=9.0", QUARTER]
+            )
+        )
+    assert (scarce.value.exit_code, late.value.exit_code) == (4, 3)
+
+
+def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
+    """As many steps are left as what is spent and what S needs allow; a checker that knows less refuses."""
+    scale = tiny.safety.tracking.flow.h / tiny.safety.problem.system.mass
+    spent = np.cumsum([0.0, *(spell.most.sum() for spell in tiny._spells)]) * scale
+    spent = spent[np.arange(12) + (tiny.modes > 0)]
+    tank = float(np.median(spent + [way.delta_v for way in tiny.powered.ways]) * 1.02)
+    schedule = synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER, f"tank.delta_v_m_s={tank!r}"]))
+    left = [tank - spent[k] - schedule.powered.ways[k].delta_v for k in proven(schedule)]
+    assert 0 < len(left) < 12 and min(left) >= 0 and np.array_equal(schedule.modes, tiny.modes)
+    assert any("the tank holds" in way.why for way in schedule.powered.ways)
+    document = Document(json.loads(json.dumps(certificate(schedule, "tiny"))))
+    aborts = [way.delta_v for way in schedule.powered.ways]
+    for known, outcome in ((tank, True), (0.5 * tank, False)):
+        with flint.ctx.workprec(precision_for(document)):
+            argument = Argument(document, Record(), Stated(tank=known, aborts=aborts))
+            if outcome:
+                argument.run()
+                continue
+            with pytest.raises(Rejected, match="the tank of"):
+                argument.run()
+
+
+def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
+    start, size = Zonotope(np.zeros(1), np.eye(1)), SPARE + 1
+    one = SimpleNamespace(system=SimpleNamespace(n=1))
+    safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2), tracking=one)
+    sets = Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1)))
+    tube = SimpleNamespace(states=sets, bow=np.zeros((2, 1)), end=start)
+    taken = Takeover.each(
+        safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
+    )
+    assert [each.spent for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
+    assert [each.handed[1:] for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
+
+
+def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
+    """It may come at any time, however much S has settled by then."""
+    given = [LATE, "feedback.period_s=0.25"]
+    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
+    tracking, reference = safety.tracking, safety.reference
+    branch = Branch(0, safety, Corrections(tracking))
+    rows, sides = branch.goal.rows
+    one = Zonotope(safety.start.c[None], safety.start.G[None])
+    off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
+    states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.upset(rows)[-1]
+    least = distance(safety.problem.goal.conditions, states + tracking.settled(rows)).min()
+    assert off >= least > distance(safety.problem.goal.conditions, states - tracking.upset(rows)[-1]).min()
+
+
+@pytest.mark.parametrize(
+    ("table", "field"),
+    [
+        ("within_s=5.0", "abort"),
+        (ORBIT, "abort.within_s"),
+        (f"{ORBIT},within_s=1.5", "abort.within_s"),
+        ('orbit={kind="linear_nmt",amplitude_max_m=5.0},within_s=5.0', "goal.kind"),
+        ('orbit={kind="stationary",state=[0.0,6.0,1.0,0.0]},within_s=5.0', "goal.state"),
+        ('orbit={kind="box"},within_s=5.0', "abort.orbit"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(table, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments([f"abort={{{table}}}"])
+    assert error.value.field.startswith(field)
+
+
+@pytest.fixture(scope="module")
+def forger(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("powered")
+    return Forger(make([COARSE, OWN], folder), folder)
+
+
+def scaled(text, times):
+    return (float.fromhex(text) * times).hex()
+
+
+def of_branch(key, change):
+    """Change a field of the second branch."""
+
+    def forged(powered, _):
+        powered["branches"][1][key] = change(powered["branches"][1][key])
+
+    return forged
+
+
+def cheaper(powered, told):
+    told[2]["delta_v_m_s"] *= 0.9
+
+
+def sooner(powered, told):
+    powered["steps"][2]["cell"] -= 1
+    told[2]["by_s"] -= 1.0
+
+
+def bolder(powered, told):
+    """A step whose branch has left already."""
+    powered["steps"][9] = powered["steps"][0]
+
+
+def longer(powered, told):
+    powered["within"] = (20.0).hex()
+
+
+FORGED = {
+    "inputs": of_branch("inputs", lambda rows: [[scaled(x, 0.9) for x in u] for u in rows]),
+    "cheaper": cheaper,
+    "facets": of_branch("facets", lambda rows: [[(f + 1) % 4 for f in row] for row in rows]),
+    "tail": of_branch("tail", lambda x: [(float.fromhex(x[0]) + 0.5).hex(), *x[1:]]),
+    "tolerance": of_branch("tolerance", lambda x: scaled(x, 2.0)),
+    "horizon": of_branch("horizon", lambda _: "infinite"),
+    "leaves later": of_branch("step", lambda step: step + 1),
+    "sooner": sooner,
+    "bolder": bolder,
+    "longer": longer,
+}
+
+
+FEW = "inputs", "cheaper", "sooner", "bolder"
+KINDS = [pytest.param(name, marks=[] if name in FEW else pytest.mark.slow) for name in FORGED]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_forged_aborts_are_refused(forger, name):
+    powered = copy.deepcopy(forger.honest["powered"])
+    files = {}
+    for file in ("schedule.json", "summary.json"):
+        data = forger.tree(file)
+        changed = copy.deepcopy(powered)
+        FORGED[name](changed, data["guarantee"]["powered_abort"]["steps"])
+        files[file] = json.dumps(data)
+    files[CERTIFICATE] = json.dumps(forger.honest | {"powered": changed})
+    verdict = forger.judge(files)
+    assert verdict.outcome == "REJECTED"
+    if name in ("cheaper", "sooner", "longer"):
+        assert verdict.claim == "powered_abort"
+
+
+LATER = "[{from_s=4.0,state_error=[0.004,0.002,0.0,0.0]},{from_s=11.0,state_error=[0.01,0.01,0.001,0.0]}]"
+
+
+def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all_later_ones():
+    """Its tail is flown again and again, whatever phases come."""
+    given = [COARSE, "tracking.R=[60,60]", f"navigation.phases={LATER}", OWN]
+    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    data = certificate(schedule, "tiny")
+    assert proven(schedule) and verify_document(data).outcome == "VERIFIED"
+    assert falsify(schedule, 300, 0).failure is None
+    document, gain = Document(data), schedule.safety.tracking.gain
+    sooner = 0
+    for branch, along in zip(schedule.powered.branches, document.powered.branches, strict=True):
+        doc, clearance = branched(document, along), branch.safety.clearance
+        known = [doc.known_to(k) for k in range(doc.cells)]
+        booked = command_errors(clearance.tracking.system, gain, doc.cells, doc.steps)
+        assert booked == pytest.approx(np.array(known) @ np.abs(gain).T) and doc.calmest == document.calmest
+        assert known[: doc.steps] == [document.known_to(k) for k in range(doc.steps)]
+        assert known[-1] == document.known_to(12) and doc.cells > doc.steps
+        sooner += document.known_to(doc.steps) != known[-1]
+    assert sooner
+
+
+@pytest.mark.slow
+def test_an_abort_arrives_at_a_node_for_the_checker_too():
+    """With few periods a step, what happens between two of them is much; it does not count in an arrival."""
+
+    def asked(tolerance):
+        orbit = f'orbit={{kind="stationary",state=[0.3,6.7,0.0,0.0],tolerance_m={tolerance!r}}}'
+        given = [COARSE, f"abort={{{orbit},within_s=13.0}}", "tracking.R=[42.0,14.0]"]
+        errors = ["thrusters.magnitude_error=0.02", "tracking.thrust_share=0.5", NOISE]
+        scenario = load_scenario(TINY).with_assignments([*given, *errors])
+        return scenario, synthesize(scenario)
+
+    ways = asked(0.01)[1].powered.ways
+    scenario, schedule = asked(0.01 + ways[5].short * 1.001)  # no more than is needed
+    assert proven(schedule) and verified(scenario, schedule)
+
+
+def test_no_branch_is_safe_for_ever_past_a_set_that_moves(forger):
+    """Though the certificate has it rest where all of its way is covered, and all files agree."""
+    forged, rests = copy.deepcopy(forger.honest), "the reference does not end on a natural motion trajectory"
+    for item in forged["unsafe_sets"]:
+        rows = [row for pair in item["offsets"] for row in pair]
+        highest = [max(each, key=float.fromhex) for each in zip(*rows, strict=True)]
+        item["offsets"] = [[highest, highest] for _ in item["offsets"]]
+    for branch in forged["powered"]["branches"]:
+        branch["horizon"] = "infinite"
+    files = {CERTIFICATE: json.dumps(forged)}
+    for file in ("schedule.json", "summary.json"):
+        data = forger.tree(file)
+        data["guarantee"]["reason"] = rests
+        for step in data["guarantee"]["powered_abort"]["steps"]:
+            step["safe_until_s"] = None
+        files[file] = json.dumps(data)
+    verdict = forger.judge(files)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "end") and "trolley" in verdict.witness
+
+
+def test_an_honest_abort_is_verified_and_none_may_be_left_out(forger):
+    verdict = forger.judge({})
+    assert verdict.outcome == "VERIFIED" and "powered_abort" in dict(verdict.checked)
+    missing = {k: v for k, v in forger.honest.items() if k != "powered"}
+    assert forger.judge({CERTIFICATE: json.dumps(missing)}).outcome == "REJECTED"
+
+
+def random_orbit(scenario, seed):
+    """A table that asks for an orbit near the start of a random scene."""
+    rng, step, system = np.random.default_rng(seed), scenario.model.horizon.step_s, scenario.system()
+    at, time = scenario.initial_set().c, float(step * rng.integers(8, 20))
+    size = np.linalg.norm(at[: system.d]) + 1.0
+    if system.mean_motion is None:  # a state at rest
+        _, values, rows = np.linalg.svd(system.A)
+        rest = rows[values <= 1e-12 * max(values.max(), 1.0)]
+        state = (rest.T @ (rest @ (at * rng.uniform(0.5, 1.5, system.n)))).tolist()
+        orbit = f'kind="stationary",state={state},tolerance_m={0.2 * size}'
+    else:
+        orbit = f'kind="elliptical_nmt",inner_semi_minor_m={0.1 * size},outer_semi_minor_m={size}'
+    return f"abort={{orbit={{{orbit}}},within_s={time}}}"
+
+
+def verified(scenario, schedule):
+    """The checker derives every abort that is claimed of a scene, its arrival and its velocity change."""
+    table = tomllib.loads(scenario.text_elsewhere())
+    orbit, document = table["abort"]["orbit"], Document(certificate(schedule, "random"))
+    known = Stated(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
+    before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
+    try:
+        Argument(document, record, known).run()
+    finally:
+        flint.ctx.prec = before
+    return "powered_abort" in dict(record.checked)
+
+
+@pytest.mark.slow
+def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
+    """In the aborted flight each thruster fails right before the orbit is claimed to be reached."""
+
+    def least(schedule, k=5):
+        (fault,) = schedule.safety.problem.system.transients
+        (attacker, _, _), count = aborted(schedule, k, 8, np.random.default_rng(0)), len(fault.thrust)
+        q, h = schedule.safety.clearance.q, schedule.safety.tracking.flow.h
+        ends = np.full(count, schedule.powered.ways[k].cell * q)
+        share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
+        begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
+        failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
+        runs = replace(attacker.worst(count), failing=failing).fly(attacker.flight)
+        return exceeded(schedule, k, runs)[0].margin
+
+    schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert len(proven(schedule)) == 12 and least(schedule) >= 0
+    assert falsify(schedule, 400, 0).failure is None
+    twos = f"thrusters.directions={[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2}"
+    naive = load_scenario(TINY).with_assignments([*SOFT, twos, "thrusters.thrust_max_N=1.0", STUCK, OWN])
+    late = naive.with_assignments([STUCK.replace("off", "on").replace("}", ",isolation_s=3.0}")])
+    schedule = synthesize(naive)
+    assert schedule.powered is not None  # proven before the fault is told of
+    object.__setattr__(schedule.safety.problem.system, "transients", late.problem().system.transients)
+    assert least(schedule) < -0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("errors", [0, 1, 2])
+def test_many_aborted_flights_reach_their_orbit(errors):
+    """Every other scene with errors, the rest without, or by phase."""
+    scenes, flights, tight = 0, 0, []
+    seeds = range(5000 + errors, fewer(5060, 5024) + errors, 2)
+    for seed in seeds:
+        scenario = exact(seed)
+        table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
+        try:
+            more = tables(scenario, seed, 0.05) if errors else []
+            if errors == 2 and more[0].startswith("navigation.state_error="):
+                T, (_, worst) = scenario.model.horizon.duration_s, more[0].split("=")
+                parts = f"{{from_s={0.3 * T}}},{{from_s={0.9 * T},state_error={worst}}}"
+                more = [f"navigation.phases=[{parts}]", *more[1:]]
+            scenario = scenario.with_assignments([table, *more])
+            schedule = synthesize(scenario)
+        except PolarisError:
+            continue
+        steps = proven(schedule)
+        if steps:
+            chosen = np.random.default_rng(seed).choice(steps, min(3, len(steps)), replace=False)
+            tight.append(attacked(schedule, 30, seed, chosen.tolist()))
+            scenes, flights = scenes + 1, flights + len(chosen)
+            assert falsify(schedule, 300, seed).failure is None
+            assert verified(scenario, schedule), seed
+    assert scenes >= fewer(6, len(seeds) / 10) and np.median(tight) > 0.3

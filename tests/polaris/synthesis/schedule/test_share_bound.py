@@ -1,0 +1,258 @@
+"""The bound on the share of U over all schedules (Proposition 13): below nothing that can be flown."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from polaris.model.errors import PolarisError
+from polaris.planning.lp import GrowingLP
+from polaris.report.sentences import share as _share
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.schedule.rules import SwitchingRules
+from polaris.synthesis.schedule.share_bound import Master, share_bound
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.schedule.undisturbed import FREE, Flights
+from reach.numerics.linear import discretize
+from tests.kept import printed as bundled
+from tests.kept import quick
+from tests.polaris.random_scenarios import synthesised as random_schedule
+from tests.polaris.tiny import TINY
+from tests.sizes import fewer
+
+BOUNDED = (42, 70, 77)
+"""Random scenes in which some step of S is proven needed."""
+
+
+@cache
+def printed(*more):
+    scenario = load_scenario(TINY, ["recoverable.recourse=none", *more])
+    return scenario, synthesize(scenario)
+
+
+def laws_of(schedule, times=1.0):
+    return [replace(law, gain=times * law.gain) for law in schedule.controllers[1:]]
+
+
+def flights_of(problem, law, held, count, seed):
+    """Undisturbed flights at the ends of the steps, shape (count, K, n): random thrust where it is free.
+
+    Thrust is constant or switches within a step, at its limits or inside them.
+    """
+    rng = np.random.default_rng(seed)
+    system, K, m = problem.system, problem.K, problem.system.m
+    parts = law.feedback.nodes_per_cell
+    A, B = discretize(system.A, system.B, problem.delta / parts)
+    own = law.own.fine(parts)
+    x = np.repeat(np.asarray(problem.initial_set.c)[None], count, axis=0)
+    states = np.zeros((count, K, system.n))
+    one = rng.uniform(-1.5, 1.5, (count, 1, m)).clip(-1, 1)
+    each = rng.uniform(-1.5, 1.5, (count, K, m)).clip(-1, 1)
+    thrust = np.where(rng.random((count, 1, 1)) < 0.5, one, each)
+    changes, at = rng.random((count, K)) < 0.3, rng.random((count, K))
+    for k in range(K):
+        for j in range(parts):
+            if held[k] == FREE:
+                sign = np.where(changes[:, k] & (at[:, k] * parts < j), -1.0, 1.0)
+                u = thrust[:, k] * system.u_max * sign[:, None]
+            else:
+                u = np.clip(law.own.nu[k] + (own[k, j] - x) @ law.gain.T, -system.u_max, system.u_max)
+            x = x @ A.T + u @ B.T
+        states[:, k] = x
+    return states
+
+
+def least_room(flights, states):
+    """Largest clearance every set is kept at all nodes, over the flights [m]."""
+    room = np.full(len(states), np.inf)
+    for rows, b in zip(flights.rows, flights.offsets, strict=True):
+        away = states @ rows.T - b
+        room = np.minimum(room, away.max(axis=2).min(axis=1))
+    return float(room.max())
+
+
+# -- flights --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("more", [(), ("feedback={period_s=0.25}",)], ids=["chosen", "given"])
+@pytest.mark.parametrize("times", [1.0, 4.0])
+def test_every_flight_lies_in_what_is_enclosed(more, times):
+    _, schedule = printed(*more)
+    problem, law = schedule.safety.problem, laws_of(schedule, times)[0]
+    flights, rng, clipped = Flights(schedule.safety, [law]), np.random.default_rng(5), 0
+    for seed in range(6):
+        held = tuple(np.where(rng.random(problem.K) < 0.35, FREE, 1).tolist())
+        c, G, _ = flights.fly(held)
+        states = flights_of(problem, law, held, 200, seed)
+        rows = rng.normal(size=(40, problem.system.n))
+        room = c @ rows.T + np.abs(rows @ G).sum(axis=2)
+        assert np.all(states[:, : len(c)] @ rows.T <= room + 1e-9)
+        assert times > 1 or len(c) == problem.K
+        ahead = np.abs((states - law.own.chi[1:]) @ law.gain.T).max(axis=(0, 2))
+        clipped += int(np.sum(ahead[:-1][np.array(held[1:]) == 1] > problem.system.u_max.max()))
+    assert clipped > 10, "the clip has something to do"
+
+
+@pytest.mark.parametrize(
+    "more", [pytest.param((), marks=pytest.mark.slow), ("feedback={period_s=0.25}",)], ids=["chosen", "given"]
+)
+def test_nothing_that_can_be_flown_is_called_impossible(more):
+    scenario, schedule = printed(*more)
+    problem, law = schedule.safety.problem, laws_of(schedule)[0]
+    flights, K = Flights(schedule.safety, [law]), problem.K
+    rng = np.random.default_rng(1)
+    sets = [free for count in range(3) for free in combinations(range(K), count)]
+    sets += [tuple(np.flatnonzero(rng.random(K) < 0.4).tolist()) for _ in range(20)]
+    refuted, fewest = 0, K
+    for i, free in enumerate(sets):
+        held = tuple(FREE if k in free else 1 for k in range(K))
+        impossible = flights.impossible(held)
+        if least_room(flights, flights_of(problem, law, held, 250, i)) > 0.02:
+            assert not impossible, free
+            fewest = min(fewest, len(free))
+        refuted += impossible
+    bound = share_bound(schedule, scenario.switching_rules(), 400)
+    assert refuted > 5
+    assert bound.ended == "reached"
+    assert bound.share == 1 - fewest / K, "and the bound is met"
+
+
+def test_what_is_widened_is_still_impossible_and_demands_no_less():
+    _, schedule = printed()
+    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
+    held = (1,) * K
+    assert flights.impossible(held)
+    wide = flights.widened(held)
+    assert flights.impossible(wide)
+    assert all(mode in (FREE, held[k]) for k, mode in enumerate(wide))
+    assert len(wide) < K
+
+
+def test_the_word_of_a_solver_is_not_enough(monkeypatch):
+    _, schedule = printed()
+    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
+    free = (FREE,) * K
+    assert not flights.impossible(free)
+    monkeypatch.setattr(GrowingLP, "solve", lambda self, seconds: None)
+    for weights in (np.zeros, np.ones, lambda count: -np.ones(count)):
+        monkeypatch.setattr(GrowingLP, "ray", lambda self, made=weights: made(self.rows))
+        assert not flights.impossible(free)
+
+
+# -- the integer program ------------------------------------------------------------------------------
+
+
+def kept(modes, rules, demands):
+    """Return True if modes keep the dwell time between switches, the cap, and every demand."""
+    edges = [k for k in range(1, len(modes)) if modes[k] != modes[k - 1]]
+    cap = rules.max_switches
+    dwelt = all(b - a >= rules.min_dwell for a, b in zip(edges, edges[1:], strict=False))
+    within = cap is None or len(edges) + (modes[-1] != FREE) <= cap
+    return dwelt and within and all(any(f not in (FREE, m) for f, m in zip(d, modes)) for d in demands)  # noqa: B905
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_integer_program_finds_the_fewest_steps(seed):
+    rng = np.random.default_rng(seed)
+    K, modes = 7, int(rng.integers(2, 4))
+    cap = None if rng.random() < 0.4 else int(rng.integers(0, 5))
+    rules = SwitchingRules(min_dwell=int(rng.integers(1, 4)), max_switches=cap)
+    master, demands = Master(K, modes, rules), []
+    for _ in range(6):
+        demand = tuple(np.where(rng.random(K) < 0.5, FREE, rng.integers(1, modes, K)).tolist())
+        if any(demand):
+            demands.append(demand[: int(rng.integers(3, K + 1))])
+        demands = [demand for demand in demands if any(demand)]
+    for demand in demands:
+        master.demand(demand)
+    every = [m for m in product(range(modes), repeat=K) if kept(m, rules, demands)]
+    fewest, chosen = master.solve()
+    assert fewest == min((m.count(FREE) for m in every), default=K + 1)
+    assert chosen is None if not every else chosen in every
+    worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
+    best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
+    assert best <= master.worth(worths) <= best + 1e-3
+
+
+# -- the bound ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
+def test_where_u_alone_collides_less_than_everything_is_reached(name):
+    scenario, schedule = bundled(name, *quick(name))
+    bound = share_bound(schedule, scenario.switching_rules(), scenario.model.schedule.bound_programs)
+    assert schedule.share() <= bound.share == 58 / 60
+    assert bound.ended == "reached" and bound.programs < 100
+
+
+@pytest.mark.parametrize(
+    "seed", [70, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (42, 77, 41, 65, 68))]
+)
+def test_no_random_schedule_beats_the_bound(seed, tmp_path):
+    scenario, schedule = random_schedule(seed, tmp_path)
+    bound = share_bound(schedule, scenario.switching_rules(), 200)
+    assert schedule.share() <= bound.share
+    assert bound.share < 1 or seed not in BOUNDED
+
+
+@pytest.mark.slow
+def test_no_schedule_of_many_random_scenes_beats_the_bound(tmp_path):
+    below = count = 0
+    seeds = range(fewer(150, 80))
+    for seed in seeds:
+        try:
+            scenario, schedule = random_schedule(seed, tmp_path)
+        except PolarisError:
+            continue
+        if schedule.guarantee == "proved":
+            bound = share_bound(schedule, scenario.switching_rules(), 300)
+            assert schedule.share() <= bound.share, seed
+            below, count = below + (bound.share < 1), count + 1
+    assert count >= fewer(80, 0.4 * len(seeds)) and below >= fewer(8, 0.02 * len(seeds))
+
+
+def test_more_effort_bounds_no_less():
+    scenario, schedule = printed()
+    shares = [share_bound(schedule, scenario.switching_rules(), limit).share for limit in (0, 1, 5, 400)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] == 1 > shares[-1]
+    again = share_bound(schedule, scenario.switching_rules(), 400)
+    assert again == share_bound(schedule, scenario.switching_rules(), 400)
+
+
+def test_a_law_without_a_path_of_its_own_bounds_nothing():
+    scenario, schedule = printed()
+    safety, law = schedule.safety, schedule.controllers[1]
+    assert isinstance(law, AffineController)
+    free = AnyThrust("any", law.system, safety.reference, safety.tracking)
+    sharing = replace(law, own=safety.reference)
+    for other in (free, sharing):
+        both = replace(schedule, controllers=(*schedule.controllers, other))
+        assert share_bound(both, scenario.switching_rules(), 400).share == 1
+
+
+def test_the_unsafe_sets_are_those_that_the_proof_keeps_clear_of():
+    """Over the schedule's steps alone, another satellite might be followed in fewer, larger parts."""
+    scenario, schedule = printed()
+    safety, rules = schedule.safety, scenario.switching_rules()
+    gone = tuple(replace(unsafe, offsets=unsafe.offsets - 100.0) for unsafe in safety.clearance.unsafe)
+    clear = replace(safety, clearance=replace(safety.clearance, unsafe=gone))
+    assert share_bound(schedule, rules, 400).share < 1
+    assert share_bound(replace(schedule, safety=clear), rules, 400).share == 1
+
+
+def test_a_cap_of_no_switch_leaves_s_alone():
+    _, schedule = printed()
+    assert share_bound(schedule, SwitchingRules(max_switches=0), 400).share == 0
+
+
+def test_what_the_command_line_says():
+    assert (
+        _share({"experimental_share": 0.95, "share_at_most": 58 / 60})
+        == "95.0% of the time; no schedule can exceed 96.7%"
+    )
+    assert _share({"experimental_share": 0.5, "share_at_most": 0.9}).endswith("90.0%")
+    assert _share({"experimental_share": 1.0, "share_at_most": 1.0}) == "100.0% of the time"

@@ -1,0 +1,131 @@
+"""Bounds on the velocity change of linear laws, all periods at once (Proposition 14 (c)), attacked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import tenfold
+from polaris.model.thrusters import Thrusters
+from polaris.model.tolerances import ROUNDING
+from polaris.runs.case import replay, write_case
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.attacks import Attacker
+from polaris.simulation.falsification.search import falsify
+from polaris.synthesis.schedule import spending
+from polaris.synthesis.schedule.spending import FlightSpending
+from polaris.synthesis.schedule.synthesize import synthesize
+from tests.kept import kept
+from tests.polaris.tiny import TINY
+
+SAMPLED = ["feedback.period_s=0.25"]
+NOISY = [*SAMPLED, "navigation.state_error=[0.01, 0.01, 0.005, 0.005]"]
+WEAK = [*SAMPLED, "thrusters.magnitude_error=0.03", "thrusters.impulse_bit_N_s=0.002"]
+CARRIED = [*WEAK, "thrusters.remainder=carried"]
+
+
+def tiny(*more):
+    """The schedule of the tiny scene with overrides."""
+    return kept("-".join(["tiny", *more]), lambda: synthesize(load_scenario(TINY).with_assignments(more)))
+
+
+@pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])
+def test_the_worst_flights_spend_most_of_what_is_proven(errors):
+    schedule = tiny(*errors)
+    attacker = Attacker.of(schedule, False, np.random.default_rng(1))
+    spent = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
+    by_chance = float(attacker.random(20).fly(attacker.flight).delta_v.max())
+    assert by_chance < spent <= schedule.delta_v[1] * (1 + 1e-9)
+    assert spent > 0.6 * schedule.delta_v[1]
+
+
+def test_periods_cannot_all_be_the_worst():
+    """The bound of linear steps is less than the sum of its periods', where errors are renewed."""
+    schedule = tiny(*NOISY)
+    scale = schedule.safety.tracking.flow.h / schedule.safety.problem.system.mass
+    count = len(schedule.steps) * schedule.safety.clearance.q
+    flight = FlightSpending(schedule._spells, count)
+    assert schedule.delta_v[1] < 0.75 * flight.apart(count) * scale
+    assert flight.until(0) == 0 and flight.until(7) <= flight.until(8) <= flight.apart(8) * (1 + ROUNDING)
+
+
+def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp_path):
+    """Errors that are left out of the bound are flown all the same."""
+    schedule = tiny(*NOISY)
+    assert falsify(schedule, 700, seed=3).failure is None
+    without = replace(schedule)  # nothing of what was worked out
+    middles = lambda law, steps, *more: sum(np.abs(step.middle).sum() for step in steps)  # noqa: E731
+    monkeypatch.setattr(spending, "together", middles)
+    result = falsify(without, 700, seed=3)
+    assert result.failure.kind == "velocity change" and "velocity change" in str(result.failure)
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments(NOISY), result)
+    assert str(replay(case)[0]) == str(result.failure)
+    monkeypatch.undo()
+    assert replay(case)[0] is None
+
+
+def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands(monkeypatch):
+    """About a flight they go as far as without that, or further; what they count is the derivative."""
+    schedule, rng = tiny(*SAMPLED, "thrusters.magnitude_error=0.1"), np.random.default_rng(0)
+    attacker = Attacker.of(schedule, False, rng)
+    rows, end = attacker.rows, attacker.flight.steps
+
+    def reached():
+        about, targets = None, np.full(len(rows), end)
+        for _ in range(3):
+            about = attacker._towards(rows, targets, about).fly(attacker.flight)
+        return np.einsum("rn,rn->r", about.states[:, end], rows)
+
+    with_growth = reached()
+    monkeypatch.setattr(Thrusters, "slope", lambda self, u, weights: np.zeros_like(weights))
+    gained = (with_growth - reached()) / np.ptp(with_growth)
+    assert gained.min() > -1e-9 and gained.max() > 1e-5
+    monkeypatch.undo()
+    thrusters, u, weights = Thrusters(0.1, 0.05, 0.2), rng.normal(size=(4, 3)), rng.uniform(0, 2, (4, 3))
+    small = 1e-6 * np.eye(3)[:, None]
+    change = ((thrusters.part(u + small) - thrusters.part(u - small)) * weights).sum(axis=-1).T / 2e-6
+    assert thrusters.slope(u, weights) == pytest.approx(change, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_all():
+    """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
+    from benchmarks import tightness
+
+    table = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
+    page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN)[1].split(tightness.END)[0]
+    assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in table]
+    shares = np.array([[float(cell.strip(" %")) for cell in cells[3:]] for cells in table])
+    assert np.all(shares <= 100)
+    for cells, (used, *_, alike, unmerged, _) in zip(table, shares, strict=True):
+        assert alike <= used <= unmerged + 1, cells[0]  # each lets a flight do more
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", tenfold.SCENES)
+def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
+    """Until the goal and per orbit: the figures of docs/guarantees.md."""
+    from benchmarks import tightness
+
+    sums = tightness.sums(scene)
+    assert all(1 <= ratio <= limit for ratio, limit in zip(sums.ratios, (1.7, 2.5), strict=True)), sums
+    page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN_SUMS)[1]
+    row = next(row for row in page.splitlines() if row.startswith(f"| {scene} |"))
+    known = [float(cell) for cell in row.split("|")[2:-1]]
+    assert [*sums.until_goal, *sums.per_orbit] == pytest.approx([known[i] for i in (0, 1, 3, 4)], abs=0.02)
+
+
+@pytest.mark.slow
+def test_the_parts_of_what_is_booked_are_those_of_the_page():
+    """Deviation at the tightest place with all errors at once: the figures of docs/guarantees.md."""
+    from benchmarks import booked
+
+    page = booked.PLACE.read_text(encoding="utf-8").split(booked.BEGIN)[1].split(booked.END)[0]
+    made = [row for scene in booked.SCENES for row in booked.rows(scene)]
+    known, measured = ([row.split("|")[1:] for row in rows] for rows in (page.splitlines()[2:], made))
+    assert [cells[:2] for cells in measured] == [cells[:2] for cells in known]
+    sizes, stated = ([float(cells[2]) for cells in rows] for rows in (measured, known))
+    assert sizes == pytest.approx(stated, abs=0.05)
+    whole = [cells for cells in measured if cells[1].strip() == "all"]
+    assert sum(sizes) == pytest.approx(2 * sum(float(cells[2]) for cells in whole), abs=0.1)
+    assert all(0.55 <= float(cells[4].strip(" %")) / 100 <= 1 for cells in whole) and len(whole) == 2
