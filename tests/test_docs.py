@@ -34,6 +34,7 @@ from typer.testing import CliRunner
 
 import polaris
 import reach
+from docs.generate import notebooks
 from docs.generate.scenario_docs import INSPECTION_FILE, SCHEMA_FILE, texts
 from polaris.cli.app import app
 from polaris.synthesis.schedule import synthesize
@@ -450,3 +451,17 @@ def test_formulas_are_set_in_a_browser(name, site):
     expected = sum(len(formulas(text, kind)) for kind in ("div", "span"))
     assert done.stdout.count("<mjx-container") == expected > 0
     assert not re.findall(r'<g [^>]*data-mml-node="merror"', done.stdout)
+
+
+@pytest.mark.parametrize("name", ["compare", "own_scene", pytest.param("network", marks=pytest.mark.slow)])
+def test_notebooks_print_what_they_show(name):
+    path = DOCS / "notebooks" / f"{name}.ipynb"
+    shown = notebooks.printed(notebooks.nbformat.read(path, as_version=4))
+    real = notebooks.printed(notebooks.executed(path))
+    assert len(shown) == len(real) and any(shown)
+    for cell, (stored, new) in enumerate(zip(shown, real, strict=True)):
+        assert_shown(stored, new, f"{name}, code cell {cell}", numbers=True)
+
+
+def test_every_notebook_is_executed_by_a_test():
+    assert {path.stem for path in (DOCS / "notebooks").iterdir()} == {"compare", "own_scene", "network"}
