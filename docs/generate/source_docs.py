@@ -1,4 +1,4 @@
-"""Write the table of ``docs/guarantees.md`` that says where each declared error enters, from the code.
+"""Write the table of ``CONTRIBUTING.md`` that says where each declared error enters, from the code.
 
 Run ``python -m docs.generate.source_docs`` after a change to a source; a test compares the page.
 """
@@ -36,7 +36,7 @@ from polaris.synthesis.tracker.loop import Loop
 
 from .method_docs import put
 
-PAGE = Path(__file__).parents[1] / "guarantees.md"
+PAGE = Path(__file__).parents[2] / "CONTRIBUTING.md"
 
 HEAD = {
     "Source": "",
@@ -161,16 +161,15 @@ class Declared:
 
     @cached_property
     def loop(self) -> dict[bytes, str]:
-        """States and channels that each source adds, in words, by all that it adds."""
+        """Each source with the number of states that it adds, by all that it adds."""
         system, texts = self.problem.system, {}
         loop = Loop.of(system.A, system.B, self.problem.period)
         for source in sources(system, self.problem.period):
             before, loop = loop, source.extend(loop)
             states, channels = loop.N - before.N, loop.channels[len(before.channels) :]
-            names = [f"{states} states"] * bool(states) + list(dict.fromkeys(c.name for c in channels))
             values = [(c.name, c.size, c.rate, c.noise, c.lag, c.share is None) for c in channels]
             key = pickle.dumps((type(source).__name__, states, values))
-            texts[key] = f"`{type(source).__name__}`: {', '.join(names)}"
+            texts[key] = f"`{type(source).__name__}`" + f" ({states} states)" * bool(states)
         return texts
 
     @cached_property
@@ -259,7 +258,7 @@ def table() -> str:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(HEAD)]
     for row in ROWS:
         declared, base = Declared((*row.beside, *row.example)), Declared(row.beside)
-        added = "; ".join(text for key, text in declared.loop.items() if key not in base.loop) or "-"
+        added = ", ".join(text for key, text in declared.loop.items() if key not in base.loop) or "-"
         pairs = ((getattr(declared, part), getattr(base, part)) for part in PARTS)
         cells = row.name, f"`{row.table}`", added, *(differing(*pair) for pair in pairs), declared.online
         lines.append("| " + " | ".join(cells) + " |")

@@ -192,5 +192,5 @@ CLAUSES = (
 
 
 def addresses(clause: Clause) -> str:
-    """Return what answers a clause and where, as the page on assurance has it."""
-    return "; ".join(f"{one.words} (`{one.address}`)" for one in clause.evidence)
+    """Return the addresses of what answers a clause, as the page on assurance has them."""
+    return ", ".join(f"`{one.address}`" for one in clause.evidence)

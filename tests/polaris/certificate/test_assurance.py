@@ -13,10 +13,10 @@ from polaris.report.clauses import CLAUSES, addresses
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "assurance.md").read_text(encoding="utf-8")
 
-PARTS = r"^### (R\d+)\n\n\S.+\n\n- Claims: (.+)\n- Established by: (.+)\n- Tests: (.+)$"
+PARTS = r"^### (R\d+)\n\n(?:\S.+\n)+\n- Claims: (.+)\n- Established by: (.+)\n- Tests: (.+)$"
 REQUIREMENTS = {
     number: [re.findall(r"`(.+?)`", part) for part in parts]
-    for number, *parts in re.findall(PARTS, PAGE, re.M)
+    for number, *parts in re.findall(PARTS, re.sub(r"\n +", " ", PAGE), re.M)
 }
 """Claims, what establishes a requirement, and tests, by its number."""
 
