@@ -4,7 +4,7 @@
 
 Booked: what every channel of the loop adds along the facet by then, under the bounds on commands of each
 step, without any merging of generators. Flown: by how much the worst flight of an ascent is nearer than the
-same flight without that source. `--write` puts the table into docs/guarantees.md.
+same flight without that source. `--write` puts the table into docs/tightness.md.
 """
 
 from __future__ import annotations

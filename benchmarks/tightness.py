@@ -8,7 +8,7 @@ Of every unsafe set, in the period in which the proof leaves it least: the share
 the velocity change until T: the most that its own worst case spends, over the bound. And what each relaxation
 costs: the same share with errors of thrusters of one sign in every input throughout, and that of the sets at
 the ends of the period, if they kept all generators, and as they are. Random scenes of the tests, commanded
-periodically; `--write` puts the table into docs/guarantees.md. `--sums` makes the table of velocity changes
+periodically; `--write` puts the table into docs/tightness.md. `--sums` makes the table of velocity changes
 of the bundled scenes with all errors of `benchmarks.tenfold` at once.
 """
 
@@ -41,7 +41,7 @@ from tests.polaris.random_scenarios import random_scenario
 from . import tenfold
 
 SEEDS = (5000, 5004, 5008, 5012)
-PLACE = Path(__file__).resolve().parents[1] / "docs" / "guarantees.md"
+PLACE = Path(__file__).resolve().parents[1] / "docs" / "tightness.md"
 BEGIN, END = "<!-- tightness -->\n", "<!-- /tightness -->"
 BEGIN_SUMS, END_SUMS = "<!-- sums -->\n", "<!-- /sums -->"
 ROUNDS = 3

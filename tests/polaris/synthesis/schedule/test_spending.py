@@ -89,7 +89,7 @@ def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands(monkeypa
 
 @pytest.mark.slow
 def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_all():
-    """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
+    """One scene of the table in docs/tightness.md; the others give the rest of its figures."""
     from benchmarks import tightness
 
     table = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
@@ -104,7 +104,7 @@ def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_al
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", tenfold.SCENES)
 def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
-    """Until the goal and per orbit: the figures of docs/guarantees.md."""
+    """Until the goal and per orbit: the figures of docs/tightness.md."""
     from benchmarks import tightness
 
     sums = tightness.sums(scene)
@@ -117,7 +117,7 @@ def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
 
 @pytest.mark.slow
 def test_the_parts_of_what_is_booked_are_those_of_the_page():
-    """Deviation at the tightest place with all errors at once: the figures of docs/guarantees.md."""
+    """Deviation at the tightest place with all errors at once: the figures of docs/tightness.md."""
     from benchmarks import booked
 
     page = booked.PLACE.read_text(encoding="utf-8").split(booked.BEGIN)[1].split(booked.END)[0]
