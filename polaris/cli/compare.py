@@ -43,6 +43,7 @@ class Options:
         help="Largest error of the state estimate, one number or one per state; default [navigation]'s.",
     )
     tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
+    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
     assignments: Assignments = None
 
@@ -62,6 +63,7 @@ def compare_command(target: Target, options: Options, asked: BlackBoxes, output:
         from ..runs.case import load_target
         from ..runs.comparison import COMPARISON, write_comparison
         from ..runs.files.atomic import check_target
+        from ..simulation.on_board import FlightCode
 
         selected(named, tuning)  # here and below: what is wrong is refused before the synthesis
         loaded = load_target(target, options.assignments or ())
@@ -69,6 +71,7 @@ def compare_command(target: Target, options: Options, asked: BlackBoxes, output:
         out = options.out if options.out is not None else f"runs/{scenario.name}-comparison"
         place = check_target(out, COMPARISON.names)
         half = None if numbers is None else np.squeeze(numbers)
+        code = None if options.code is None else FlightCode(options.code)
         check_decisions(scenario.problem(), options.period, options.latency, half)
     with asked.running() as boxes:
         with stages.stage("schedule"):
@@ -81,6 +84,7 @@ def compare_command(target: Target, options: Options, asked: BlackBoxes, output:
                 methods=named,
                 tuning=tuning,
                 progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
+                code=code,
             )
         with stages.stage("folder"):
             folder = write_comparison(place, scenario, comparison, draw=output.draw, stages=stages)

@@ -15,6 +15,7 @@ from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..simulation.metrics import Metrics, finite
+from ..simulation.on_board import FlightCode
 from ..synthesis.schedule.schedule import Schedule
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight, fly
@@ -25,6 +26,9 @@ from .methods import METHODS
 BATCH = 100  # runs flown at a time, to bound the memory used
 
 Tuning = Mapping[str, float]
+
+CODED = "code", "monitor_code"
+"""Methods that take flight code."""
 
 SHOWN = 3  # runs per method kept for pictures
 
@@ -72,6 +76,7 @@ def compare_methods(
     methods: Sequence[str] | None = None,
     tuning: Tuning | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    code: FlightCode | None = None,
 ) -> Comparison:
     """Fly every method under the same conditions.
 
@@ -89,11 +94,14 @@ def compare_methods(
         methods.
     progress : callable, optional
         Called with (method, decisions flown, decisions in all).
+    code : FlightCode, optional
+        Flies as ``monitor_code`` if the online monitor is in it, else as ``code``.
 
     Raises
     ------
     ScenarioError
-        If a method has no such name or option, or the scene has no experimental controller.
+        If a method has no such name or option, the scene has no experimental controller, or the code is of
+        another schedule.
     """
     grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.of(scene)
     whole("runs", runs, 1)
@@ -104,6 +112,7 @@ def compare_methods(
     results, shown, decisions, refused = {}, {}, {}, {}
     alone = [{"mode": mode} for mode in range(1, len(grid.controllers))]
     asked = [(key, one) for key in keys for one in (alone if key == "experimental" else [{}])]
+    options |= {key: {"code": code} for key in CODED if code is not None}
     for key, which in asked:
         begun = time.perf_counter()
         method = _made(key, grid, options.get(key, {}) | which)
@@ -118,7 +127,7 @@ def compare_methods(
     return Comparison(grid, runs, seed, results, shown, decisions, refused)
 
 
-def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method | str:
+def _made(key: str, grid: DecisionGrid, options: Mapping[str, Any]) -> Method | str:
     """A method on the grid, or why it does not admit it; an option of its own that is wrong is raised."""
     try:
         return METHODS[key].on(grid, **options)
@@ -135,12 +144,12 @@ def tunable() -> list[str]:
 
 def selected(
     methods: Sequence[str] | None, tuning: Tuning | None
-) -> tuple[list[str], dict[str, dict[str, float]]]:
+) -> tuple[list[str], dict[str, dict[str, Any]]]:
     """Return keys of the methods that are asked for, and options by method; refuse wrong names and values."""
     keys = list(dict.fromkeys(METHODS if methods is None else methods))
     for key in keys:
         one_of("methods", key, METHODS)
-    out: dict[str, dict[str, float]] = {}
+    out: dict[str, dict[str, Any]] = {}
     for name, value in (tuning or {}).items():
         one_of("tuning", name, tunable())
         key, _, option = name.partition(".")

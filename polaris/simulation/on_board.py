@@ -86,6 +86,11 @@ class FlightCode:
         self.modes: NDArray[np.int_] = np.zeros(0, dtype=int)
         self.answers: Counter[tuple[int, int]] = Counter()
 
+    @property
+    def asks(self) -> int | None:
+        """Controller that asks the online monitor in every step of an attack; None without a monitor."""
+        return 1 if self.online else None
+
     def of(self, schedule: Schedule) -> "FlightCode":
         """Return the code, unless it is that of another schedule: then raise `ScenarioError`."""
         states = schedule.safety.problem.system.n

@@ -3,7 +3,6 @@
 import numpy as np
 
 from ...simulation.baselines import alone_key
-from ...simulation.on_board import code_of
 from ..decision_grid import DecisionGrid
 from ..method import Choice, Claim, Method, Seen
 
@@ -69,19 +68,3 @@ class Precomputed(Alone):
         step = seen.k * self.grid.nodes // self.grid.clearance.q
         mode, margin = int(schedule.modes[step]), float(schedule.margins[step])
         return Choice(np.full(R, mode), np.full(R, margin), np.zeros(R, dtype=int))
-
-
-class Compiled(Precomputed):
-    """The schedule and S as compiled flight code, called at every node, whose commands are flown."""
-
-    key, name, place = "code", "Flight code in C", 2
-    how = "the Polaris schedule, and S, as [compiled C](flight-code.md) that is called every control period"
-
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
-        self.code = code_of(grid.schedule)
-
-    @property
-    def reach(self) -> str:
-        """That of the schedule, but for rounding."""
-        return f"rounding on board takes a small share of the disturbance bound; {super().reach}"

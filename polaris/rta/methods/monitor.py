@@ -236,10 +236,13 @@ class Monitor(Method):
         """`judge` of one run, e of shape (n,): the quick way through."""
         return self._quickest(k, e, flown)[:2]
 
-    def explained(self, k: int, e: Array, flown: int) -> tuple[int, float, str]:
-        """Return `judge_one` and the tightest limit in words: its name, and when S would meet it."""
-        mode, margin, where = self._quickest(k, e, flown)
-        return mode, margin, where[0].limit(k, where[1]) if where else "there is no experimental controller"
+    def explained(self, k: int, state: Array, flown: int) -> tuple[int, float, str]:
+        """Return `judge_one` of a state, and its reason: the tightest limit, and when S would meet it."""
+        mode, margin, where = self._quickest(k, state - self.grid.xi[k * self.grid.nodes], flown)
+        if where is None:
+            return mode, margin, "there is no experimental controller"
+        less = "" if mode or not margin >= 0 else "; less room than U needs to take over from S"
+        return mode, margin, f"nearest limit: {where[0].limit(k, where[1])}{less}"
 
     def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Prospect, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""

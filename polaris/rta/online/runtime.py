@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ...model.foreign import Unreadable, kind_of, settled
 from ...model.system import Array
 from ..methods.monitor import Monitor
+from ..methods.on_board import MonitorOnBoard
 from ..received import commanded
 from .decision_clock import DecisionClock
 from .decision_log import DecisionLog, jsonable, restored
@@ -41,7 +42,9 @@ class OnlineMonitor:
 
     Parameters
     ----------
-    monitor : Monitor
+    monitor : Monitor or MonitorOnBoard
+        The second decides with the tables of flight code, to the last bit as the code does on the states
+        and periods that pass the checks. The checks themselves are not part of the code.
     options : RuntimeOptions, optional
     log : DecisionLog, optional
     timer : callable
@@ -55,7 +58,7 @@ class OnlineMonitor:
 
     def __init__(
         self,
-        monitor: Monitor,
+        monitor: Monitor | MonitorOnBoard,
         options: RuntimeOptions | None = None,
         log: DecisionLog | None = None,
         timer: Callable[[], float] = time.perf_counter,
@@ -172,12 +175,10 @@ class OnlineMonitor:
             return -1 if k is None else k, 0, np.nan, ""
         if k >= self.grid.decisions:
             return k, 0, np.nan, "the plan has ended"
-        e = state - self.grid.xi[k * self.grid.nodes]
-        mode, margin, limit = self.monitor.explained(k, e, before)
+        mode, margin, reason = self.monitor.explained(k, state, before)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
             faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
-        less = "" if mode or not margin >= 0 else "; less room than U needs to take over from S"
-        return k, mode, margin, f"nearest limit: {limit}{less}"
+        return k, mode, margin, reason
 
     def _latched(self, faults: list[Fault]) -> None:
         o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
@@ -222,7 +223,9 @@ LATE = "monitor: deadline missed"
 
 
 def replay_log(
-    records: Iterable[dict[str, Any]], monitor: Monitor, options: RuntimeOptions | None = None
+    records: Iterable[dict[str, Any]],
+    monitor: Monitor | MonitorOnBoard,
+    options: RuntimeOptions | None = None,
 ) -> list[OnlineDecision]:
     """Feed what a log says arrived to a new runtime with the same options.
 
@@ -233,7 +236,7 @@ def replay_log(
     ----------
     records : iterable of dict
         As `polaris.rta.online.decision_log.read_log` gives them, from the first decision on.
-    monitor : Monitor
+    monitor : Monitor or MonitorOnBoard
     options : RuntimeOptions, optional
     """
     flown = list(records)

@@ -63,9 +63,16 @@ class Attacker:
         self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
-    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
+    def of(
+        cls,
+        schedule: Schedule,
+        tail: bool,
+        rng: np.random.Generator,
+        failing: bool = False,
+        asks: int | None = None,
+    ) -> Attacker:
         """Build an attacker of flights with S's tail after T or without, one integration step per node."""
-        claims = Claims(schedule, tail, failing)
+        claims = Claims(schedule, tail, failing, asks)
         return cls(claims, flies(claims.system)(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:

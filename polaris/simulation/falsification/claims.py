@@ -32,12 +32,14 @@ class Claims:
 
     The limits are the timed polytopes, one each (margin in m: how far outside the best facet), and then
     the inputs, one each (margin in N: thrust left while S flies). S's flight after T is included with `tail`.
-    Of flights in which something is `failing` no more is claimed than that no limit is violated.
+    Of flights in which something is `failing`, or a controller `asks` the online monitor of flight code in
+    every step, no more is claimed than that no limit is violated.
     """
 
     schedule: Schedule
     tail: bool
     failing: bool = False
+    asks: int | None = None
 
     @property
     def system(self) -> Craft:
@@ -72,7 +74,7 @@ class Claims:
     @cached_property
     def modes(self) -> NDArray[np.int_]:
         """Mode of every cell, S after T."""
-        return flown_modes(self.schedule, self.tail)
+        return flown_modes(self.schedule, self.tail, self.asks)
 
     @cached_property
     def moved(self) -> Array:
@@ -122,7 +124,7 @@ class Claims:
         by_s = np.repeat(self.modes == 0, self.q)
         out[by_s] = np.maximum(out[by_s], 0.0)
         out[~by_s, o:] = -np.inf  # what U demands is limited by its own model alone
-        claimed = self.schedule.guarantee == "proved" and not self.failing
+        claimed = self.schedule.guarantee == "proved" and not self.failing and self.asks is None
         return out if claimed else np.full(out.shape, -np.inf)
 
     def _flat(self, parts: Array) -> Array:
@@ -187,6 +189,11 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
         near = np.argpartition(ends, few - 1, axis=1)[:, :few]
         run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
         _look_closer(claims, runs, o, run, near[run, place], out)
+    if claims.asks is not None:  # flight code says where it clips S
+        left = np.where(runs.demanded > 1, 1 - runs.demanded, np.inf)
+        out.margin[:, len(claims.unsafe) :] = left.min(axis=1, keepdims=True) * system.u_max
+        out.when[:, len(claims.unsafe) :] = runs.times[left.argmin(axis=1)][:, None]
+        return out
     by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
     if failing is not None:
         by_s = by_s | np.array([failing.by_s(period) for period in range(len(by_s))])

@@ -114,7 +114,8 @@ def falsify(
     progress : callable, optional
         Called with (trajectories flown, trajectories in all).
     code : FlightCode, optional
-        Compiled flight code that flies in place of the schedule; aborts are not part of it.
+        Compiled flight code that flies in place of the schedule; aborts are not part of it. With the online
+        monitor U asks in every step, and only limits are claimed.
 
     Returns
     -------
@@ -132,9 +133,10 @@ class _Search:
         self, schedule: Schedule, runs: int, rng: np.random.Generator, code: FlightCode | None
     ) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
-        self.main = Attacker.of(schedule, False, rng)
+        asks = code and code.asks
+        self.main = Attacker.of(schedule, False, rng, asks=asks)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
-        self.tail = Attacker.of(schedule, True, rng) if proven_after else None
+        self.tail = Attacker.of(schedule, True, rng, asks=asks) if proven_after else None
         transients = schedule.safety.problem.system.transients
         self.failing = Attacker.of(schedule, proven_after, rng, True) if transients else None
         self.code = code and code.of(schedule)
@@ -171,7 +173,8 @@ class _Search:
             measured = attained(attacker.claims, flown, attack.failing)
             self.flown, batch = self.flown + count, batch + 1
             refuted = self._record(attacker.claims, attack, measured)
-            refuted = refuted if refuted or attacker is self.failing else self._besides(attack, flown)
+            bare = attacker is self.failing or attacker.claims.asks is not None
+            refuted = refuted if refuted or bare else self._besides(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)

@@ -1,5 +1,6 @@
 """Online monitor in the flight code: as Python to the last bit, and never bolder than `OnlineMonitor`."""
 
+import json
 import math
 import os
 import re
@@ -29,12 +30,20 @@ from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files
 from polaris.certificate.files.document import read
 from polaris.cli.app import app
 from polaris.flight.export import export_c
-from polaris.flight.vectors import calls
+from polaris.flight.vectors import SPECIAL, calls
 from polaris.model.errors import ScenarioError
+from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import REENTRY, Monitor
-from polaris.runs.read_schedule import read_schedule
+from polaris.rta.methods.on_board import MonitorOnBoard
+from polaris.rta.online.decision_log import DecisionLog, read_log
+from polaris.rta.online.estimate import Measurement
+from polaris.rta.online.runtime import OnlineMonitor, replay_log
+from polaris.rta.online.runtime_options import RuntimeOptions
+from polaris.runs.case import replay, write_case
+from polaris.runs.read_schedule import read_schedule, schedule_folder
 from polaris.runs.run import run
+from polaris.simulation.falsification.search import falsify
 from polaris.simulation.on_board import FlightCode
 from polaris.simulation.simulate import simulate
 from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
@@ -246,6 +255,107 @@ def test_the_monitor_of_the_code_decides_in_simulation(flown, precision):
     assert runs.metrics().summary()["collided_runs"] == 0
     answers = {(0, 0), (0, REFUSED), (1, 0)}
     assert answers <= code.answers.keys() <= answers | {(1, CLIPPED)}
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_runtime_on_the_ground_decides_as_the_code(flown, tmp_path, precision):
+    """On states of all sizes at all periods, hostile ones too, and whoever flew before."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
+    ground = MonitorOnBoard(DecisionGrid.of(schedule), code)
+    library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(5)
+    grid, spread, seen = ground.grid, np.array(code.tables.apart), {}
+    for place in range(20_000 if FLIGHTS > 1000 else 2000):
+        k, before = int(rng.integers(0, grid.decisions)), place % 2
+        state = grid.xi[k] + rng.uniform(-1, 1, grid.system.n) * spread * 10 ** rng.uniform(-4, 1)
+        if place % 5 == 4:
+            state[rng.integers(0, grid.system.n)] = rng.choice(SPECIAL)
+        library.decide_from(k)
+        library.online.flown = before
+        answer = library.decide(k, state.tolist(), 1, [0.0] * grid.system.m)
+        with np.errstate(invalid="ignore", over="ignore"):
+            mode, _, reason = ground.explained(k, state, before)
+        assert mode == answer.mode, (k, state)
+        refused = "the code" in reason
+        seen[mode, refused] = seen.get((mode, refused), 0) + 1
+    assert seen.keys() == {(1, False), (0, False), (0, True)}  # a few that `Monitor` would let U fly
+    assert min(seen[1, False], seen[0, False]) > place / 5
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_flights_on_the_ground_are_those_of_the_code(flown, tmp_path, precision):
+    """Clock, checks and log about the tables: where measurements fail, the code is asked for S alone."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
+    ground, rng = MonitorOnBoard(DecisionGrid.of(schedule), code), np.random.default_rng(6)
+    library, modes = FlightLibrary(flown / precision, tmp_path / "flight.so"), [0, 0]
+    grid, options = ground.grid, RuntimeOptions(latch_conflicts=None)
+    (Ad, Bd, Dd), system, start = grid.held, grid.system, schedule.safety.problem.initial_set
+    for flight in range(6):
+        log = DecisionLog(place := tmp_path / f"{flight}.jsonl")
+        online, faults = OnlineMonitor(ground, options, log), 0
+        library.decide_from(0)
+        x, answers = start.c + start.G @ rng.uniform(-1, 1, start.G.shape[1]), []
+        for k in range(grid.decisions):
+            bad = rng.choice([math.nan, 1e7, 3.0]) if rng.random() < 0.1 * (flight % 2) else 0.0
+            answers.append(online.step(k * grid.period, Measurement(k * grid.period, x + bad), number=k))
+            asks = not answers[-1].faults
+            push = (rng.choice([-1.0, 1.0], system.m) * system.u_max).tolist()
+            answer = library.decide(k, x, int(asks), push)
+            assert answers[-1].mode == answer.mode, (flight, k, answers[-1])
+            modes[answer.mode], faults = modes[answer.mode] + 1, faults + (not asks)
+            w = rng.normal(size=system.D.shape[1])
+            x = Ad @ x + Bd @ np.array(answer.command) + Dd @ w * (0.9 * system.w_max / np.linalg.norm(w))
+        log.close()
+        assert (faults > 0) == flight % 2 and replay_log(read_log(place), ground, options) == answers
+    assert min(modes) > 30
+
+
+def test_the_arena_flies_the_monitor_of_the_code(flown, tmp_path):
+    """Beside the schedule, its code, and the monitor in Python, which is a little bolder."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / "double")
+    keys = "schedule", "code", "monitor", "monitor_code"
+    results = compare_methods(schedule, 12, 1, methods=keys, code=code).results
+    assert {one.claim.kind for one in results.values()} == {"proved"} and tuple(results) == keys
+    assert not any(one.metrics.collided.any() for one in results.values())
+    shares = {key: one.metrics.experimental_share for key, one in results.items()}
+    assert np.array_equal(shares["schedule"], shares["code"])
+    assert 0.1 < shares["monitor_code"].mean() <= shares["monitor"].mean()
+    assert np.nanmax(results["monitor_code"].metrics.max_thrust_ratio_safety) <= 1
+    asked = "--runs 2 --methods schedule,monitor_code --no-figures"
+    given = ["compare", str(flown / "run"), *asked.split()]
+    done = CliRunner().invoke(app, [*given, "--code", str(flown / "float"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    methods = json.loads((tmp_path / "out" / "comparison.json").read_text())["methods"]
+    assert [(one["key"], one["guarantee"]) for one in methods] == [(key, "proved") for key in keys[::3]]
+
+
+def test_a_monitor_on_board_needs_its_code_and_its_grid(flown, tmp_path):
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / "double")
+    refused = compare_methods(schedule, 1, methods=("safety", "monitor_code")).refused
+    assert "must be flight code with the monitor" in refused["monitor_code"]
+    export_c(flown / "run", tmp_path / "code")
+    with pytest.raises(ScenarioError, match="must be flight code with the monitor"):
+        MonitorOnBoard(DecisionGrid.of(schedule), FlightCode(tmp_path / "code"))
+    h = DecisionGrid.of(schedule).h
+    for other in ({"period": 2 * h}, {"latency": h}, {"half_widths": 1e-3}):
+        with pytest.raises(ScenarioError, match="must be the control period"):
+            MonitorOnBoard(DecisionGrid.of(schedule, **other), code)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_attacks_fly_the_monitor_of_the_code_and_find_one_that_is_too_bold(flown, tmp_path, precision):
+    """U asks in every step; alone it hits what is there, and so it does where a forged monitor lets it."""
+    schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
+    attacks = falsify(schedule, 20_000 if FLIGHTS > 1000 else 300, 3, code=code)
+    assert (
+        attacks.failure is None and np.isfinite(attacks.least[: len(schedule.safety.clearance.unsafe)]).all()
+    )
+    assert code.answers.keys() <= {(0, 0), (0, REFUSED), (1, 0), (1, CLIPPED)}
+    verdict = forged(flown, tmp_path / "bold", lambda t: {"room": with_room(t, 3.0)}, precision)
+    assert verdict.outcome == "REJECTED"
+    attack = falsify(schedule, 300, 3, code=FlightCode(tmp_path / "bold"))
+    assert attack.failure is not None and attack.failure.kind in ("unsafe set", "saturation")
+    case = write_case(tmp_path / "bold.case.json", schedule_folder(flown / "run").scenario, attack)
+    assert replay(case, FlightCode(tmp_path / "bold"))[0] == attack.failure and replay(case, code)[0] is None
 
 
 # -- the checker ------------------------------------------------------------------------------------

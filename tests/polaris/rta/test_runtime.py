@@ -558,7 +558,8 @@ def test_one_error_is_judged_as_many_are(period, latency, trust):
         flown = rng.integers(0, 2, 12)
         modes, _ = mon.judge(k, e, flown)
         for one, before, expected in zip(e, flown.tolist(), modes.tolist(), strict=True):
-            mode, margin, limit = mon.explained(k, one, before)
+            state = one + mon.grid.xi[k * mon.grid.nodes]
+            mode, margin, limit = mon.explained(k, state, before)
             share = mon._share(k, one[None], 1, before if latency else 0)[0]
             assert mode == expected and limit
             assert margin == pytest.approx(1 - share, rel=1e-12, abs=1e-12)
