@@ -60,7 +60,8 @@ def export_c(
     if precision not in PRECISIONS:
         raise ScenarioError("precision", precision, f"must be one of {', '.join(PRECISIONS)}")
     if not PREFIX.fullmatch(prefix):
-        raise ScenarioError("prefix", prefix, "must be at most 20 of a-z, 0-9 and _, a letter first")
+        rule = "must be at most 20 of a-z, 0-9 and _, a letter first, and no header of C"
+        raise ScenarioError("prefix", prefix, rule)
     tables = flight_tables(document).rounded(precision)
     rounding = stated_rounding(document, tables, precision)
     if (share := disturbance_taken(document, rounding)) >= 1:

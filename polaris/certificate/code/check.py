@@ -1,5 +1,6 @@
 """Check of flight code: its text is that of its numbers, and its numbers are those of the certificate."""
 
+import re
 from pathlib import Path
 
 from flint import arb, arb_mat
@@ -15,7 +16,11 @@ from .answers import calls_of, selftest
 from .rounding import UNIT, command_error, disturbance_taken
 from .text import FARTHEST, PREFIX, Table, Tables, parsed, rounded
 
-SOURCES = ".h", ".c", ".inc", ".hpp", ".cpp", ".s"  # beside other files a compiler reads none of them
+BESIDE = re.compile(
+    r"\.polaris\.jsonl|(\w+)/(CMakeLists\.txt|\1\.[fhc]pp|fsw/(src/\1_app\.[ch]|tables/\1_tbl\.c))", re.ASCII
+)
+"""Other files that Polaris writes: its list, and glue. Any further one a compiler might read."""
+CALLS = 100  # at least, of a self-test
 MATRICES = 64  # roundings by which transitions may be off, relative to the largest entry of a row or to 1
 
 
@@ -51,7 +56,10 @@ def read_code(folder: Path) -> tuple[str, Tables, str, str]:
     try:
         tables, precision, digest = parsed(texts[f"{prefix}.h"], texts[f"{prefix}.c"], prefix)
         program = texts[f"{prefix}_selftest.c"]
-        if program != selftest(tables, prefix, precision, calls_of(program, prefix)):
+        calls = calls_of(program, prefix)
+        if len(calls) < CALLS:
+            raise ValueError(f"the self-test makes {len(calls)} calls, and must make at least {CALLS}")
+        if program != selftest(tables, prefix, precision, calls):
             raise ValueError("the self-test expects other answers than those of the tables")
     except (ValueError, IndexError, KeyError, TypeError, OverflowError, ZeroDivisionError) as error:
         raise Rejected("code", f"{type(error).__name__}: {error}") from error
@@ -60,13 +68,16 @@ def read_code(folder: Path) -> tuple[str, Tables, str, str]:
 
 def _texts(folder: Path) -> tuple[str, dict[str, str]]:
     """Return the prefix of the code in a folder, and the texts of its files."""
-    there = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SOURCES)
-    prefix = next((name[:-2] for name in there if name.endswith(".h")), "")
-    needed = sorted((f"{prefix}.h", f"{prefix}.c", f"{prefix}_selftest.c"))
-    if not PREFIX.fullmatch(prefix) or there != needed:
+    files = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    there = sorted(path.relative_to(folder).as_posix() for path in files)
+    prefix = next((name[:-2] for name in there if name.endswith(".h") and "/" not in name), "")
+    needed = f"{prefix}.h", f"{prefix}.c", f"{prefix}_selftest.c"
+    if not PREFIX.fullmatch(prefix) or not {*needed} <= {*there}:
         raise Rejected("code", f"the folder must hold a header, a source and a self-test, not {there}")
+    if other := [name for name in there if name not in needed and not BESIDE.fullmatch(name)]:
+        raise Rejected("code", f"the folder holds {other[0]!a}, which `polaris export c` does not write")
     try:
-        return prefix, {name: contents(folder / name).decode("ascii") for name in there}
+        return prefix, {name: contents(folder / name).decode("ascii") for name in needed}
     except UnicodeDecodeError as error:
         raise Rejected("code", f"is not ASCII: {error}") from error
 

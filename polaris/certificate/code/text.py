@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 FARTHEST = 1e6  # largest plausible entry of a state, in its unit
-PREFIX = re.compile(r"[a-z][a-z0-9_]{0,19}")  # 31 characters tell external names apart in C99
+HEADERS = (
+    "assert|complex|ctype|errno|features|fenv|float|inttypes|limits|locale|math|setjmp|signal|stdarg|stdbool"
+    "|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype"
+)
+PREFIX = re.compile(rf"(?!({HEADERS})$)[a-z][a-z0-9_]{{0,19}}")  # C99 tells names apart by 31 characters
 PRECISIONS = {"double": "DBL_MAX", "float": "FLT_MAX"}
 HEAD = re.compile(r'_CERTIFICATE "([0-9a-f]{64})"\n')
 SIZES = "N", "M", "Q", "STEPS", "CELLS", "COVERED"
@@ -189,10 +193,10 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
         count = [SIDES if one == "SIDES" else sizes[one] for one in shape]
         if len(texts) != prod(count):
             raise ValueError(f"the table {name} has {len(texts)} numbers, not {prod(count)}")
-        arrays[name] = _nested([float.fromhex(text.rstrip("f")) for text in texts], count)
+        arrays[name] = _nested([_number(text, precision) for text in texts], count)
     modes = [int(text.rstrip("U")) for text in _literals(source, "static const uint8_t modes[")]
     bound = re.search(rf"#define {prefix.upper()}_ROUNDING \((\S+?)f?\)", header)
-    arrays["rounding"] = float.fromhex(bound[1]) if bound else 0.0
+    arrays["rounding"] = _number(bound[1], precision) if bound else 0.0
     tables = Tables(covered=sizes["COVERED"], modes=modes, facets=sizes.get("FACETS", 0), **arrays)
     for name, text in files(tables, prefix, precision, head[1]).items():
         given = header if name.endswith(".h") else source
@@ -201,6 +205,11 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
             line = next((i for i, (a, b) in enumerate(lines, 1) if a != b), "the end")
             raise ValueError(f"{name} differs from the text of its numbers in line {line}")
     return tables, precision, head[1]
+
+
+def _number(literal: str, precision: str) -> float:
+    """Return the number that a compiler makes of a literal."""
+    return rounded(float.fromhex(literal.rstrip("f")), precision)
 
 
 def _size(header: str, name: str) -> int:

@@ -350,6 +350,57 @@ def test_an_altered_file_is_refused(flown, document, tmp_path, precision):
 
 
 @pytest.mark.parametrize(
+    "name", ["evil.h.gch", "more.cc", "more.o", "more/more.c", "bits/types.h", "Guard/Other.hpp", "Makefile"]
+)
+def test_a_file_that_polaris_does_not_write_is_refused(flown, document, tmp_path, name):
+    """A compiler, or a folder of headers, might take it for a part of the code."""
+    honest = copied(flown / "double", tmp_path / "code")
+    for known in (".polaris.jsonl", "Guard/Guard.hpp", "guard/fsw/src/guard_app.h"):
+        (honest / known).parent.mkdir(parents=True, exist_ok=True)
+        (honest / known).write_text("")
+    assert check_code(document, honest, Record())
+    (honest / name).parent.mkdir(exist_ok=True)
+    (honest / name).write_text("")
+    with pytest.raises(Rejected, match="^code: the folder holds '.*', which `polaris export c` does not"):
+        check_code(document, honest, Record())
+
+
+def test_a_precompiled_header_would_take_the_place_of_the_header(flown, document, tmp_path):
+    """GCC reads it instead, whatever is in it."""
+    honest = copied(flown / "double", tmp_path / "code")
+    (header,) = honest.glob("*.h")
+    evil = tmp_path / header.name
+    evil.write_text(re.sub(r"_COVERED \((\d+)\)", r"_COVERED (1\1)", header.read_text()))
+    built(tmp_path, "gcc", [evil.name], honest / f"{header.name}.gch", "-x", "c-header")
+    with pytest.raises(Rejected, match="code: the folder holds"):
+        check_code(document, honest, Record())
+
+
+def test_a_self_test_that_tests_little_is_refused(flown, document, tmp_path):
+    honest = copied(flown / "double", tmp_path / "code")
+    prefix, tables, precision = read_code(honest)
+    for flights in (0, 2):
+        program = selftest(tables, prefix, precision, calls(tables, flights, 0))
+        (honest / f"{prefix}_selftest.c").write_text(program)
+        with pytest.raises(Rejected, match="the self-test makes .* calls, and must make at least 100"):
+            check_code(document, honest, Record())
+
+
+def test_a_number_that_the_compiler_rounds_is_refused(flown, document, tmp_path):
+    """In single precision: what flies would be another number than the one that is checked."""
+    honest = copied(flown / "float", tmp_path / "code")
+    prefix, tables, precision = read_code(honest)
+    moved = [[[x * (1 + 1e-9) for x in row] for row in part] for part in tables.moved]
+    forged = replace(tables, moved=moved)
+    for name, text in files(forged, prefix, precision, document.digest).items():
+        (honest / name).write_text(text)
+    program = selftest(forged, prefix, precision, calls(forged, 20, 0))
+    (honest / f"{prefix}_selftest.c").write_text(program)
+    with pytest.raises(Rejected, match="code: .* differs from the text of its numbers"):
+        check_code(document, honest, Record())
+
+
+@pytest.mark.parametrize(
     "change",
     [
         lambda t: {"moved": t.moved[:-1], "pushed": t.pushed[:-1]},
@@ -368,7 +419,7 @@ def test_code_that_agrees_with_itself_alone_is_refused(document, tmp_path, chang
     forged = replace(honest, **change(honest))
     for name, text in files(forged, "forged", "double", document.digest).items():
         (tmp_path / name).write_text(text)
-    program = selftest(forged, "forged", "double", calls(forged, 3, 0))
+    program = selftest(forged, "forged", "double", calls(forged, 12, 0))
     (tmp_path / "forged_selftest.c").write_text(program)
     with pytest.raises(Rejected, match="^code: "):
         check_code(document, tmp_path, Record())
@@ -429,6 +480,7 @@ def test_the_verbs_export_and_verify(flown, tmp_path):
         ({"precision": "half"}, "must be one of double, float"),
         ({"prefix": "1a"}, "a letter first"),
         ({"prefix": "a" * 21}, "at most 20"),
+        ({"prefix": "stdint"}, "no header of C"),
     ],
 )
 def test_options_that_make_no_code_are_refused(flown, tmp_path, options, rule):

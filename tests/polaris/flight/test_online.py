@@ -368,7 +368,7 @@ def forged(flown, folder, change, precision="double"):
     digest = read(flown / "run" / "certificate.json").digest
     folder.mkdir()
     texts = files(altered, prefix, precision, digest)
-    texts[f"{prefix}_selftest.c"] = selftest(altered, prefix, precision, calls(altered, 4, 0))
+    texts[f"{prefix}_selftest.c"] = selftest(altered, prefix, precision, calls(altered, 12, 0))
     for name, text in texts.items():
         (folder / name).write_text(text)
     return verify(flown / "run", folder)
