@@ -5,14 +5,14 @@ from math import inf, nan
 
 import numpy as np
 
-from ..certificate.code.answers import Call, FlightStep
+from ..certificate.code.answers import LATEST, Call, FlightStep
 from ..certificate.code.text import FARTHEST, Tables
 from ..model.system import Array
 
 TINY, HUGE = (0.0, -0.0, 5e-324, 1e-310), (1e300, -1e300, inf, -inf, nan)
 SPECIAL = *TINY, FARTHEST, -FARTHEST, 1.0000001 * FARTHEST, *HUGE
 """Numbers that estimates and commands may turn out to be."""
-PERIODS = (-(2**31), -1, 0, 2**31 - 1)
+PERIODS = (-(2**31), -1, 0, LATEST)
 FLIGHT = 12  # calls of a flight on average
 FLIGHTS = 60  # of the self-test
 
@@ -42,8 +42,10 @@ def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
             mode = tables.modes[cell] if cell < len(tables.modes) else 0
             mode = int(place % 5 < 4) if start == 2 else mode  # S may fly in between
             odd = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
-            yield _call(rng, 0 if place else start, period, state, mode, command, int(odd))
+            call = _call(rng, 0 if place else start, period, state, mode, command, int(odd))
+            yield call
             period += 1 if odd != 4 else int(rng.integers(-3, 6))
+            period = PERIODS[0] if call.period == LATEST else max(period, PERIODS[0])  # the counter wraps
 
 
 def _call(

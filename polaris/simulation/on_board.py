@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..certificate.code.answers import CLIPPED
-from ..certificate.code.text import PRECISIONS, Tables, files, parsed
+from ..certificate.code.text import FARTHEST, PRECISIONS, Tables, files, parsed
 from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
 from ..synthesis.schedule.schedule import Schedule
@@ -193,7 +193,13 @@ def tables_of(
     limit: Any,
     forever: bool,
 ) -> Tables:
-    """Return the tables of a schedule in double precision, whose steps are q control periods of h [s]."""
+    """Return the tables of a schedule in double precision, whose steps are q control periods of h [s].
+
+    Raises `ScenarioError` if the reference is so far away that the code would take its states for errors.
+    """
+    if 2 * (largest := float(np.abs(states).max())) > FARTHEST:
+        rule = f"must keep within {FARTHEST / 2:g}, half of what code believes: use larger units"
+        raise ScenarioError("reference", largest, rule)
     parts = [discretize(np.array(A), np.array(B), h * i) for i in range(q)]
     cells, steps = len(inputs), len(modes)
     return Tables(
@@ -216,4 +222,4 @@ def booked_range(states: Array, gain: Array, limit: Array) -> Array:
     """
     with np.errstate(divide="ignore"):
         errors = (2 * limit[:, None] / np.abs(gain)).min(axis=0)
-    return np.asarray(np.minimum(np.abs(states).max(axis=0) + errors, 1e6))
+    return np.asarray(np.minimum(np.abs(states).max(axis=0) + errors, FARTHEST))

@@ -5,7 +5,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from ..code.check import read_code
+from ..code.check import check_plausible, read_code
 from ..code.online import check_online
 from ..files.artefacts import Stated
 from ..files.document import Document
@@ -79,6 +79,8 @@ class Argument:
         tracker = Tracker.of(doc, self.craft, self.upsets, [*sets, *within])
         flight = Continuation(doc, path, tracker)
         self.recoverability(flight, sets, flown)
+        if self.code is not None:
+            check_plausible(flight, [z.size() for z in [*sets, *within]])
         if self.stated.goal is not None:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
             held = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))

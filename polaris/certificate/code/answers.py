@@ -14,6 +14,8 @@ from .text import FARTHEST, KEEP, Table, Tables, literal, rounded, template
 STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED, REFUSED = (1 << i for i in range(10))
 """Faults, as in the header."""
 
+LATEST = 2**31 - 1
+"""Largest number of a period."""
 LARGEST = {"double": 1.7976931348623157e308, "float": 3.4028234663852886e38}
 
 
@@ -75,7 +77,7 @@ class FlightStep:
             fault |= CLOCK
         elif period - 1 > self.last:
             fault |= MISSED
-        self.last = max(period, 0)
+        self.last = period if period >= 0 else min(self.last + 1, LATEST)
         if all(-FARTHEST <= x <= FARTHEST for x in state):
             self.state = state
         else:

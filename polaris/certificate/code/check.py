@@ -6,14 +6,15 @@ from pathlib import Path
 from flint import arb, arb_mat
 
 from ..claims.coasting import flown_path
+from ..claims.continuation import Continuation
 from ..files.document import Document
 from ..files.structure import contents
-from ..kernel.balls import identity, plain, require
+from ..kernel.balls import column, identity, maxima, plain, require, sums
 from ..kernel.motion import Plant
 from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
 from .answers import calls_of, selftest
-from .rounding import UNIT, command_error, disturbance_taken
+from .rounding import UNIT, command_error, disturbance_taken, tops
 from .text import FARTHEST, PREFIX, Table, Tables, parsed, rounded
 
 BESIDE = re.compile(
@@ -135,6 +136,19 @@ def _check_tables(document: Document, plant: Plant, tables: Tables, precision: s
                     require(
                         "code", slack - abs(y - x), f"{name}, node {node}, row {i}: {x!r} is not {plain(y)}"
                     )
+
+
+def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
+    """Check that the code takes no state of a proven flight for an error; half of its limit is a margin.
+
+    Errors are at most of those sizes (N, 1) where S takes over, at any time.
+    """
+    needs = flight.tracker.needs("states", identity(len(flight.document.A)))
+    errors = column(sums(needs.ever(tops(sizes)), maxima(*needs.disturbed)))
+    reference = tops([node for arc in flight.path.arcs for node in arc.nodes])
+    for i, size in enumerate((reference + errors).entries()):
+        what = f"state {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
+        require("code", FARTHEST / 2 - size, what)
 
 
 def _same(name: str, given: Table, value: Table, precision: str) -> None:

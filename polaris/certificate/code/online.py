@@ -33,6 +33,7 @@ from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Directions
 from ..model.craft.needs import part
 from ..model.limits import Target
+from .check import check_plausible
 from .rounding import UNIT, gap_error, least, several, tops
 from .text import Tables
 
@@ -215,6 +216,7 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     if len(tables.room) <= last // doc.q:
         raise Rejected(CLAIM, f"has limits for {len(tables.room)} steps, and looks at {last // doc.q + 1}")
     decision = Decision(flight, tables, precision)
+    check_plausible(flight, [decision.start(1), decision.end(1)])
     confirmed = decision.check()
     _check_rooms(decision)
     _check_later(decision)

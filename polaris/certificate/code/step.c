@@ -90,8 +90,14 @@ void @PREFIX@_start(@PREFIX@_memory *memory)
 static uint32_t receive(@PREFIX@_memory *memory, const @PREFIX@_input *input)
 {
     uint32_t fault = 0U;
-    const int32_t period = (input->period < 0) ? 0 : input->period;
-    if ((input->period < 0) || (period < memory->last)) {
+    int32_t period = input->period;
+    if (period < 0) { /* no number at all: the next one */
+        fault |= @GUARD@_CLOCK;
+        period = memory->last;
+        if (period < INT32_MAX) {
+            period = period + 1;
+        }
+    } else if (period < memory->last) {
         fault |= @GUARD@_CLOCK;
     } else if ((period - 1) > memory->last) {
         fault |= @GUARD@_MISSED;

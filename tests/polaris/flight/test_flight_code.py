@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from polaris.certificate.checker import verify
 from polaris.certificate.claims.coasting import flown_path
+from polaris.certificate.code import check
 from polaris.certificate.code.answers import (
     CLIPPED,
     CLOCK,
@@ -222,6 +223,24 @@ def test_each_fault_has_its_answer(flown):
     assert away.mode == 1 and away.fault == RANGE
 
 
+@pytest.mark.parametrize("number", [-1, -7, -(2**31)])
+def test_a_number_of_a_period_that_is_none_moves_s_nowhere(flown, number):
+    """S flies the period that comes next, as if it had been called for that one."""
+    _, tables, _ = read_code(flown / "double")
+    q, none = len(tables.moved), (0.0,) * len(tables.limit)
+    for last in (0, 3 * q + 1, len(tables.modes) * q):
+        answers = []
+        for period in (last + 1, number):
+            step = FlightStep(tables)
+            for node in range(last + 1):
+                step.step(node, tables.waypoints[node // q], 0, none)
+            answers.append(step.step(period, tables.waypoints[(last + 1) // q], 0, none))
+            assert step.last == last + 1
+        assert answers[0].command == answers[1].command and answers[1].fault & CLOCK
+    step.last = 2**31 - 1
+    assert step.step(number, tables.waypoints[0], 0, none).fault & CLOCK and step.last == 2**31 - 1
+
+
 # -- rounding ---------------------------------------------------------------------------------------
 
 
@@ -374,6 +393,20 @@ def test_a_precompiled_header_would_take_the_place_of_the_header(flown, document
     built(tmp_path, "gcc", [evil.name], honest / f"{header.name}.gch", "-x", "c-header")
     with pytest.raises(Rejected, match="code: the folder holds"):
         check_code(document, honest, Record())
+
+
+def test_states_that_the_code_would_take_for_errors_are_refused(flown, tmp_path, monkeypatch):
+    """S would fly by an old estimate from the first call on."""
+    (tmp_path / "scene.toml").write_text(random_scenario(0))  # 8,000 km away
+    far = run(tmp_path / "scene.toml", tmp_path / "far", overrides=["simulation.runs=1"])
+    with pytest.raises(ScenarioError, match=r"reference: got 8\d*\.\d*; must keep within 500000"):
+        export_c(far.path, tmp_path / "code")
+    _, tables, _ = read_code(flown / "double")
+    monkeypatch.setattr(check, "FARTHEST", 1.01 * max(tables.range))
+    verdict = verify(flown / "run", flown / "double")
+    assert verdict.claim == "code" and "the code believes none beyond" in verdict.witness
+    monkeypatch.setattr(check, "FARTHEST", 3 * max(tables.range))
+    assert verify(flown / "run", flown / "double").outcome == "VERIFIED"
 
 
 def test_a_self_test_that_tests_little_is_refused(flown, document, tmp_path):
