@@ -22,7 +22,8 @@ FILES = {
 }
 """Files of every framework beside the flight code, and their templates."""
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")  # as long as table names of cFS leave room for
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+LONGEST = {"fprime": 16, "cfs": 11}  # of names: cFS has 19 characters for the file of a table
 MODULE = "Components"
 
 
@@ -59,8 +60,10 @@ def glue_files(
         raise ScenarioError("glue", framework, f"must be one of {', '.join(FILES)}")
     name = default_name(prefix, framework) if name is None else name
     for field, given in (("name", name), ("module", module)):
-        if not NAME.fullmatch(given):
-            raise ScenarioError(field, given, "must be at most 16 letters, digits and _, a letter first")
+        longest = LONGEST["fprime" if field == "module" else framework]
+        if not NAME.fullmatch(given) or len(given) > longest:
+            rule = f"must be at most {longest} letters, digits and _, a letter first"
+            raise ScenarioError(field, given, rule)
     if name == prefix:
         raise ScenarioError("name", name, "must not be the prefix of the flight code")
     n, m = tables.sizes["N"], tables.sizes["M"]
@@ -77,4 +80,4 @@ def default_name(prefix: str, framework: str) -> str:
     """Return a name made of a prefix: in words with capitals for F', with ``_app`` for cFS."""
     if framework == "fprime":
         return "".join(word.capitalize() for word in prefix.split("_"))[:16]
-    return f"{prefix.removeprefix('polaris_')[:12].rstrip('_')}_rta"
+    return f"{prefix.removeprefix('polaris_')[:7].rstrip('_')}_rta"

@@ -18,7 +18,8 @@ void @NAME@::inputIn_handler(FwIndexType portNum,
     Fw::ParamValid valid;
     const bool allowed = this->paramGet_ALLOW_EXPERIMENTAL(valid);
     input.period = period;
-    input.controller = (allowed && (valid != Fw::ParamValid::INVALID)) ? controller : 0;
+    const bool known = (valid == Fw::ParamValid::VALID) || (valid == Fw::ParamValid::DEFAULT);
+    input.controller = (known && allowed) ? controller : 0;
     for (U32 i = 0U; i < @GUARD@_STATES; i++) {
         input.state[i] = estimate[i];
     }

@@ -109,15 +109,25 @@ def test_a_component_answers_as_the_code(run, tmp_path, precision, compiler):
     program = component(folder, "Guard", tmp_path, "Rendezvous", compiler)
     _, tables, _ = read_code(folder)
     given = flight(tables)
-    for allow, lost, every in ((1, 0, 1), (0, 0, 7), (1, 1, 0)):
-        options = [program, *map(str, (allow, lost, 1, every))]
+    UNINIT, VALID, INVALID, DEFAULT = range(4)
+    for allow, valid, every in (
+        (1, VALID, 1),
+        (0, DEFAULT, 7),
+        (1, INVALID, 0),
+        (1, UNINIT, 1),
+        (1, DEFAULT, 2),
+    ):
+        lost = valid in (UNINIT, INVALID)  # before parameters are loaded, the value is anything
+        options = [program, *map(str, (allow, valid, 1, every))]
         done = subprocess.run(options, input=asked(given), capture_output=True, text=True, check=True)
         *lines, summary = done.stdout.splitlines()
         as_the_step(tables, precision, given, lines, bool(allow and not lost))
         verdicts, written, faults, modes = map(int, summary.split())
         assert (verdicts, written) == (len(given), -(-len(given) // max(every, 1)))
         assert faults > 0 and (modes > 0) == bool(allow and not lost)
-    silent = subprocess.run([program, "1", "0", "0", "1"], input=asked(given), capture_output=True, text=True)
+    silent = subprocess.run(
+        [program, "1", str(DEFAULT), "0", "1"], input=asked(given), capture_output=True, text=True
+    )
     assert silent.stdout.splitlines()[-1].startswith("0 ")
 
 
@@ -188,7 +198,8 @@ def test_glue_may_call_the_online_monitor(run, tmp_path, framework):
         ({"glue": "ros"}, "must be one of fprime, cfs"),
         ({"glue": "fprime", "name": "1a"}, "a letter first"),
         ({"glue": "fprime", "module": "a.b"}, "a letter first"),
-        ({"glue": "cfs", "name": "a" * 17}, "at most 16"),
+        ({"glue": "fprime", "name": "a" * 17}, "at most 16"),
+        ({"glue": "cfs", "name": "a" * 12}, "at most 11"),
         ({"glue": "cfs", "prefix": "demo", "name": "demo"}, "must not be the prefix"),
     ],
 )
@@ -207,4 +218,5 @@ def test_the_verb_writes_glue_and_replaces_it(run, tmp_path):
     assert done.exit_code == 0 and not (out / "guard").exists()
     assert default_name("polaris_static", "fprime") == "PolarisStatic"
     assert default_name("polaris_static", "cfs") == "static_rta"
+    assert default_name("polaris_random_scene", "cfs") == "random_rta"
     assert (out / default_name("polaris_tiny", "fprime")).is_dir()

@@ -15,6 +15,7 @@ namespace Fw {
 struct ParamValid {
     enum T { UNINIT, VALID, INVALID, DEFAULT };
     T e = UNINIT;
+    bool operator==(T other) const { return this->e == other; }
     bool operator!=(T other) const { return this->e != other; }
 };
 }  // namespace Fw
@@ -31,7 +32,8 @@ class @NAME@ComponentBase {
     virtual void inputIn_handler(FwIndexType, I32, const @NAME@State&, I32, const @NAME@Force&) = 0;
 
     struct Said {
-        bool allow = true, lost = false, connected = true;
+        bool allow = true, connected = true;
+        Fw::ParamValid::T valid = Fw::ParamValid::DEFAULT;
         U32 every = 1U;
         int written = 0, faults = 0, modes = 0, verdicts = 0;
         I32 period = -1, mode = -1;
@@ -42,7 +44,7 @@ class @NAME@ComponentBase {
 
   protected:
     bool paramGet_ALLOW_EXPERIMENTAL(Fw::ParamValid& valid) {
-        valid.e = this->said.lost ? Fw::ParamValid::INVALID : Fw::ParamValid::DEFAULT;
+        valid.e = this->said.valid;
         return this->said.allow;
     }
     U32 paramGet_TELEMETRY_EVERY(Fw::ParamValid& valid) {

@@ -1,4 +1,4 @@
-// Hands calls from the standard input to the component, and writes its verdicts. Arguments: allow, lost, connected, every.
+// Hands calls from the standard input to the component, and writes its verdicts. Arguments: allow, validity of that, connected, every.
 #include "@NAME@.hpp"
 
 #include <cstdio>
@@ -8,7 +8,7 @@ int main(int, char** given) {
     @MODULE@::@NAME@ component("flown");
     @MODULE@::@NAME@ComponentBase& base = component;
     base.said.allow = std::atoi(given[1]) != 0;
-    base.said.lost = std::atoi(given[2]) != 0;
+    base.said.valid = static_cast<Fw::ParamValid::T>(std::atoi(given[2]));
     base.said.connected = std::atoi(given[3]) != 0;
     base.said.every = static_cast<U32>(std::atoi(given[4]));
     int period = 0;
