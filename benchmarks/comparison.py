@@ -1,7 +1,7 @@
-"""The tables of ``docs/comparison.md``: every method on every scene, and what its tuning does.
+"""The tables of ``docs/comparison.md``, and the sweep of options beside it, from which its defaults follow.
 
     python -m benchmarks.comparison              print them
-    python -m benchmarks.comparison --write      put them and the figures into the page
+    python -m benchmarks.comparison --write      put them, the sweep and the figures into the page
 
 One default per method is used on all scenes. It is chosen by `chosen` from the sweep: of the values with the
 fewest violations on all scenes together, those whose deviation from U's input is within two per cent of the
@@ -14,6 +14,8 @@ scene's table has a row for it.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import re
 import shutil
 import tempfile
@@ -38,6 +40,9 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 SCENES = ("static", "dynamic", "robot")
 RUNS, SWEPT_RUNS = 30, 30
+SWEEP = PAGE.parent / "figures" / "comparison-sweep.csv"
+SWEEP_COLUMNS = ("options", "values", "default", "scene", "violations", "share_of_u", "delta_v_m_s",
+                 "deviation", "switches", "objective")  # fmt: skip
 FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
 
 MONITORS = ("monitor", "monitor_declared")
@@ -86,18 +91,6 @@ class Cell:
         hit = f"**{self.violations} hit**, " if self.violations else ""
         extra = f"; {self.switches:.1f} switches, worth {self.worth:.4f}" if np.isfinite(self.worth) else ""
         return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}{extra}"
-
-
-CELL = re.compile(
-    r"(?:\*\*(\d+) hit\*\*, )?([\d.]+) %, ([\d.e+-]+), ([\d.e+-]+)"
-    r"(?:; ([\d.]+) switches, worth (-?[\d.]+))?"
-)
-
-
-def read_cell(text: str) -> Cell:
-    """Return a cell of the page."""
-    hit, share, *means = CELL.fullmatch(text.strip()).groups()
-    return Cell(int(hit or 0), float(share) / 100, *(float(mean or np.nan) for mean in means))
 
 
 def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
@@ -181,36 +174,37 @@ def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None
 
 
 def sweep_table(swept: Sweep) -> str:
-    """Return the sweep as a table, defaults in bold."""
-    scenes = list(next(iter(next(iter(swept.values())).values())))
-    lines = ["| Options | Values | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
-    lines.append("|---" * (2 + len(scenes)) + "|")
+    """Return the sweep as CSV: a row per values of options and scene, marked where they are the default."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(SWEEP_COLUMNS)
     for full, values in swept.items():
         default = chosen(values)
         for value, cells in values.items():
-            words = label(full, value)
-            words = f"**{words}**" if value == default else words
-            shown = " | ".join(str(cells[name]) for name in scenes)
-            lines.append(f"| `{full}` | {words} | {shown} |")
-    return "\n".join(lines)
+            for name, cell in cells.items():
+                numbers = (f"{cell.share:.3f}", f"{cell.delta_v:.4g}", f"{cell.deviation:.4g}")
+                extra = (f"{cell.switches:.1f}", f"{cell.worth:.4f}") if np.isfinite(cell.worth) else ("", "")
+                mark = "yes" if value == default else "no"
+                rows.writerow((full, label(full, value), mark, name, cell.violations, *numbers, *extra))
+    return out.getvalue()
 
 
 def read_sweep(table: str) -> tuple[Sweep, dict[str, Values]]:
-    """Return the sweep of the page, and what it says the defaults are."""
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
-    scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
-    for option, words, *cells in rows[2:]:
-        key, value = option.strip("`"), tuple(float(one.split()[0]) for one in words.strip("*").split(", "))
-        out.setdefault(key, {})[value] = {
-            name: read_cell(cell) for name, cell in zip(scenes, cells, strict=True)
-        }
-        if words.startswith("**"):
-            defaults[key] = value
+    """Return the sweep of a CSV text, and the values that it marks as defaults."""
+    out: Sweep = {}
+    defaults = {}
+    for row in csv.DictReader(io.StringIO(table)):
+        value = tuple(float(one.split()[0]) for one in row["values"].split(", "))
+        means = (float(row[key] or np.nan) for key in SWEEP_COLUMNS[5:])
+        cells = out.setdefault(row["options"], {}).setdefault(value, {})
+        cells[row["scene"]] = Cell(int(row["violations"]), *means)
+        if row["default"] == "yes":
+            defaults[row["options"]] = value
     return out, defaults
 
 
-COLUMNS = ("Method", "Proven", "Violations", "Least distance m", "Mean distance m", "Share of U", "Switches",
-           "Delta-v m/s", "Deviation")  # fmt: skip
+COLUMNS = ("Method", "Proven", "Violations", "Least distance m", "Share of U", "Switches", "Delta-v m/s",
+           "Deviation")  # fmt: skip
 
 
 def row(name: str, one: MethodResult) -> str:
@@ -219,15 +213,15 @@ def row(name: str, one: MethodResult) -> str:
 
     def mean(metric: str) -> str:
         part = summary[metric]
-        return f"{part['mean']:.4g} ± {(part['high'] - part['low']) / 2:.1g}"
+        half = (part["high"] - part["low"]) / 2
+        return f"{part['mean']:.4g}" + (f" ± {half:.1g}" if half > 1e-9 else "")
 
     cells = [
         name,
         "yes" if one.claim.kind == "proved" else "no",
         f"{summary['violations']['mean']}",
         f"{summary['min_distance_m']['worst']:.3g}",
-        *(mean(metric) for metric in ("mean_distance_m", "experimental_share", "switches")),
-        *(mean(metric) for metric in ("delta_v_m_s", "deviation")),
+        *(mean(metric) for metric in ("experimental_share", "switches", "delta_v_m_s", "deviation")),
     ]
     return "| " + " | ".join(cells) + " |"
 
@@ -261,7 +255,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     scenarios = {name: load_scenario(name) for name in SCENES}
     schedules = {name: synthesize(scenario) for name, scenario in scenarios.items()}
     swept = sweep(schedules, given.swept_runs)
-    tables = {"sweep": sweep_table(swept)}
+    text = sweep_table(swept)
+    print(f"\nsweep\n\n{text}")
+    if given.write:
+        SWEEP.write_text(text, encoding="utf-8")
+    tables = {}
     for name, schedule in schedules.items():
         best = {key: own(values, name) for key, values in swept.items()}
         tuned = {key: value for key, value in best.items() if value is not None}

@@ -14,6 +14,7 @@ from tests.sizes import fewer
 
 TEXT = page.PAGE.read_text(encoding="utf-8")
 TABLES = page.blocks(TEXT)
+SWEEP = page.SWEEP.read_text(encoding="utf-8")
 NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 
 
@@ -34,7 +35,8 @@ def value(name, method, column):
 
 def test_the_page_holds_every_table():
     written = method_docs.tables()
-    assert set(TABLES) == {*written, "sweep", *page.SCENES}
+    assert set(TABLES) == {*written, *page.SCENES}
+    assert "](figures/comparison-sweep.csv)" in TEXT
     assert {name: TABLES[name] for name in written} == written, "run: python -m docs.generate.method_docs"
     for name in page.SCENES:
         made = len(rows(TABLES[name]))
@@ -42,7 +44,7 @@ def test_the_page_holds_every_table():
 
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
-    swept, defaults = page.read_sweep(TABLES["sweep"])
+    swept, defaults = page.read_sweep(SWEEP)
     assert set(swept) == set(page.SWEPT) and page.RUNS == page.SWEPT_RUNS
     ours = {"safety", "experimental", "schedule", "code", "monitor", "monitor_code", "monitor_declared"}
     rivals = set(METHODS) - ours
@@ -65,7 +67,7 @@ def test_defaults_are_what_the_sweep_of_the_page_says():
 
 
 def test_scenes_have_a_row_for_a_value_that_is_better_there():
-    swept, _ = page.read_sweep(TABLES["sweep"])
+    swept, _ = page.read_sweep(SWEEP)
     for name in page.SCENES:
         for full, values in swept.items():
             best, (key, _, option) = page.own(values, name), full.partition(".")
@@ -92,7 +94,7 @@ SWITCHES, HITS = "Switches", "Violations"
 
 
 def test_the_words_of_the_page_follow_from_its_tables():
-    swept, defaults = page.read_sweep(TABLES["sweep"])
+    swept, defaults = page.read_sweep(SWEEP)
 
     def ratio(name, one, other, column):
         return value(name, one, column) / value(name, other, column)
@@ -183,8 +185,16 @@ def test_the_rule_prefers_safety_then_closeness_then_u():
 
     values = {1: cell(1, 1.0, 0.1), 2: cell(0, 0.5, 1.0), 3: cell(0, 0.9, 1.01), 4: cell(0, 0.99, 1.2)}
     assert page.chosen(values) == 3
-    text = str(page.Cell(3, 0.5, 12.5, 0.01))
-    assert page.read_cell(text) == page.Cell(3, 0.5, 12.5, 0.01)
+
+
+def test_a_sweep_is_read_as_it_was_written():
+    swept, _ = page.read_sweep(SWEEP)
+    assert page.sweep_table(swept) == SWEEP
+    full, values = next(iter(swept.items()))
+    value, cells = next(iter(values.items()))
+    hit = page.Cell(3, 0.5, 12.5, 0.01)
+    again, _ = page.read_sweep(page.sweep_table({full: {value: dict.fromkeys(cells, hit)}}))
+    assert set(map(repr, again[full][value].values())) == {repr(hit)}
 
 
 def compare(shown, real, tolerance=0.05):
@@ -210,7 +220,7 @@ def test_tables_that_differ_are_found():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", page.SCENES)
 def test_a_scenes_table_is_flown_again(name):
-    swept, _ = page.read_sweep(TABLES["sweep"])
+    swept, _ = page.read_sweep(SWEEP)
     own = {key: page.own(values, name) for key, values in swept.items()}
     tuned = {key: best for key, best in own.items() if best is not None}
     table, _ = page.scene_table(scheduled(name)[1], page.RUNS, tuned)
@@ -229,10 +239,10 @@ def test_the_sweep_is_flown_again(name, monkeypatch):
         some = page.VALUES[key][page.SCENES.index(name) % one_in :: one_in]
         monkeypatch.setitem(page.VALUES, key, some)
     again = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
-    swept, _ = page.read_sweep(TABLES["sweep"])
+    swept, _ = page.read_sweep(SWEEP)
     for key, values in again.items():
         for setting, cells in values.items():
-            shown, real = swept[key][setting][name], page.read_cell(str(cells[name]))
+            shown, real = swept[key][setting][name], cells[name]
             assert shown.violations == pytest.approx(real.violations, abs=1), (key, setting)
             assert shown.share == pytest.approx(real.share, abs=0.02), (key, setting)
             assert shown.delta_v == pytest.approx(real.delta_v, rel=0.05), (key, setting)
