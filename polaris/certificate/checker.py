@@ -9,7 +9,7 @@ import flint
 
 from .claims.argument import Argument
 from .claims.joint import Joint
-from .code.check import check_code
+from .code.check import check_code, precisions
 from .files.artefacts import (
     check_artefacts,
     check_hashes,
@@ -143,5 +143,7 @@ def _check(
                 raise
             flint.ctx.prec *= 2
             del record.checked[confirmed:]
+    if code is None and document.guarantee == "proved" and min(document.u_max) > 0:
+        record.holds("rounding", precisions(document))
     version = f"python-flint {flint.__version__} (ball arithmetic, {flint.ctx.prec} bit)"
     return [*trusted, f"{version}, SHA-256, and this checker"]

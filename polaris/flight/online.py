@@ -155,19 +155,19 @@ def _rounding(
         for one, other in zip(given, exact, strict=True)
     ]
     sums = u * (n + m + 4)
-    start = np.maximum(apart, np.abs(held) @ apart + np.abs(force) @ fed)
-    off1 = np.abs(held) @ off + sums * start + wrong[0] @ apart + wrong[1] @ fed + np.abs(force) @ fed * u
-    powers = [np.eye(n)]
-    for _ in range(count):
+    first = np.abs(held) @ apart + np.abs(force) @ fed
+    off1 = np.abs(held) @ off + sums * first + wrong[0] @ apart + wrong[1] @ fed + np.abs(force) @ fed * u
+    powers, (start, added) = [np.eye(n)], (first + off1, list[Array]())
+    sizes, lost = [apart], [np.abs(rows) @ off]
+    for _ in range(1, count):
+        spread = np.abs(np.array(powers))  # of later periods, the newest last
+        sizes.append(spread[-1] @ start + sum(map(np.matmul, spread[-2::-1], added)))
+        known = np.abs(rows @ np.array(powers))
+        lost.append(known[-1] @ off1 + sum(map(np.matmul, known[-2::-1], added)))
+        added.append((sums * np.abs(loop) + wrong[2]) @ sizes[-1])
         powers.append(powers[-1] @ loop)
-    size = 2 * np.abs(powers).max(axis=0) @ (start + off1)
-    each = sums * np.abs(loop) @ size + wrong[2] @ size
-    spread = np.abs(rows @ np.array(powers))  # (count + 1, r, n)
-    summed = np.cumsum(spread @ each, axis=0)
-    value = np.abs(rows) @ size
-    lost = spread[:count] @ off1 + summed[:count] + wrong[3] @ size + sums * value
-    lost[0] += np.abs(rows) @ off
-    return np.asarray(1.05 * lost + 8 * u * value)
+    value = np.array(sizes) @ np.abs(rows).T
+    return np.asarray(1.05 * (np.array(lost) + np.array(sizes) @ wrong[3].T + sums * value) + 8 * u * value)
 
 
 def _rooms(

@@ -15,7 +15,7 @@ from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
 from .answers import calls_of, selftest
 from .rounding import UNIT, command_error, disturbance_taken, tops
-from .text import FARTHEST, PREFIX, Table, Tables, parsed, rounded
+from .text import FARTHEST, PRECISIONS, PREFIX, Table, Tables, parsed, rounded
 
 BESIDE = re.compile(
     r"\.polaris\.jsonl|(\w+)/(CMakeLists\.txt|\1\.[fhc]pp|fsw/(src/\1_app\.[ch]|tables/\1_tbl\.c))", re.ASCII
@@ -46,6 +46,23 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
         assumed,
         *(online if tables.rows else []),
     ]
+
+
+def precisions(document: Document) -> str:
+    """Return how exact flight code of a certificate is in each precision; its tables are rounded once."""
+    plant, n, m = plant_of(document), len(document.A), len(document.u_max)
+    path = flown_path(document, plant, document.states[document.steps])
+    parts = zip(*[(identity(n), arb_mat(n, m)), *plant.steps][: document.q], strict=True)
+    moved, pushed = ([[list(map(float, row)) for row in M.tolist()] for M in part] for part in parts)
+    tables, words = Tables(**_known(document), moved=moved, pushed=pushed), list[str]()
+    for precision in PRECISIONS:
+        error = command_error(document, tables.rounded(precision), precision, path)
+        taken = disturbance_taken(document, plant, error)
+        words.append(f"{precision} within {float(error.upper()):.3g} N")
+        if taken is not None and document.w_max > 0:
+            share = float((taken / document.w_max).upper())
+            words[-1] += f", {share:.3g} of the disturbance bound{', too much to fly' * (share >= 1)}"
+    return f"commands of flight code, tables rounded once: {'; '.join(words)}"
 
 
 def read_code(folder: Path) -> tuple[str, Tables, str, str]:
@@ -109,23 +126,11 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
 
 def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
     """Check that all numbers are the certificate's, rounded once; transitions are off by few roundings."""
-    gain, cells = document.laws[0].gain, document.cells
-    assert gain is not None  # as of every safety controller
-    nodes = document.steps if document.horizon == "none" else cells
-    known = {
-        "covered": nodes * document.q,
-        "modes": document.modes,
-        "waypoints": document.states[:cells],
-        "feed": document.inputs[: document.steps],
-        "gain": gain,
-        "limit": document.u_max,
-        "range": _range(document, gain),
-    }
     n, m, q = len(document.A), len(document.u_max), document.q
-    sizes = tuple(tables.sizes.values())[:5]
-    if sizes != (n, m, q, document.steps, cells):
-        raise Rejected("code", f"the tables are for sizes {sizes}, not {n, m, q, document.steps, cells}")
-    for name, value in known.items():
+    sizes, wanted = tuple(tables.sizes.values())[:5], (n, m, q, document.steps, document.cells)
+    if sizes != wanted:
+        raise Rejected("code", f"the tables are for sizes {sizes}, not {wanted}")
+    for name, value in _known(document).items():
         _same(name, getattr(tables, name), value, precision)
     exact = [(identity(n), arb_mat(n, m)), *plant.steps][:q]
     for name, given, part in (("moved", tables.moved, 0), ("pushed", tables.pushed, 1)):
@@ -149,6 +154,21 @@ def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
     for i, size in enumerate((reference + errors).entries()):
         what = f"state {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
         require("code", FARTHEST / 2 - size, what)
+
+
+def _known(document: Document) -> dict[str, Table]:
+    """Return the tables that hold numbers of the certificate."""
+    gain, cells = document.laws[0].gain, document.cells
+    assert gain is not None  # as of every safety controller
+    return {
+        "covered": (document.steps if document.horizon == "none" else cells) * document.q,
+        "modes": document.modes,
+        "waypoints": document.states[:cells],
+        "feed": document.inputs[: document.steps],
+        "gain": gain,
+        "limit": document.u_max,
+        "range": _range(document, gain),
+    }
 
 
 def _same(name: str, given: Table, value: Table, precision: str) -> None:

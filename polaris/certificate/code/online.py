@@ -6,7 +6,6 @@ error keeps to the facets until the next node, and S keeps to every limit from t
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
 
 from flint import arb, arb_mat
 
@@ -163,31 +162,25 @@ class Decision:
         apart, fed = self.apart, tops([column(u) for u in tables.feed])
         inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
         wrong = tops([column(u) - column(v) for u, v in inputs])
-        start = tops([apart, magnitude(held) * apart + magnitude(force) * fed])
-        rounded = start * several(n + m, precision) + least(n, n + m, precision)
+        first = magnitude(held) * apart + magnitude(force) * fed
+        rounded = first * several(n + m, precision) + least(n, n + m, precision)
         off = magnitude(craft.free) * self.off + magnitude(held - craft.free) * apart
         off += magnitude(force - craft.held) * fed + magnitude(craft.held) * wrong + rounded
-        powers = [magnitude(power) for power in needs.memory.powers]
-        size = above(*powers) * (start + rounded)
-        size = 2 * tops([rows_of(size, *range(i * n, i * n + n)) for i in range(len(powers))])
-        each = (magnitude(loop) * several(n, precision) + magnitude(loop - craft.F)) * size
-        each += least(n, n, precision)
-        spare = size * arb(0.5) - sum(powers[1:], powers[0]) * each
-        for i, left in enumerate(spare.entries()):
-            require(CLAIM, left, f"state {i} of a prediction may be off by half its size")
-        stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
-        values = above(*(magnitude(row) for row in stored)) * size
-        wrong_rows = above(*(off_row for *_, off_row in self.stored)) * size
-        constant = sums(
-            wrong_rows.entries(),
-            (values * several(n, precision) + least(len(stored), n, precision)).entries(),
-            [x * (4 * UNIT[precision]) for x in values.entries()],
-        )
+        powers = [magnitude(power) for power in needs.memory.powers[: len(tables.booked)]]
         spread = [magnitude(carried) for carried in needs.carried[: len(tables.booked)]]
-        summed = accumulate(((one * each).entries() for one in spread), sums, initial=[arb(0)] * len(stored))
-        pairs = zip(spread, summed, strict=False)
-        later = [sums((one * off).entries(), more, constant) for one, more in pairs]
-        return [sums((spread[0] * self.off).entries(), constant), *later]
+        each = magnitude(loop) * several(n, precision) + magnitude(loop - craft.F)
+        stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
+        along = above(*(magnitude(row) for row in stored)) * (several(n, precision) + 4 * UNIT[precision])
+        along += above(*(off_row for *_, off_row in self.stored))
+        under = least(len(stored), n, precision)
+        lost, added = [spread[0] * self.off + along * apart + under], list[arb_mat]()
+        for lag in range(len(tables.booked) - 1):
+            size, known = powers[lag] * (first + rounded), spread[lag] * off + under
+            for age, more in enumerate(reversed(added)):  # rounded so many periods before
+                size, known = size + powers[age] * more, known + spread[age] * more
+            lost.append(known + along * size)
+            added.append(each * size + least(n, n, precision))
+        return [one.entries() for one in lost]
 
     def check(self) -> str:
         """Confirm every number that is booked and every room, and all limits beyond; returns what holds."""

@@ -1,5 +1,6 @@
 """Flight code of a run: compilers are silent, C answers as Python to the last bit, forgeries are refused."""
 
+import copy
 import math
 import os
 import re
@@ -29,7 +30,7 @@ from polaris.certificate.code.answers import (
     answered,
     selftest,
 )
-from polaris.certificate.code.check import check_code
+from polaris.certificate.code.check import check_code, precisions
 from polaris.certificate.code.text import PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import PRECISION, column, matrix
@@ -260,6 +261,19 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, document, pre
         off = (abs(flint.arb(u) - v) for u, v in zip(given, exact.entries(), strict=True))
         worst = max(worst, *(float(one.upper()) for one in off))
     assert worst <= tables.rounding <= 100 * worst
+
+
+def test_the_checker_says_how_exact_code_will_be_without_code(flown, document):
+    """From the certificate's numbers alone: nearly the bounds that both codes state, and what each takes."""
+    statement = dict(verify(flown / "run").checked)["rounding"]
+    for precision in PRECISIONS:
+        error, share = re.search(rf"{precision} within (\S+) N, (\S+) of", statement).groups()
+        _, tables, _ = read_code(flown / precision)
+        assert float(error) == pytest.approx(tables.rounding, rel=0.5)
+        assert float(share) == pytest.approx(disturbance_taken(document, float(error)), rel=0.01)
+    little = copy.copy(document)
+    little.w_max = document.w_max * float(share) / 2
+    assert [part.endswith("too much to fly") for part in precisions(little).split(";")] == [False, True]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

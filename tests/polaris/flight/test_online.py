@@ -7,6 +7,7 @@ import re
 import subprocess
 from dataclasses import replace
 
+import flint
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -25,9 +26,11 @@ from polaris.certificate.code.answers import (
     OnlineStep,
     answered,
     selftest,
+    summed,
 )
 from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
+from polaris.certificate.kernel.balls import PRECISION, column
 from polaris.cli.app import app
 from polaris.flight.export import export_c
 from polaris.flight.vectors import SPECIAL, calls
@@ -428,6 +431,41 @@ def test_an_honest_code_is_confirmed_and_its_margin_is_near(flown, tmp_path, pre
         assert getattr(tables, name) == getattr(tables.rounded(precision), name)
     rows = np.array(tables.rows)
     assert np.abs(rows).max() == rounded(np.abs(rows).max(), precision)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, monkeypatch, precision):
+    """Against balls, along every limit at every node that a decision looks at, errors of all signs."""
+    kept, place = [], "polaris.certificate.code.online._check_rooms"
+    monkeypatch.setattr(place, kept.append)
+    assert verify(flown / "run", flown / precision).outcome == "VERIFIED"
+    flight, tables, lost = kept[0].flight, kept[0].tables, np.array(kept[0].lost, dtype=float)
+    monkeypatch.setattr(flint.ctx, "prec", PRECISION)
+    craft, doc, rng = flight.tracker.craft, flight.document, np.random.default_rng(4)
+    step, q, seen = OnlineStep(tables, precision), doc.q, np.zeros_like(lost)
+    given, signs = flight.recovery.needs.given, [(kind, side - 1.0) for kind, side, _ in kept[0].stored]
+    for draw in range(300):
+        cell, part = divmod(int(rng.integers(0, doc.steps * q)), q)
+        node = flight.path.arcs[cell].nodes[part]
+        b = rng.choice([-1, 1], len(tables.apart)) if draw % 2 else rng.uniform(-1, 1, len(tables.apart))
+        x = np.array(node.tolist(), dtype=float)[:, 0] - 0.999 * b * tables.apart
+        gap = step.safe.gap(cell, part, [rounded(one, precision) for one in x.tolist()])
+        e, feed = node - column(x.tolist()), column(doc.inputs[cell])
+        for lag in range(len(lost)):
+            values = [summed(0.0, row, gap, precision) for row in tables.rows]
+            exact = (given * e).entries()
+            off = [float(abs(y - s * values[k]).upper()) for y, (k, s) in zip(exact, signs, strict=True)]
+            seen[lag] = np.maximum(seen[lag], off)
+            last = (craft.free, tables.held) if lag == 0 else (craft.F, tables.loop)
+            e, gap = last[0] * e, [summed(0.0, row, gap, precision) for row in last[1]]
+            if lag == 0:
+                e += craft.held * feed
+                pairs = zip(gap, tables.force, strict=True)
+                gap = [summed(one, row, tables.feed[cell], precision) for one, row in pairs]
+    assert (seen <= lost).all()
+    ratio = lost.max(axis=1) / seen.max(axis=1)
+    print(f"{precision}: bound over error {lost.max() / seen.max():.3g}, by node at most {ratio.max():.3g}")
+    assert max(lost.max() / seen.max(), ratio.max()) <= 100
 
 
 @pytest.mark.parametrize(
