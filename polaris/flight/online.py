@@ -32,10 +32,13 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
         If the scene has what the monitor on board does not model, or its initial set is not recoverable.
     """
     grid = DecisionGrid.of(schedule)
-    other = document.profile, document.error_by_step, document.transients, np.any(document.displaced)
-    if any(other) or grid.clearance.limits.rows.shape[1] != grid.system.n:
-        rule = "must be off where errors depend on commands, phases or late isolation, or loops remember them"
+    timing = document.fired, document.late, document.carried, np.any(document.displaced)
+    if document.transients or any(timing) or grid.clearance.limits.rows.shape[1] != grid.system.n:
+        rule = "must be off with pulses, jitter, faults isolated late, and loops that remember errors"
         raise ScenarioError("monitor", True, rule)
+    if grid.system.error_by_step is not None:  # the largest of all, at all times
+        tracking = replace(grid.tracking, system=replace(grid.system, error_by_step=None))
+        grid = replace(grid, tracking=tracking, clearance=replace(grid.clearance, tracking=tracking))
     try:
         prospect = Monitor(grid).prospects[0, 0]
     except NotCertified as error:

@@ -4,12 +4,14 @@ A decision at a node looks at the estimate alone. If it is for U, then under any
 error keeps to the facets until the next node, and S keeps to every limit from there on, whatever was before.
 """
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import inf, nextafter
 
 from flint import arb, arb_mat
 
-from ..claims.continuation import Continuation
+from ..claims.continuation import Continuation, Tracker
 from ..kernel.balls import (
     above,
     absolute,
@@ -199,10 +201,11 @@ class Decision:
 def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     """Check the tables of an online monitor against the limits of a flight."""
     doc, craft = flight.document, flight.tracker.craft
-    other = doc.transients or doc.profile or flight.scheduled is not None or any(doc.displaced)
+    other = doc.transients or doc.fired or doc.late or doc.carried or any(doc.displaced)
     if other or craft.free.nrows() != craft.plant.A.nrows():
-        rule = "is for loops without memory, and errors that depend on neither time nor commands"
+        rule = "is for loops without memory, without pulses, jitter and faults that are isolated late"
         raise Rejected(CLAIM, rule)
+    flight = _with_largest_errors(flight)
     last = doc.steps * doc.q + len(tables.booked) - 2
     if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
         raise Rejected(CLAIM, f"looks {len(tables.booked)} nodes ahead")
@@ -214,6 +217,25 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     _check_rooms(decision)
     _check_later(decision)
     return confirmed
+
+
+def _with_largest_errors(flight: Continuation) -> Continuation:
+    """Return the flight with errors of thrusters and estimates as large as they ever are, at all times.
+
+    Thrusters err as at full thrust, whoever flies: what the schedule claims of S's commands after a hand-over
+    does not hold where the monitor decides.
+    """
+    doc, tracker = copy(flight.document), flight.tracker
+    craft, plant = tracker.craft, tracker.craft.plant
+    extra = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
+    off = craft.missed(sums(extra, craft.lagged(plant.u_max)))
+    error = [nextafter(float(x.upper()), inf) for x in plant.thruster_error(plant.u_max)]
+    doc.profile, doc.error_by_step = [], []
+    plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
+    craft = replace(craft, plant=plant, off=off, base=None, _along={})
+    memory = replace(tracker.memory, profile=[], rates=[])
+    tracker = Tracker(doc, craft, memory, tracker.upsets)
+    return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
 
 
 def _check_rooms(decision: Decision) -> None:

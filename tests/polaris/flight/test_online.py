@@ -49,6 +49,7 @@ from polaris.runs.run import run
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.on_board import FlightCode
 from polaris.simulation.simulate import simulate
+from tests.polaris.certificate.test_honest_sources import SOURCES
 from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
 from tests.polaris.forging import QUARTER, make
 from tests.polaris.random_scenarios import random_scenario
@@ -505,7 +506,58 @@ def test_the_verbs_export_and_verify(flown, tmp_path):
     assert done.exit_code == 0 and "S can take over wherever U may fly" in done.stdout
 
 
-def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path):
-    folder = make([QUARTER, "thrusters={magnitude_error=0.02}"], tmp_path)
-    with pytest.raises(ScenarioError, match="must be off where errors depend on commands"):
+LOOSE = "feedback.period_s=0.25", "tracking.R=[60,60]", "system.disturbance_max=0.005"
+MODELLED = {
+    "errors of estimates and thrusters": ("estimate", "magnitude", "mass"),
+    "constant errors of thrusters": ("constant magnitude", "bit"),
+    "phases and missed measurements": ("phases", "missed periods", "magnitude"),
+}
+
+
+def declared(names):
+    return [*LOOSE, *(text for name in names for text in SOURCES[name])]
+
+
+@pytest.mark.parametrize("names", MODELLED.values(), ids=MODELLED)
+def test_errors_that_depend_on_commands_and_phases_are_flown(tmp_path, names):
+    """Confirmed in both precisions, and flown with these errors and under attack; the monitor is bolder."""
+    folder = make(declared(names), tmp_path)
+    for precision in PRECISIONS:
+        export_c(folder, tmp_path / precision, precision, monitor=True)
+        verdict = verify(folder, tmp_path / precision)
+        assert verdict.outcome == "VERIFIED" and "monitor" in dict(verdict.checked), verdict.witness
+        schedule, code = read_schedule(folder), FlightCode(tmp_path / precision)
+        assert falsify(schedule, 100, 1, code=code).failure is None
+        runs = simulate(schedule, n=60, seed=4, tail=True, mode=1, code=code)
+        assert runs.metrics().summary()["collided_runs"] == 0
+        assert {mode for mode, _ in code.answers} == {0, 1}
+        assert not any(fault & CLIPPED for mode, fault in code.answers if mode == 0)
+
+
+def test_errors_by_commands_that_are_not_booked_are_refused(tmp_path):
+    """Tables of a scene whose thrusters err less, or whose estimates do in one phase."""
+    names = ["phases", "magnitude"]
+    folder = make(declared(names), tmp_path)
+    export_c(folder, tmp_path / "code", monitor=True)
+    for at, text in enumerate(
+        ("navigation.phases=[{from_s=5.07,state_error=[0,0,0,0]}]", "magnitude_error=0.01")
+    ):
+        less = [*declared(names[1:]), text] if at == 0 else [*declared(names[:1]), f"thrusters.{text}"]
+        other = tmp_path / str(at)
+        other.mkdir()
+        export_c(make(less, other), other / "code", monitor=True)
+        _, tables, _ = read_code(other / "code")
+        few = {name: getattr(tables, name) for name in ONLINE_SHAPES} | {"facets": tables.facets}
+        flown = tmp_path / f"flown {at}"
+        flown.mkdir()
+        (flown / "run").symlink_to(folder)
+        (flown / "double").symlink_to(tmp_path / "code")
+        verdict = forged(flown, tmp_path / f"forged {at}", lambda t, few=few: few)
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "monitor") and "is booked" in verdict.witness
+
+
+@pytest.mark.parametrize("name", ["camera", "delay", "jitter", "carried bit", "pulses", "fault"])
+def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path, name):
+    folder = make(declared([name]), tmp_path)
+    with pytest.raises(ScenarioError, match="must be off with pulses, jitter, faults"):
         export_c(folder, tmp_path / "code", monitor=True)
