@@ -32,9 +32,9 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
         If the scene has what the monitor on board does not model, or its initial set is not recoverable.
     """
     grid = DecisionGrid.of(schedule)
-    timing = document.fired, document.late, document.carried, np.any(document.displaced)
-    if document.transients or any(timing) or grid.clearance.limits.rows.shape[1] != grid.system.n:
-        rule = "must be off with pulses, jitter, faults isolated late, and loops that remember errors"
+    late = document.fired, document.late, document.carried, document.transients, np.any(document.displaced)
+    if document.observer or (document.error_by_step and document.timing.get("delay")) or any(late):
+        rule = "must be off with an observer, late phases, pulses, carried impulses, jitter and late faults"
         raise ScenarioError("monitor", True, rule)
     if grid.system.error_by_step is not None:  # the largest of all, at all times
         tracking = replace(grid.tracking, system=replace(grid.system, error_by_step=None))

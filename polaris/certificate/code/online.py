@@ -17,6 +17,7 @@ from ..kernel.balls import (
     absolute,
     beside,
     column,
+    diagonal,
     identity,
     largest,
     magnitude,
@@ -39,6 +40,7 @@ from .rounding import UNIT, gap_error, least, several, tops
 from .text import Tables
 
 CLAIM = "monitor"
+ROUNDS, SPARE = 500, 1 + 1e-9  # in which sizes of what the loop remembers are sought, and their growth
 NEAR = 64  # roundings by which stored rows may be off, relative to the largest entry
 
 
@@ -63,14 +65,24 @@ class Decision:
         return gap_error(flight.document, self.tables, self.precision, flight.path)
 
     @cached_property
-    def half(self) -> arb_mat:
-        """Bound on errors of the estimate, (n, 1)."""
+    def hidden(self) -> arb_mat:
+        """Generators of what the estimate hides of the loop state: its error, and what the loop remembers.
+
+        Shape (N, k). The states beside the error move by themselves, whatever flies, within `remembered`.
+        """
         craft = self.flight.tracker.craft
-        return magnitude(craft.carry) * column(craft.missed(craft.lagged(craft.plant.u_max)))
+        n = craft.plant.A.nrows()
+        missed = craft.carry * diagonal(craft.missed(craft.lagged(craft.plant.u_max)))
+        off = craft.lifted(missed)
+        if craft.free.nrows() == n:
+            return off
+        seen, rest = rest_of(craft.sees, n), remembered(craft.free, n, widths(self.added)[n:], craft.box)
+        return beside(off, above(-seen, identity(len(rest))) * diagonal(rest))
 
     def start(self, share: int) -> arb_mat:
-        """Size of the error where a decision may be for U, a share of the largest on board, (n, 1)."""
-        return self.apart * share + self.off + self.half
+        """Size of the loop state where a decision may be for U, a share of the largest on board, (N, 1)."""
+        lifted = self.flight.tracker.craft.lifted(self.apart * share + self.off)
+        return magnitude(lifted + column(widths(self.hidden)))
 
     @property
     def apart(self) -> arb_mat:
@@ -88,10 +100,10 @@ class Decision:
         """Generators of what thrust, disturbances and errors add in a period."""
         craft = self.flight.tracker.craft
         error = craft.plant.thruster_error(craft.plant.u_max)
-        return beside(craft.motion.pushed(self.pushes[0]), *craft.added(error))
+        return beside(craft.lifted(craft.motion.pushed(self.pushes[0])), *craft.added(error))
 
     def end(self, share: int) -> arb_mat:
-        """Size of the error at the next node, affine in the share, (n, 1)."""
+        """Size of the loop state at the next node, affine in the share, (N, 1)."""
         craft = self.flight.tracker.craft
         moved = magnitude(craft.free) * self.start(share) + magnitude(craft.held) * self.fed
         return magnitude(moved + column(widths(self.added)))
@@ -107,7 +119,7 @@ class Decision:
         if not count:
             return [([], [])] * 2
         rows = part(rows_of(needs.given, *range(count)), plant.A.nrows())
-        along, _ = craft.along(Directions(rows))
+        along, whole = craft.along(Directions(rows))
         bows = []
         for share in (0, 1):
             rates, turned = (
@@ -120,7 +132,7 @@ class Decision:
         for push in self.pushes:
             bend = sums(bend, along.motion.push_bend(rows, push))
             last = sums(last, along.motion.push_gain(rows, push))
-        known = [(magnitude(each) * self.half).entries() for each in (rows, rows * craft.free)]
+        known = [widths(each * self.hidden) for each in (whole.M, whole.M * craft.free)]
         firsts = [sums([both[i][row] for row, i in enumerate(which)], bend) for both in bows]
         return [(sums(first, known[0]), sums(first, last, known[1])) for first in firsts]
 
@@ -130,8 +142,8 @@ class Decision:
         if lag == 0:
             return self.within[share][0]
         carried = needs.carried[lag - 1]
-        known = magnitude(carried * craft.free) * self.half + needs.bend[lag - 1] * self.end(share)
-        total = sums(row_sums(carried * self.added), known.entries(), needs.disturbed[lag - 1])
+        known = widths(carried * craft.free * self.hidden), (needs.bend[lag - 1] * self.end(share)).entries()
+        total = sums(row_sums(carried * self.added), *known, needs.disturbed[lag - 1])
         if lag == 1:
             facets = self.within[share][1]
             total = [*maxima(total[: len(facets)], facets), *total[len(facets) :]]
@@ -144,7 +156,7 @@ class Decision:
         rows = [matrix([row]) for row in self.tables.rows]
         nearest = list[tuple[int, int, arb_mat]]()
         for i in range(given.nrows()):
-            exact = rows_of(given, i)
+            exact = part(rows_of(given, i), len(self.tables.apart))
             first, last = (0, self.tables.facets) if i < facets else (self.tables.facets, len(rows))
             sides = ((k, side, sign) for k in range(first, last) for side, sign in ((0, 1), (2, -1)))
             near = [(k, side, magnitude(exact + sign * rows[k])) for k, side, sign in sides]
@@ -159,28 +171,31 @@ class Decision:
     def lost(self) -> list[list[arb]]:
         """Bound on what rounding changes of the value along every row, node by node."""
         craft, needs, tables = self.flight.tracker.craft, self.flight.recovery.needs, self.tables
-        n, m, precision = craft.held.nrows(), craft.held.ncols(), self.precision
+        n, m, precision = len(tables.apart), len(tables.limit), self.precision
         held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
+        free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held, craft.F))
+        free, F = part(free, n), part(F, n)
         apart, fed = self.apart, tops([column(u) for u in tables.feed])
         inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
         wrong = tops([column(u) - column(v) for u, v in inputs])
         first = magnitude(held) * apart + magnitude(force) * fed
         rounded = first * several(n + m, precision) + least(n, n + m, precision)
-        off = magnitude(craft.free) * self.off + magnitude(held - craft.free) * apart
-        off += magnitude(force - craft.held) * fed + magnitude(craft.held) * wrong + rounded
-        powers = [magnitude(power) for power in needs.memory.powers[: len(tables.booked)]]
-        spread = [magnitude(carried) for carried in needs.carried[: len(tables.booked)]]
-        each = magnitude(loop) * several(n, precision) + magnitude(loop - craft.F)
+        off = magnitude(free) * self.off + magnitude(held - free) * apart
+        off += magnitude(force - push) * fed + magnitude(push) * wrong + rounded
+        known = needs.memory.powers[: len(tables.booked)]
+        powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in known]
+        spread = [magnitude(part(carried, n)) for carried in needs.carried[: len(tables.booked)]]
+        each = magnitude(loop) * several(n, precision) + magnitude(loop - F)
         stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
         along = above(*(magnitude(row) for row in stored)) * (several(n, precision) + 4 * UNIT[precision])
         along += above(*(off_row for *_, off_row in self.stored))
         under = least(len(stored), n, precision)
         lost, added = [spread[0] * self.off + along * apart + under], list[arb_mat]()
         for lag in range(len(tables.booked) - 1):
-            size, known = powers[lag] * (first + rounded), spread[lag] * off + under
+            size, total = powers[lag] * (first + rounded), spread[lag] * off + under
             for age, more in enumerate(reversed(added)):  # rounded so many periods before
-                size, known = size + powers[age] * more, known + spread[age] * more
-            lost.append(known + along * size)
+                size, total = size + powers[age] * more, total + spread[age] * more
+            lost.append(total + along * size)
             added.append(each * size + least(n, n, precision))
         return [one.entries() for one in lost]
 
@@ -200,11 +215,9 @@ class Decision:
 
 def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     """Check the tables of an online monitor against the limits of a flight."""
-    doc, craft = flight.document, flight.tracker.craft
-    other = doc.transients or doc.fired or doc.late or doc.carried or any(doc.displaced)
-    if other or craft.free.nrows() != craft.plant.A.nrows():
-        rule = "is for loops without memory, without pulses, jitter and faults that are isolated late"
-        raise Rejected(CLAIM, rule)
+    doc = flight.document
+    if doc.transients or doc.fired or doc.late or doc.carried or any(doc.displaced):
+        raise Rejected(CLAIM, "is for thrust without pulses, jitter and faults that are isolated late")
     flight = _with_largest_errors(flight)
     last = doc.steps * doc.q + len(tables.booked) - 2
     if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
@@ -217,6 +230,31 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     _check_rooms(decision)
     _check_later(decision)
     return confirmed
+
+
+def remembered(free: arb_mat, n: int, added: list[arb], box: list[arb]) -> list[arb]:
+    """Return sizes of the states beside the error (N - n) that hold at all nodes, from a box at the start.
+
+    They are no less than what one more period makes of them; `Rejected` if none are found, or if the error
+    changes these states.
+    """
+    below = rows_of(free, *range(n, free.nrows()))
+    alone, size = rest_of(below, n), list(box)
+    for _ in range(ROUNDS):
+        after = sums((magnitude(alone) * column(size)).entries(), added)
+        if all(x <= y for x, y in zip(after, size, strict=True)):
+            break
+        size = [x * SPARE if not x * SPARE < y else y for x, y in zip(after, size, strict=True)]
+    else:
+        raise Rejected(CLAIM, "no box holds what the loop remembers")
+    if not all(x.is_zero() for x in part(below, n).entries()):
+        raise Rejected(CLAIM, "what the loop remembers depends on the error")
+    return size
+
+
+def rest_of(M: arb_mat, n: int) -> arb_mat:
+    """Columns of a matrix after the first."""
+    return arb_mat(M.nrows(), M.ncols() - n, [x for row in M.tolist() for x in row[n:]])
 
 
 def _with_largest_errors(flight: Continuation) -> Continuation:

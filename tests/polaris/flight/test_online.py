@@ -28,9 +28,11 @@ from polaris.certificate.code.answers import (
     selftest,
     summed,
 )
+from polaris.certificate.code.online import remembered
 from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
-from polaris.certificate.kernel.balls import PRECISION, column
+from polaris.certificate.kernel.balls import PRECISION, column, matrix
+from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.app import app
 from polaris.flight.export import export_c
 from polaris.flight.vectors import SPECIAL, calls
@@ -511,6 +513,8 @@ MODELLED = {
     "errors of estimates and thrusters": ("estimate", "magnitude", "mass"),
     "constant errors of thrusters": ("constant magnitude", "bit"),
     "phases and missed measurements": ("phases", "missed periods", "magnitude"),
+    "a delay, and thrusters": ("delay", "magnitude", "estimate"),
+    "a delay that is no period": ("part of a period", "constant magnitude", "bias"),
 }
 
 
@@ -519,8 +523,8 @@ def declared(names):
 
 
 @pytest.mark.parametrize("names", MODELLED.values(), ids=MODELLED)
-def test_errors_that_depend_on_commands_and_phases_are_flown(tmp_path, names):
-    """Confirmed in both precisions, and flown with these errors and under attack; the monitor is bolder."""
+def test_errors_of_all_kinds_and_loops_that_remember_are_flown(tmp_path, names):
+    """Confirmed in both precisions, and flown with these errors and under attack."""
     folder = make(declared(names), tmp_path)
     for precision in PRECISIONS:
         export_c(folder, tmp_path / precision, precision, monitor=True)
@@ -534,30 +538,51 @@ def test_errors_that_depend_on_commands_and_phases_are_flown(tmp_path, names):
         assert not any(fault & CLIPPED for mode, fault in code.answers if mode == 0)
 
 
-def test_errors_by_commands_that_are_not_booked_are_refused(tmp_path):
-    """Tables of a scene whose thrusters err less, or whose estimates do in one phase."""
-    names = ["phases", "magnitude"]
-    folder = make(declared(names), tmp_path)
-    export_c(folder, tmp_path / "code", monitor=True)
-    for at, text in enumerate(
-        ("navigation.phases=[{from_s=5.07,state_error=[0,0,0,0]}]", "magnitude_error=0.01")
-    ):
-        less = [*declared(names[1:]), text] if at == 0 else [*declared(names[:1]), f"thrusters.{text}"]
-        other = tmp_path / str(at)
-        other.mkdir()
-        export_c(make(less, other), other / "code", monitor=True)
-        _, tables, _ = read_code(other / "code")
-        few = {name: getattr(tables, name) for name in ONLINE_SHAPES} | {"facets": tables.facets}
-        flown = tmp_path / f"flown {at}"
-        flown.mkdir()
-        (flown / "run").symlink_to(folder)
-        (flown / "double").symlink_to(tmp_path / "code")
-        verdict = forged(flown, tmp_path / f"forged {at}", lambda t, few=few: few)
-        assert (verdict.outcome, verdict.claim) == ("REJECTED", "monitor") and "is booked" in verdict.witness
+LESS = {
+    "of thrusters": (("phases", "magnitude"), [*declared(["phases"]), "thrusters.magnitude_error=0.01"]),
+    "in one phase": (("phases", "magnitude"), declared(["magnitude"])),
+    "without a delay": (("delay", "estimate"), declared(["estimate"])),
+}
 
 
-@pytest.mark.parametrize("name", ["camera", "delay", "jitter", "carried bit", "pulses", "fault"])
-def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path, name):
-    folder = make(declared([name]), tmp_path)
-    with pytest.raises(ScenarioError, match="must be off with pulses, jitter, faults"):
+@pytest.mark.parametrize("label", LESS)
+def test_errors_that_are_not_booked_are_refused(tmp_path, label):
+    """Tables of a scene whose errors are less, in the code of a run with more."""
+    names, less = LESS[label]
+    export_c(make(declared(names), tmp_path), tmp_path / "double", monitor=True)
+    (tmp_path / "other").mkdir()
+    export_c(make(less, tmp_path / "other"), tmp_path / "other" / "code", monitor=True)
+    _, tables, _ = read_code(tmp_path / "other" / "code")
+    given = {name: getattr(tables, name) for name in ONLINE_SHAPES} | {"facets": tables.facets}
+    verdict = forged(tmp_path, tmp_path / "forged", lambda t: given)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "monitor") and "is booked" in verdict.witness
+
+
+def test_what_a_loop_remembers_is_bounded_at_all_nodes():
+    """A line of additions and a state that fades, from any start in the box; what grows has no bound."""
+    rng, n = np.random.default_rng(3), 2
+    for _ in range(20):
+        free = np.triu(rng.normal(size=(5, 5)))
+        free[2:, 2:] = np.diag([0.0, 0.0, rng.uniform(-0.9, 0.9)]) + np.diag(rng.normal(size=2), -1)
+        added, box = rng.uniform(0, 1, 3), rng.uniform(0, 2, 3)
+        bound = remembered(matrix(free.tolist()), n, [*map(flint.arb, added)], [*map(flint.arb, box)])
+        bound = np.array([float(x.lower()) for x in bound])
+        y = box * rng.choice([-1, 1], (200, 3))
+        for _ in range(12):
+            assert (np.abs(y) <= bound).all()
+            y = y @ free[2:, 2:].T + added * rng.choice([-1, 1], y.shape)
+        free[4, 4] = 1.1
+        with pytest.raises(Rejected, match="no box holds"):
+            remembered(matrix(free.tolist()), n, [flint.arb(1)] * 3, [flint.arb(1)] * 3)
+        free[4, 4], free[3, 1] = 0.0, 1e-9
+        with pytest.raises(Rejected, match="depends on the error"):
+            remembered(matrix(free.tolist()), n, [flint.arb(1)] * 3, [flint.arb(1)] * 3)
+
+
+@pytest.mark.parametrize(
+    "names", ["camera", "jitter", "carried bit", "pulses", "fault", "outage", "phases, delay"]
+)
+def test_scenes_that_the_monitor_does_not_model_are_refused(tmp_path, names):
+    folder = make(declared(names.split(", ")), tmp_path)
+    with pytest.raises(ScenarioError, match="must be off with an observer, late"):
         export_c(folder, tmp_path / "code", monitor=True)
