@@ -1,6 +1,6 @@
 """Each error of the flight hardware alone, up to ten times the size that missions ask for; and all at once.
 
-    python -m benchmarks.tenfold                          print the table of docs/tradeoff.md (hours)
+    python -m benchmarks.tenfold                          print the table of docs/error-costs.md (hours)
     python -m benchmarks.tenfold --write                  and put it into the page
     python -m benchmarks.tenfold static --only mass --times 10
     python -m benchmarks.tenfold --together               the other table: all errors, then faults and aborts
@@ -28,7 +28,7 @@ from polaris.simulation.falsification.search import falsify
 
 SCENES = ("static", "dynamic", "keep_out", "hold_point")
 TIMES = (1.0, 2.0, 5.0, 10.0)
-NAME, TRADEOFFS = "tenfold", PAGE.with_name("tradeoff.md")
+NAME, COSTS = "tenfold", PAGE.with_name("error-costs.md")
 
 ERRORS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
     "navigation": ({"navigation.position_error_m": 0.05, "navigation.velocity_error_m_s": 0.002}, ()),
@@ -103,6 +103,7 @@ def cell(results: Found) -> str:
         return f"none ({results['exit_code']})"
     wrong = [] if results.get("outcome", "VERIFIED") == "VERIFIED" else [results["outcome"]]
     wrong += [] if results["goal"] is True else ["goal not proven"]
+    wrong += ["VIOLATED"] if results.get("attacks", {}).get("violated") else []
     return ", ".join([f"{100 * results['share']:.1f}", *wrong])
 
 
@@ -111,8 +112,8 @@ def table(
 ) -> str:
     """Return a row for each scene and error of which all sizes are known."""
     sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
-    lines = [f"| Scene | Error | {sizes} | velocity change, m/s | attacked | proven/least |"]
-    lines.append("|---" * (len(times) + 5) + "|")
+    lines = [f"| Scene | Error | {sizes} | velocity change, m/s | proven/least (attacks) |"]
+    lines.append("|---" * (len(times) + 4) + "|")
     for scene in scenes:
         for error in errors:
             row = [results[name] for size in times if (name := f"{scene}, {error}, {size:g}") in results]
@@ -121,12 +122,12 @@ def table(
             ends = (one for one in (row[0], *row[1:][-1:]) if "reason" not in one)
             spent = " to ".join(f"{one['delta_v_m_s']:.2f}" for one in ends) or "-"
             attack = row[-1].get("attacks")
-            said = ["-", "-"]
+            margins = "-"
             if attack is not None:
                 ratio = [limit["proven_share"] for limit in attack["limits"] if limit["proven_share"]]
-                flights = f"{attack['runs']:,}: {'violated' if attack['violated'] else 'none violates'}"
-                said = [flights, f"{100 * min(ratio, default=0):.0f} to {100 * max(ratio, default=0):.0f} %"]
-            lines.append(f"| {' | '.join([f'`{scene}`', error, *map(cell, row), spent, *said])} |")
+                margins = f"{100 * min(ratio, default=0):.0f} to {100 * max(ratio, default=0):.0f} %"
+                margins += f" ({attack['runs']:,})"
+            lines.append(f"| {' | '.join([f'`{scene}`', error, *map(cell, row), spent, margins])} |")
     return "\n".join(lines)
 
 
@@ -190,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     print(f"\n{text}")
     if given.write:
-        TRADEOFFS.write_text(renew(TRADEOFFS.read_text(encoding="utf-8"), place, text), encoding="utf-8")
+        COSTS.write_text(renew(COSTS.read_text(encoding="utf-8"), place, text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -363,6 +363,30 @@ def test_recipes_name_files_that_exist():
     assert not [path for path in sorted(paths) if not (ROOT / path).exists()]
 
 
+GUIDES = (
+    *("campaigns", "comparison", "error-costs", "falsification", "index", "inspection", "missions"),
+    *("model-error", "model-error-theory", "monitor-theory", "online-monitor", "orbits", "reach-tutorial"),
+    *("report", "tour", "trace-format", "traces", "tradeoff", "training", "tutorial"),
+)
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_sentences_paragraphs_and_lines_are_short(name):
+    """At most 40 words in a sentence, 25 on average, five sentences in a paragraph, 100 columns in a line."""
+    text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+    text = re.sub(r"^```.*?^```$|<!--.*?-->|^ *[|#][^\n]*$", "", text, flags=re.M | re.S)
+    text = re.sub(r"^ *\$\$.*?\$\$[^\n]*$", "", text, flags=re.M | re.S)
+    assert max(map(len, text.splitlines())) <= 100
+    text = re.sub(r"`[^`]*`|\$[^$]*\$", "x", re.sub(r"\]\([^)]*\)", "]", text)).replace("*", "")
+    words = []
+    text = re.sub(r"^ *(?:-|\d+\.) ", "\n", text, flags=re.M)  # an item is a paragraph
+    for paragraph in re.split(r"\n\s*\n", text):
+        sentences = re.split(r"(?<=[.!?])[\"')\]]*\s+(?=[A-Z\[(x\"Θ])", paragraph.strip())
+        assert len(sentences) <= 5, paragraph
+        words += [len(sentence.split()) for sentence in sentences if sentence]
+    assert max(words) <= 40 and sum(words) <= 25 * len(words)
+
+
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
@@ -450,7 +474,7 @@ def test_search_shows_no_tex(site):
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs chromium, which is not installed")
 @pytest.mark.parametrize(
-    "name", ["theory", "inspection-theory", "model-error", "certificate", "falsification"]
+    "name", ["theory", "inspection-theory", "model-error-theory", "certificate", "falsification"]
 )
 def test_formulas_are_set_in_a_browser(name, site):
     page = site / f"{name}.html"

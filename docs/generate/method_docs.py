@@ -25,12 +25,15 @@ def put(text: str, name: str, table: str) -> str:
 def tables() -> dict[str, str]:
     """Both tables, by the name of their place."""
     methods = ["| Key | Method | How it decides | Proven |", "|---|---|---|---|"]
-    tuning = ["| Option | Meaning | Default |", "|---|---|---|"]
+    options: dict[tuple[str, str], list[str]] = {}  # keys by meaning and default
     for key, one in METHODS.items():
         proven = "yes" if one.proven else "no"
         methods.append(f"| `{key}` | {one.name} | {one.how} | {proven} |")
         for option in one.options:
-            tuning.append(f"| `{key}.{option.name}` | {option.meaning} | {option.default} |")
+            options.setdefault((option.meaning, option.default), []).append(f"`{key}.{option.name}`")
+    tuning = ["| Options | Meaning | Default |", "|---|---|---|"]
+    for (meaning, default), keys in options.items():
+        tuning.append(f"| {', '.join(keys)} | {meaning} | {default} |")
     return {"methods": "\n".join(methods), "tuning": "\n".join(tuning)}
 
 

@@ -1,6 +1,6 @@
 """A bound on what Hill's linear equations leave out, sound over whole sets of relative states.
 
-Every part is an inequality proven in docs/model-error.md; nothing here is sampled.
+Every part is an inequality proven in docs/model-error-theory.md; nothing here is sampled.
 """
 
 import math
