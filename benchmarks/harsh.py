@@ -1,6 +1,6 @@
 """Long flights of the assured inspection filters under primaries that do their worst.
 
-    python -m benchmarks.harsh --flights 200 --seconds 3000      the flights of docs/inspection.md
+    python -m benchmarks.harsh --flights 200 --seconds 3000      the flights of docs/inspection-assured.md
 
 States are drawn as in the paper's Monte Carlo, those that are proven from the first instant; each flight has
 its own. Primaries want full thrust on every axis, at the next deputy, at the sun's cone or out of the zone;

@@ -250,7 +250,7 @@ def test_most_drawn_states_are_proven_from_the_first_instant(period):
     ("period", "exact", "with_errors"), [(0.2, 392, 348), (1.0, 391, 317), (2.0, 391, 279)]
 )
 def test_at_least_95_percent_of_drawn_states_are_proven(period, exact, with_errors):
-    """The table of docs/inspection.md."""
+    """The table of docs/inspection-assured.md."""
     states, suns = drawn(400)
     errors = Thrusters.of(0.005, np.deg2rad(0.1), 0.005, 0.0005 / (2 * period), 3)
     for unknown, count in ((None, exact), (Uncertainty(0.05, 0.002, 1e-5, errors), with_errors)):
@@ -258,7 +258,7 @@ def test_at_least_95_percent_of_drawn_states_are_proven(period, exact, with_erro
         good = [Planner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)]
         assert abs(sum(good) - count) <= 1  # one may lie at the edge of rounding
         assert unknown or np.mean(good) >= 0.95
-    shown = Path("docs/inspection.md").read_text(encoding="utf-8")
+    shown = Path("docs/inspection-assured.md").read_text(encoding="utf-8")
     assert f"| {period:g} s | {exact} | {with_errors} |" in shown
 
 

@@ -1,4 +1,4 @@
-"""The bundled scenes from end to end, and the figures of them that docs/inspection.md tells."""
+"""The bundled scenes from end to end, and the figures of them in the pages about inspection."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ def assured(timing: dict[str, float] | None = None) -> JudgedRun:
 
 
 def told(*parts: str) -> None:
-    """The page says so, in these words."""
-    page = " ".join(Path("docs/inspection.md").read_text(encoding="utf-8").split())
+    """The pages say so, in these words."""
+    pages = (Path("docs") / name for name in ("inspection.md", "inspection-assured.md"))
+    page = " ".join(" ".join(path.read_text(encoding="utf-8") for path in pages).split())
     assert not [part for part in parts if part not in page]
 
 
