@@ -5,7 +5,7 @@
 #define @GUARD@_LAGS (@LAGS@)  /* nodes that a decision looks at */
 #define @GUARD@_AHEAD (@AHEAD@)  /* steps with limits that a decision looks at */
 #define @GUARD@_SIDES (4)
-#define @GUARD@_REFUSED 0x200U /* the safety controller might not save the day after one more period */
+#define @GUARD@_REFUSED 0x200U /* the safety controller might not recover after one more period */
 
 typedef struct {
     @PREFIX@_memory safe;   /* of the safety controller */

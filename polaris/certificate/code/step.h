@@ -20,7 +20,7 @@ typedef @REAL@ @PREFIX@_real;
 #define @GUARD@_FARTHEST (@FARTHEST@) /* largest plausible entry of a state */
 #define @GUARD@_ROUNDING (@ROUNDING@) /* bound on errors of a command by rounding [N] */
 
-/* Faults. The first four hand control to the safety controller for good. */
+/* Faults. Under the schedule the first four hand control to the safety controller for good. */
 #define @GUARD@_STATE 0x01U    /* estimate not finite or implausible: last one used */
 #define @GUARD@_COMMAND 0x02U  /* no finite command of the scheduled controller */
 #define @GUARD@_MISSED 0x04U   /* calls for earlier periods are missing */
