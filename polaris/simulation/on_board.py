@@ -23,6 +23,7 @@ from ..synthesis.schedule.schedule import Schedule
 COMPILERS = "cc", "gcc", "clang"
 FLAGS = "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC"
 PAST = 1e-3
+SAME = 1e-6  # of the reference, by which that of the code may be rounded
 REALS = dict(zip(PRECISIONS, (np.float64, np.float32), strict=True))
 
 LOOP = """#include "{0}.h"
@@ -93,8 +94,10 @@ class FlightCode:
 
     def of(self, schedule: Schedule) -> "FlightCode":
         """Return the code, unless it is that of another schedule: then raise `ScenarioError`."""
-        states = schedule.safety.problem.system.n
-        if self.tables.modes != schedule.modes.tolist() or len(self.tables.range) != states:
+        reference = np.array(self.tables.waypoints)
+        cells = schedule.safety.reference.chi[: len(reference)]
+        same = self.tables.modes == schedule.modes.tolist() and reference.shape == cells.shape
+        if not same or np.abs(reference - cells).max() > SAME * np.abs(cells).max():
             raise ScenarioError("code", self.tables.sizes, "is the flight code of another schedule")
         return self
 

@@ -244,6 +244,17 @@ def test_what_is_not_proved_is_not_flown_as_code(monkeypatch):
         simulate(schedule, 1, code=code_of(scheduled("outage")))
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_code_of_the_same_modes_about_another_reference_is_refused(precision):
+    """Attacks and comparisons would be about something else."""
+    schedule = scheduled("plain")
+    code, safety = code_of(schedule, precision), schedule.safety
+    assert code.of(schedule) is code
+    moved = replace(safety.reference, chi=safety.reference.chi + 0.01)
+    with pytest.raises(ScenarioError, match="of another schedule"):
+        code.of(replace(schedule, safety=replace(safety, reference=moved)))
+
+
 def test_falsify_flies_a_folder_of_code(tmp_path):
     run = make([COARSE], tmp_path)
     export_c(run, tmp_path / "code", "float")
