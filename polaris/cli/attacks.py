@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 @verb("model-error")
 def model_error_command(
     target: Target,
-    fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
+    fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its model error."),
     within: float | None = Option(None, metavar="M", min=0.1, help="Distance from the target; no synthesis."),
     assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:
-    """Bound what the linear model leaves out, and compare it with the disturbance bound.
+    """Bound the acceleration that the linear model neglects, and compare it with the disturbance bound.
 
-    The scenario must have an [orbit]; of a run folder --set may change that table.
+    The scenario must have a table [orbit]; with a run folder --set may change only that table.
     """
     from ..runs.case import load_target
     from ..simulation.orbit.environment import Environment
@@ -54,15 +54,15 @@ def model_error_command(
 @verb("falsify")
 def falsify_command(
     target: Target,
-    runs: int = Option(10_000, min=1, help="Trajectories to fly."),
-    seed: int = Option(0, min=0, help="Same seed, same search."),
-    out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
+    runs: int = Option(10_000, min=1, help="Number of trajectories."),
+    seed: int = Option(0, min=0, help="Seed of the search; equal seeds give equal results."),
+    out: str | None = Option(None, metavar="FILE", help="File of the case; default <scenario>.case.json."),
     assignments: Assignments = None,
-    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c."),
+    code: str | None = Option(None, metavar="DIR", help="Flight code to fly, from polaris export c."),
     force: Force = False,
     as_json: Json = False,
 ) -> int | None:
-    """Search for a run that breaks what a schedule claims; save it as a case."""
+    """Search for a run that violates the guarantee of a schedule, and save it as a case."""
     from ..runs.case import load_target, write_case
     from ..runs.files.atomic import check_file
     from ..simulation.falsification.search import falsify
@@ -106,35 +106,35 @@ def _falsify_mission(folder: RunFolder, runs: int, seed: int, as_json: bool) -> 
 
 
 def _show_mission(summary: dict[str, Any]) -> None:
-    """Print what attacks on legs and joints came to."""
+    """Print the results of attacks on legs and joints."""
     for leg in summary["legs"]:
         echo(f"{leg['name']}: {leg['runs']} trajectories, {leg['failure'] or 'no violation'}")
         if leg["share_of_start_set"] is not None:
             share = f"{leg['share_of_start_set']:.1%} of the next leg's start set"
-            echo(f"{leg['name']}: {leg['attacks']} attacks on the joint take up {share}")
+            echo(f"{leg['name']}: {leg['attacks']} attacks on the joint reach {share}")
     echo("VIOLATED" if summary["violated"] else "No violation.")
 
 
 @verb("replay")
 def replay_command(
-    case: str = Argument(..., metavar="CASE", help="A case that `polaris falsify` saved."),
-    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c."),
+    case: str = Argument(..., metavar="CASE", help="A case file saved by `polaris falsify`."),
+    code: str | None = Option(None, metavar="DIR", help="Flight code to fly, from polaris export c."),
 ) -> int | None:
-    """Fly a saved case again and say what it violates and when."""
+    """Fly a saved case again and print the limit it violates and the time."""
     from ..runs.case import replay
     from ..simulation.on_board import FlightCode
 
     failure, scenario = replay(case, None if code is None else FlightCode(code))
-    echo(f"{scenario.name}: {failure or 'this case violates nothing'}")
+    echo(f"{scenario.name}: {failure or 'no violation in this case'}")
     return REFUTED if failure is not None else None
 
 
 @verb("verify")
 def verify(
     run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file."),
-    code: str | None = Option(None, metavar="DIR", help="Flight code to check too, as of polaris export c."),
+    code: str | None = Option(None, metavar="DIR", help="Flight code to check too, from polaris export c."),
 ) -> int:
-    """Check the certificate of a run, independently of how it was made.
+    """Check the certificate of a run with the independent checker.
 
     Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 7 STATISTICAL, 2 nothing to check.
     """
@@ -143,13 +143,13 @@ def verify(
 
     place = Path(run)
     if not (place / "certificate.json" if place.is_dir() else place).is_file():
-        there = "it has no certificate.json" if place.is_dir() else "there is no such file or folder"
-        raise ScenarioError("run", run, f"must be a run folder or a certificate; {there}")
+        there = "it has no certificate.json" if place.is_dir() else "no such file or folder exists"
+        raise ScenarioError("run", run, f"must be a run folder or a certificate file, but {there}")
     return main([run] if code is None else [run, "--code", code])
 
 
 def _show_falsification(name: str, result: Falsification) -> None:
-    """Print the least margin of every limit against what is proven, and a violation."""
+    """Print the least margin of every limit beside the proven one, and a violation if there is one."""
     from ..synthesis.safety.recoverable import directed
 
     summary = result.summary()
@@ -160,13 +160,14 @@ def _show_falsification(name: str, result: Falsification) -> None:
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
         echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
     proven = directed(summary["delta_v_proven_m_s"], ".4g", up=True)
-    echo(f"velocity change until T: {summary['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
+    echo(f"delta-v until T: at most {summary['delta_v_m_s']:.4g} m/s flown, bound {proven} m/s proven")
     echo("No violation." if result.failure is None else f"VIOLATED: {result.failure}")
 
 
 def _show_within(summary: dict[str, Any]) -> None:
-    """Print the parts of a bound within a distance, and what is declared."""
-    echo(f"{summary['scenario']}: what the linear model leaves out within {summary['within_m']:g} m [m/s^2]")
+    """Print the parts of the bound within a distance, and the declared disturbance bound."""
+    within = f"within {summary['within_m']:g} m [m/s^2]"
+    echo(f"{summary['scenario']}: acceleration neglected by the linear model {within}")
     _show_parts(summary, "")
 
 
@@ -179,16 +180,16 @@ def _show_parts(summary: dict[str, Any], sampled: str) -> None:
 
 
 def _show_model_error(error: ModelError) -> None:
-    """Print the parts of the bound, what is declared, and where it is largest."""
+    """Print the parts of the bound, the declared bound, and the place and time of the largest value."""
     summary = error.summary()
     worst = summary["worst"]
-    echo(f"{summary['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
+    echo(f"{summary['scenario']}: acceleration neglected by the linear model along the schedule [m/s^2]")
     _show_parts(summary, f"   (sampled: {summary['sampled_share']:.0%} of it)")
     echo(
-        f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
-        f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"
-        f" {worst['speed_m_s']:.2f} m/s."
+        f"Largest at t = {worst['time_s']:g} s under {worst['controller']}, within"
+        f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m radially,"
+        f" at up to {worst['speed_m_s']:.2f} m/s."
     )
     for name, time in summary["satellites_covered_until_s"].items():
-        until = "as long as it is perceived" if time is None else f"until t = {time:g} s"
-        echo(f"The motion declared for {name} covers its own model error {until}.")
+        until = "for as long as it is perceived" if time is None else f"until t = {time:g} s"
+        echo(f"The declared motion of {name} covers its own model error {until}.")

@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 class Options:
     """Options of ``polaris campaign``."""
 
-    runs: int | None = Option(None, min=1, help="Runs per case and mode; default 1000 (schedules).")
-    workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
-    scheduler: str | None = Option(None, metavar="tcp://HOST:PORT", help="Fly on a Dask cluster instead.")
-    seed: int | None = Option(None, min=0, help="Same seed, same runs; default 0.")
+    runs: int | None = Option(None, min=1, help="Runs per case and mode; default 1000 for schedules.")
+    workers: int | None = Option(None, min=1, help="Number of processes; default one per processor.")
+    scheduler: str | None = Option(None, metavar="tcp://HOST:PORT", help="Run on a Dask cluster instead.")
+    seed: int | None = Option(None, min=0, help="Seed; equal seeds give equal runs; default 0.")
     grid: list[str] = Option([], metavar="KEY=V1,V2,...", help="Values to combine; repeatable.")
     assignments: Assignments = None
     mode: list[str] = Option(
-        [], help="Who flies: polaris (default), safety, experimental, experimental_2, ...; repeatable."
+        [], help="Controller: polaris (default), safety, experimental, experimental_2, ...; repeatable."
     )
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
     batch: int | None = Option(None, min=1, help="Runs per task; default 250.")
     initial: str | None = Option(None, help="Initial states: mixed (default), random, corners, center.")
     disturbance: str | None = Option(None, help="failing (default), mixed, random, worst, none.")
-    worst: int = Option(5, min=0, help="Worst runs told per case and mode.")
+    worst: int = Option(5, min=0, help="Number of worst runs listed per case and mode.")
     resume: bool = Option(
-        True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
+        True, "--resume/--fresh", help="Fly only the missing runs, or start again and replace the folder."
     )
 
 
 SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
-"""Options that scenarios of the inspection problem do not have: they say so themselves."""
+"""Options that do not apply to inspection scenarios, whose files hold these values."""
 
 
 @verb("campaign")
@@ -59,14 +59,14 @@ def campaign_command(
 ) -> int | None:
     """Fly many runs over scenarios and grids of values, and count the violations.
 
-    A campaign that was stopped goes on where it was. A scenario of the inspection problem is flown from
-    drawn initial conditions under each of its filters instead.
+    A campaign that was stopped resumes. An inspection scenario is flown under each of its filters from
+    random initial conditions instead.
     """
     from ..runs.campaign.workers import cluster, local
     from ..scenario.scenario import ScheduleScenario, load_scenario
 
     if options.workers is not None and options.scheduler is not None:
-        rule = "must not be given with --scheduler: the cluster has its own"
+        rule = "must be left out with --scheduler, whose cluster has its own workers"
         raise ScenarioError("--workers", options.workers, rule)
     stages, scheduler = output.stages, options.scheduler
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
@@ -74,7 +74,7 @@ def campaign_command(
         loaded = [load_scenario(name) for name in scenarios]
     inspected = [one for one in loaded if not isinstance(one, ScheduleScenario)]
     if inspected and asked.black_box:
-        raise ScenarioError("--black-box", asked.black_box, "is for switching schedules")
+        raise ScenarioError("--black-box", asked.black_box, "must be left out for inspections")
     if inspected:
         _fly_inspection(loaded, inspected[0], options, output, crew)
         return None
@@ -83,7 +83,7 @@ def campaign_command(
 
     if asked.commands:
         if options.workers or scheduler:
-            rule = "must be left out: black boxes are asked by one process"
+            rule = "must be left out with --black-box, because one process asks the black boxes"
             raise ScenarioError("--workers, --scheduler", scheduler or options.workers, rule)
         crew = nullcontext(local(1))
     plan = _plan(loaded, options, list(asked.commands), stages)
@@ -107,14 +107,14 @@ def replay_command(
     batch: int | None = Option(None, min=0, help="Number of the batch."),
     run: int | None = Option(None, min=0, help="Number of the run in its batch."),
     worst: int | None = Option(
-        None, metavar="K", min=1, help="The run that came K-th closest, of the case or of all."
+        None, metavar="K", min=1, help="Run with the K-th smallest distance, of the case or of all."
     ),
-    mode: str | None = Option(None, help="Who flies; default the first that flew."),
-    out: str | None = Option(None, metavar="FILE", help="Trajectory, as .csv or .npz."),
+    mode: str | None = Option(None, help="Controller; default the first mode of the campaign."),
+    out: str | None = Option(None, metavar="FILE", help="File of the trajectory, .csv or .npz."),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Fly one run of a campaign again, bit for bit, and write its trajectory."""
+    """Repeat one run of a campaign bit for bit, and write its trajectory."""
     from ..runs.campaign.batch import check_trajectory
     from ..runs.campaign.drive import find_worst, replay_run
     from ..runs.campaign.folder import read_campaign
@@ -123,9 +123,9 @@ def replay_command(
     if out is not None:
         check_trajectory(out, force)
     if worst is not None and (batch is not None or run is not None):
-        raise ScenarioError("--worst", worst, "stands instead of --batch and --run")
+        raise ScenarioError("--worst", worst, "must be left out with --batch or --run")
     if worst is None and (case is None or batch is None or run is None):
-        raise ScenarioError("campaign-replay", None, "needs --case, --batch and --run, or --worst")
+        raise ScenarioError("campaign-replay", None, "must have --case, --batch and --run, or --worst")
     with asked.running() as boxes:
         folder = read_campaign(campaign)
         if worst is not None:
@@ -160,19 +160,19 @@ def _fly_inspection(
     output: Output,
     crew: AbstractContextManager[Workers],
 ) -> None:
-    """Fly a scenario of the inspection problem, alone, and tell what its run folder holds."""
+    """Fly one inspection scenario, and print the summary of its run folder."""
     from ..runs.run import run
     from ..scenario.scenario import MonteCarloScenario
 
     if len(scenarios) > 1:
-        raise ScenarioError("scenario", one.name, "is of the inspection problem: one campaign, one scenario")
+        raise ScenarioError("scenario", one.name, "is an inspection scenario, which must be alone")
     for name in SCHEDULES_ONLY:
         value = getattr(options, name)
         if value is not None and value != []:
-            rule = f"is for switching schedules; {one.name} says so itself, see --set"
+            rule = f"must be left out for the inspection scenario {one.name}; use --set instead"
             raise ScenarioError(f"--{name}", value, rule)
     if not isinstance(one, MonteCarloScenario):
-        raise ScenarioError("scenario", one.name, "is one flight: polaris run flies it")
+        raise ScenarioError("scenario", one.name, "is a single flight; use polaris run")
     overrides = list(options.assignments or [])
     overrides += [f"campaign.runs={options.runs}"] if options.runs is not None else []
     how: dict[str, Any] = {"draw": output.draw, "stages": output.stages, "fresh": not options.resume}
@@ -192,7 +192,7 @@ def _finish(folder: CampaignFolder, output: Output) -> int:
         show_campaign(summary, str(folder.path))
         if summary["flown"]:
             command = f"polaris campaign-replay {shlex.quote(str(folder.path))} --worst 1 --out worst.csv"
-            echo(f"The closest approach in detail: {command}")
+            echo(f"Closest approach in detail: {command}")
     if summary["flown"]:
         return 0
     first = summary["cases"][0]

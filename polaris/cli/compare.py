@@ -12,7 +12,7 @@ from .shell import Assignments, BlackBoxes, Name, Output, Target, verb
 
 
 class _Compare(TyperCommand):
-    """Reads which methods there are, and what they are tuned by, only when help is asked for."""
+    """Command that reads the methods and their tuning options only for its help."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Complete the help of two options."""
@@ -31,26 +31,26 @@ class Options:
     """Options of ``polaris compare``."""
 
     runs: int = Option(50, min=1, help="Runs per method.")
-    seed: int = Option(0, min=0, help="What the runs' conditions are drawn from.")
-    methods: str | None = Option(None, help="Methods by key, separated by commas; default all.")
+    seed: int = Option(0, min=0, help="Seed of the random conditions.")
+    methods: str | None = Option(None, help="Keys of methods, separated by commas; default all.")
     period: float | None = Option(
         None, help="Time between decisions [s]; default the control period, or about 1 s."
     )
-    latency: float = Option(0.0, help="Time from measurement to effect of a decision [s].")
+    latency: float = Option(0.0, help="Delay from a measurement to the effect of its decision [s].")
     estimate_error: str | None = Option(
         None,
         metavar="E[,E...]",
-        help="Largest error of the state estimate, one number or one per state; default [navigation]'s.",
+        help="Largest error of the state estimate, one number or one per state; default from [navigation].",
     )
-    tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
-    code: str | None = Option(None, metavar="DIR", help="Flight code that flies, as of polaris export c.")
+    tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Set an option of a method; repeatable.")
+    code: str | None = Option(None, metavar="DIR", help="Flight code to fly, from polaris export c.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
     assignments: Assignments = None
 
 
 @verb("compare", cls=_Compare)
 def compare_command(target: Target, options: Options, asked: BlackBoxes, output: Output) -> None:
-    """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
+    """Compare run-time assurance methods on one scenario under equal disturbances."""
     stages = output.stages
     given, tuning = options.estimate_error, _tuning(options.tune)
     numbers = None if given is None else _numbers("--estimate-error", given)
@@ -115,25 +115,23 @@ class TradeoffOptions:
 
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-tradeoff.")
     prices: str | None = Option(
-        None,
-        metavar="P[,P...]",
-        help="Values of schedule.delta_v_price; default 0,0.02,0.06,0.1,0.2,0.5 without --sweep.",
+        None, metavar="P[,P...]", help="Values of schedule.delta_v_price; default 0,0.02,0.06,0.1,0.2,0.5."
     )
     sweep: list[str] = Option(
         [],
         metavar="KEY=V[,V...]",
-        help="Values of a number, which is changed alone; or LOW:HIGH:COUNT, by equal ratios. Repeatable.",
+        help="Values of one number of the scenario; or LOW:HIGH:COUNT in equal ratios. Repeatable.",
     )
-    share: float = Option(0.9, help="Share of U for which it is said how far a value of --sweep may go.")
+    share: float = Option(0.9, help="Share of U for which the limit of a --sweep value is reported.")
     workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
     assignments: Assignments = None
 
 
 @verb("tradeoff")
 def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes, output: Output) -> None:
-    """Find the front of share of U against velocity change against switches: a run folder for each price.
+    """Trade the share of time under U against delta-v and switches: one run folder per price.
 
-    Or how both change with any number of the scenario. What was stopped goes on where it was.
+    With --sweep, vary numbers of the scenario instead. A trade-off that was stopped resumes.
     """
     from ..runs.campaign.workers import local
     from ..runs.tradeoff import PRICES, tradeoff
@@ -155,8 +153,8 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
         )
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
-        text = f"the planner's wall clock ended its search early ({', '.join(cut)})"
-        why = "another machine, or another run, may find another plan; allow more time"
+        text = f"planner.time_limit_s ended the search early ({', '.join(cut)})"
+        why = "another machine or run may find another plan; raise the limit"
         warnings.warn(f"{text}: {why}", ClockWarning, stacklevel=2)
     output.finish(folder)
 

@@ -1,4 +1,4 @@
-"""The verbs about scenarios and run folders: run, check, scenarios, plot, report."""
+"""Commands about scenarios and run folders: run, check, scenarios, plot, report, export."""
 
 from typing import Any, Literal
 
@@ -6,7 +6,7 @@ from typer import Argument, Option
 
 from .shell import REFUTED, Assignments, BlackBoxes, Force, Name, Output, Quiet, echo, verb
 
-FOLDER = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare.")
+FOLDER = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or a folder of polaris compare.")
 
 
 @verb("run")
@@ -23,10 +23,10 @@ def run(
         None, help="Short for --set recoverable.kind=...; default polytope."
     ),
 ) -> int:
-    """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
+    """Synthesise a schedule, prove it, simulate it, and write a run folder.
 
-    A scenario of the inspection problem is flown under its filter instead; many flights, on all processors.
-    One flight that violates a constraint or its fuel limit ends with exit code 5.
+    An inspection scenario is flown under its filter instead, a Monte Carlo on all processors. A single
+    flight that violates a constraint or its fuel limit ends with exit code 5.
     """
     short = {"planner.solver": solver, "recoverable.kind": recoverable}
     overrides = [*(assignments or []), *(f"{key}={value}" for key, value in short.items() if value)]
@@ -43,17 +43,18 @@ def run(
         flying: dict[str, Any] = {"draw": output.draw, "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule" and folder.summary["guarantee"]["kind"] == "statistical":
-        echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
+        echo("warning: the guarantee is statistical, as steps of black boxes rest on samples", err=True)
     if not folder.summary.get("model_error", {"covered": True})["covered"]:
-        text = "the declared disturbance does not cover the model error: the proof is of the linear model"
-        echo(f"warning: {text}; raise system.disturbance_max_m_s2 (polaris model-error --fit)", err=True)
+        text = "the disturbance bound does not cover the model error, so the proof holds for the linear model"
+        hint = "raise system.disturbance_max_m_s2 (see polaris model-error --fit)"
+        echo(f"warning: {text} only; {hint}", err=True)
     output.finish(folder)
     return 0 if folder.summary.get("safe", True) else REFUTED
 
 
 @verb("check")
 def check(file: Name, assignments: Assignments = None) -> None:
-    """Validate a scenario without running it, and say what looks like a slip of units or scale."""
+    """Validate a scenario without running it, and note values whose unit or scale looks wrong."""
     from ..scenario.scenario import load_scenario
 
     scenario = load_scenario(file, assignments or ())
@@ -70,7 +71,7 @@ def _show_warnings(scenario: Any, err: bool = False) -> None:
 
 @verb("scenarios")
 def scenarios() -> None:
-    """List the scenarios that come along."""
+    """List the bundled scenarios."""
     from ..scenario.reading import read_document
     from ..scenario.scenario import bundled_files
 
@@ -82,7 +83,7 @@ def scenarios() -> None:
 
 @verb("plot")
 def plot(folder: str = FOLDER, quiet: Quiet = False) -> None:
-    """Redraw the figures of a run folder from its files alone."""
+    """Redraw the figures of a run folder from its files."""
     from ..report.figures import draw_run
     from ..runs.run import read_run
     from .console import ShownStages
@@ -97,17 +98,17 @@ def plot(folder: str = FOLDER, quiet: Quiet = False) -> None:
 def report(
     folder: str = FOLDER,
     out: str | None = Option(
-        None, metavar="FILE", help="Default report.html, or dossier.pdf, in the folder."
+        None, metavar="FILE", help="Output file; default report.html or dossier.pdf in the folder."
     ),
     dossier: bool = Option(
         False,
         "--dossier",
-        help="Clause by clause what a run answers, checked, on at most twelve pages of PDF.",
+        help="PDF of at most twelve pages: the checked evidence of the run, clause by clause.",
     ),
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write an interactive report: one HTML file that needs no network. Or a dossier for print."""
+    """Write an interactive report as one offline HTML file, or a dossier as PDF."""
     from ..report import write_report
     from .console import ShownStages
 
@@ -121,9 +122,9 @@ def report(
 def export_oem_command(
     run: str = Argument(..., metavar="RUN", help="A run folder whose scenario has [orbit.elements]."),
 ) -> None:
-    """Write target, reference, branches and flights of a run folder as CCSDS OEM files in inertial axes.
+    """Write target, reference, branches and flights of a run as CCSDS OEM files in inertial axes.
 
-    They go to the folder oem in the run folder.
+    The files are written to the subfolder oem of the run folder.
     """
     from ..runs.files.ephemerides import export_oem
 
@@ -132,16 +133,16 @@ def export_oem_command(
 
 @verb("export c")
 def export_c_command(
-    run: str = Argument(..., metavar="RUN", help="A run folder whose schedule is proved."),
+    run: str = Argument(..., metavar="RUN", help="A run folder with a proven schedule."),
     out: str = Option(..., metavar="DIR", help="Folder for the code."),
-    precision: Literal["double", "float"] = Option("double", help="Type of all numbers on board."),
-    prefix: str | None = Option(None, help="Of all names; default polaris_ and the scenario's name."),
-    glue: Literal["fprime", "cfs"] | None = Option(None, help="Write a component or application, too."),
-    name: str | None = Option(None, help="Of that component or application; default from the prefix."),
-    module: str = Option("Components", help="Of that component, for F'."),
-    monitor: bool = Option(False, "--monitor", help="With the online monitor, which decides in flight."),
+    precision: Literal["double", "float"] = Option("double", help="Floating-point type of the code."),
+    prefix: str | None = Option(None, help="Prefix of names; default polaris_ and the scenario's name."),
+    glue: Literal["fprime", "cfs"] | None = Option(None, help="Add an F' component or cFS application."),
+    name: str | None = Option(None, help="Name of the component or application; default from the prefix."),
+    module: str = Option("Components", help="Module of the F' component."),
+    monitor: bool = Option(False, "--monitor", help="Include the online monitor."),
 ) -> None:
-    """Write the safety controller, the schedule and the reference of a run as C99, with a self-test."""
+    """Write safety controller, schedule and reference of a run as C99 with a self-test."""
     from ..flight.export import export_c
 
     echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module, monitor))))

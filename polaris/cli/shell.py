@@ -1,4 +1,4 @@
-"""Application, options and exit codes that the verbs of the command line share."""
+"""Application, options and exit codes shared by the commands."""
 
 from __future__ import annotations
 
@@ -43,10 +43,9 @@ app = typer.Typer(
     name="polaris",
     cls=_Verbs,
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
-    epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
-    " 5 a counterexample, a bound or a certificate that does not hold, an inspection flight that violates"
-    " a constraint, 6 a certificate not decided,"
-    " 7 one that rests on samples.",
+    epilog="Exit codes: 0 success; 2 bad input; 3 no safe schedule exists; 4 not certified within the limits"
+    " of effort; 5 refuted: a counterexample, a bound or certificate that does not hold, or a violated"
+    " constraint of an inspection flight; 6 certificate undecided; 7 certificate rests on samples.",
     rich_markup_mode=None,  # markup swallows [m/s] or <scenario>
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -76,7 +75,7 @@ Name = Annotated[
     str,
     typer.Argument(
         metavar="NAME_OR_FILE",
-        help="A bundled scenario (see `polaris scenarios`) or a file.",
+        help="A bundled scenario (see `polaris scenarios`) or a scenario file.",
         autocompletion=complete_scenario,
     ),
 ]
@@ -84,30 +83,32 @@ Target = Annotated[
     str,
     typer.Argument(
         metavar="RUN_OR_SCENARIO",
-        help="A run folder, whose schedule is read, or a bundled scenario or a file, which is synthesised.",
+        help="A run folder, whose schedule is read, or a scenario, whose schedule is synthesised.",
         autocompletion=complete_scenario,
     ),
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a value, such as planner.gap=0.01; repeatable."
+    ),
 ]
 Figures = Annotated[
-    bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
+    bool, typer.Option("--figures/--no-figures", help="Draw figures; `polaris plot` draws them later.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there and is not a result's.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print only the result, as JSON.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing file that is not a result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 @dataclass
 class BlackBoxes:
-    """Programs that are black boxes: a group of options of its own."""
+    """Options that name the programs of black boxes."""
 
     black_box: list[str] | None = typer.Option(
-        None, metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
+        None, metavar="NAME=COMMAND", help="Program of the black box NAME; repeatable."
     )
-    answer_within: float = typer.Option(10.0, help="Time that it has for each answer [s].")
+    answer_within: float = typer.Option(10.0, help="Time limit of each answer of a black box [s].")
 
     @property
     def commands(self) -> dict[str, list[str]]:
@@ -116,11 +117,11 @@ class BlackBoxes:
         for text in self.black_box or ():
             name, equals, command = text.partition("=")
             if not equals or name in commands:
-                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
+                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, with each NAME at most once")
             try:
                 commands[name] = shlex.split(command)
             except ValueError as error:
-                raise ScenarioError("--black-box", text, f"has no command: {error}") from error
+                raise ScenarioError("--black-box", text, f"has an unreadable command: {error}") from error
         return commands
 
     @contextmanager
@@ -135,7 +136,7 @@ class BlackBoxes:
 
 @dataclass
 class Output:
-    """Options of a verb on what it prints of its result and whether it draws figures."""
+    """Options about printed output and figures."""
 
     figures: Figures = True
     as_json: Json = False
@@ -158,7 +159,7 @@ class Output:
         return draw_run
 
     def finish(self, folder: RunFolder) -> None:
-        """Tell what a run folder holds, and how to draw what was not drawn."""
+        """Print the summary of a run folder, and the command that draws its figures if they are missing."""
         if self.as_json:
             sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
         elif not self.quiet:
@@ -273,7 +274,7 @@ def answering() -> Iterator[None]:
     except BrokenPipeError:
         raise typer.Exit(0) from None
     except MemoryError:
-        _fail("out of memory; fewer steps, runs or obstacles need less", 1)
+        _fail("out of memory; reduce the number of steps, runs or obstacles", 1)
     except OSError as error:
         _fail(f"{error.filename or 'the system'}: {error.strerror or error}", 2)
     except ReachError as error:  # numbers beyond floating point

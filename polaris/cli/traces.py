@@ -1,4 +1,4 @@
-"""The verbs for traces of RTAEval: evaluate, export."""
+"""Commands for traces of RTAEval: evaluate, export."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -14,33 +14,33 @@ from .shell import Force, Json, Quiet, echo, print_result, verb
 class Options:
     """Options of ``polaris evaluate``."""
 
-    legacy: bool = Option(False, "--legacy", help="The numbers RTAEval itself gives, defects included.")
-    restamp: bool = Option(False, "--restamp", help="Undo the stamps of RTAEval's simulator first.")
-    dims: int | None = Option(None, min=1, max=3, help="Axes of position; default as the sets have.")
+    legacy: bool = Option(False, "--legacy", help="Compute the numbers of RTAEval itself, defects included.")
+    restamp: bool = Option(False, "--restamp", help="Correct the time stamps of RTAEval's simulator first.")
+    dims: int | None = Option(None, min=1, max=3, help="Number of position axes; default that of the sets.")
     velocity: str | None = Option(
         None,
         metavar="ENTRIES",
-        help="Entries of the states that are the velocity, as in 3,4,5 (from 0), or 'differences' of"
-        " positions. Default: what follows the position in 2, 4 or 6 states, if the position changes"
-        " so, else differences.",
+        help="Velocity entries of the state, such as 3,4,5 (counted from 0), or 'differences' of positions."
+        " Default: the entries after the position in 2, 4 or 6 states if they agree with its change, else"
+        " differences.",
     )
     heading: str | None = Option(
-        None, metavar="ENTRIES", help="Entries that are heading, or heading and pitch [rad], as in 3,4."
+        None, metavar="ENTRIES", help="Heading entry, or heading and pitch entries [rad], such as 3,4."
     )
-    speed: int | None = Option(None, metavar="ENTRY", min=0, help="The entry that is the speed [m/s].")
+    speed: int | None = Option(None, metavar="ENTRY", min=0, help="Speed entry [m/s].")
     mean_motion: float | None = Option(
-        None, metavar="RAD_S", help="The frame is Hill's: time to collision along free drift too."
+        None, metavar="RAD_S", help="Mean motion of Hill's frame; adds times to collision in drift."
     )
-    agent_radius: float = Option(0.0, metavar="M", help="Agents count as having met within this distance.")
+    agent_radius: float = Option(0.0, metavar="M", help="Distance at which two agents collide.")
     as_json: Json = False
     quiet: Quiet = False
 
 
 @verb("evaluate")
 def evaluate_command(
-    options: Options, trace: str = Argument(..., metavar="TRACE", help="A trace, as JSON.")
+    options: Options, trace: str = Argument(..., metavar="TRACE", help="Trace file, JSON.")
 ) -> None:
-    """Measure a trace: distances, times to collision, usage of modes, switches."""
+    """Evaluate a trace: distances, times to collision, use of modes, switches."""
     from ..model.checks import positive
     from ..model.hill import clohessy_wiltshire
     from ..traces import evaluate_legacy, evaluate_trace, read_trace
@@ -49,7 +49,7 @@ def evaluate_command(
 
     eta = options.mean_motion
     if options.legacy and (options.restamp or eta is not None or options.agent_radius != 0):
-        rule = "excludes --restamp, --mean-motion and --agent-radius: RTAEval has none of them"
+        rule = "must be left out with --restamp, --mean-motion or --agent-radius, which RTAEval does not have"
         raise ScenarioError("--legacy", True, rule)
     system = None
     if eta is not None:
@@ -72,25 +72,25 @@ def evaluate_command(
 @verb("export")
 def export_command(
     run: str = Argument(..., metavar="RUN", help="A run folder, or a comparison folder."),
-    trace: str = Argument(..., metavar="TRACE", help="The trace to write, as JSON."),
+    trace: str = Argument(..., metavar="TRACE", help="Trace file to write, JSON."),
     controller: str | None = Option(
         None,
         metavar="KEY",
-        help="Whose run of a run folder: polaris (default), safety, experimental, experimental_2, ...",
+        help="Controller, for a run folder: polaris (default), safety, experimental, experimental_2, ...",
     ),
     method: str | None = Option(
         None,
         metavar="KEY",
-        help="Whose flight of a comparison folder: schedule (default), monitor, asif_implicit, ...",
+        help="Method, for a comparison folder: schedule (default), monitor, asif_implicit, ...",
     ),
-    label: str = Option("closest", "--run", help="Which run: closest, nominal, 'run 0', ..."),
+    label: str = Option("closest", "--run", help="Run: closest, nominal, 'run 0', ..."),
     nominal: bool = Option(
-        False, "--nominal", help="Other satellites as balls about where they are nominally, not as polytopes."
+        False, "--nominal", help="Write satellites as balls about their nominal positions, not polytopes."
     ),
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
+    """Write one flight of a folder, with its unsafe sets, as a trace for RTAEval."""
     from ..model.checks import counted
     from ..runs.files.atomic import check_file
     from ..runs.run import read_run
@@ -100,10 +100,10 @@ def export_command(
     check_file(trace, "trace", (".json",), force)
     compared = read_run(run).kind.name == "comparison"
     if controller is not None and (compared or method is not None):
-        rule = "must be left out for a comparison, which has methods"
+        rule = "must be left out for a comparison folder; use --method"
         raise ScenarioError("--controller", controller, rule)
     if method is not None and not compared:
-        raise ScenarioError("--method", method, f"{run} must be a comparison folder")
+        raise ScenarioError("--method", method, f"must be left out, as {run} is no comparison folder")
     pilot = method or ("schedule" if compared else controller or "polaris")
     exported = export_run(run, pilot, label, nominal=nominal)
     path = write_trace(trace, exported.trace, force=force)

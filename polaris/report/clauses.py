@@ -44,26 +44,26 @@ SOURCES = {
 
 SAFE = Evidence("proven safe", "claim: Safe")
 GOAL = Evidence("goal", "claim: Goal")
-UPKEEP = Evidence("cost of flying on", "claim: Upkeep")
+UPKEEP = Evidence("station-keeping delta-v", "claim: Upkeep")
 PASSIVE = Evidence("all thrust off", "claim: Passive safety")
 POWERED = Evidence("abort with thrust", "claim: Powered abort")
 CHECK = Evidence("independent check", "check: outcome")
-LEAST = Evidence("least distance in simulated runs", "summary.json: polaris.min_distance_m")
-ENTER = Evidence("simulated runs that enter an unsafe set", "summary.json: polaris.collided_runs")
+LEAST = Evidence("minimum distance in simulated runs", "summary.json: polaris.min_distance_m")
+ENTER = Evidence("simulated runs that enter a keep-out zone", "summary.json: polaris.collided_runs")
 RUNS = Evidence("simulated runs", "summary.json: polaris.runs")
 DRIFT = Evidence(
-    "least time to a collision with thrusters off, in simulated runs",
+    "minimum time to collision with thrusters off, in simulated runs",
     "summary.json: polaris.min_ttc_free_drift_s",
 )
-SETS = Evidence("unsafe sets", "scenario.toml: obstacles.name")
-CORRIDORS = Evidence("sets that are never left", "scenario.toml: keep_in.name")
-THRUST = Evidence("largest demand of thrust by S", "summary.json: polaris.max_thrust_ratio_safety")
-START = Evidence("room left at the start", "summary.json: synthesis.start_margin")
+SETS = Evidence("keep-out zones", "scenario.toml: obstacles.name")
+CORRIDORS = Evidence("keep-in zones", "scenario.toml: keep_in.name")
+THRUST = Evidence("peak thrust demand of S", "summary.json: polaris.max_thrust_ratio_safety")
+START = Evidence("start margin", "summary.json: synthesis.start_margin")
 BOX = Evidence("box around the start set", "scenario.toml: initial_set")
 JOINTS = Evidence("GO boxes between legs", "summary.json: mission.joints")
-WHOLE = Evidence("velocity change of all legs, at most", "summary.json: mission.delta_v_max_m_s")
+WHOLE = Evidence("delta-v of all legs, at most", "summary.json: mission.delta_v_max_m_s")
 ALLOWED = Evidence("disturbance that the proof allows", "scenario.toml: system.disturbance_max_m_s2")
-MODEL = Evidence("left out by the linear model, at most, not checked", "summary.json: model_error.bound_m_s2")
+MODEL = Evidence("bound on the model error, not verified", "summary.json: model_error.bound_m_s2")
 ERRORS = (
     Evidence("errors of navigation", "scenario.toml: navigation"),
     Evidence("errors of thrusters", "scenario.toml: thrusters"),

@@ -8,8 +8,8 @@ from .tables import Cell, Table
 
 
 def legs_table(summary: Mapping[str, Any]) -> Table:
-    """Return the legs, what each spends at most, and for how long each is safe."""
-    heads = ["leg", "left at", "spends at most", "waiting", "NO-GO: S is safe", "drift stays clear"]
+    """Return the legs with the bound on the delta-v of each, and the time for which each is safe."""
+    heads = ["leg", "ends at", "delta-v, at most", "while waiting", "NO-GO: safe under S", "drift clear"]
     rows, mission = [], summary["mission"]
     for leg in mission["legs"]:
         waits = "-" if leg["waiting_m_s2"] is None else f"{_up(leg['waiting_m_s2'] * 3600)} m/s per hour"
@@ -29,12 +29,12 @@ def legs_table(summary: Mapping[str, Any]) -> Table:
 
 
 def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
-    """Return the GO box of every joint: what estimates must be for GO, by coordinate."""
+    """Return the GO box of every joint: the interval of each estimated state in which GO is given."""
     mission, tables = summary["mission"], []
     for i, joint in enumerate(mission["joints"]):
         names = mission["legs"][i]["name"], mission["legs"][i + 1]["name"]
         caption = f"GO from {names[0]} to {names[1]}, {instants(joint, mission['clocks'][i])}"
-        caption += "" if joint["assured"] else "; in other estimates of an admissible flight it is NO-GO"
+        caption += "" if joint["assured"] else "; an admissible flight may be outside, which is NO-GO"
         rows = [
             [
                 Cell(name, words=True),
@@ -44,7 +44,7 @@ def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
             ]
             for name, c, half in zip(mission["states"], joint["center"], joint["half_widths"], strict=True)
         ]
-        tables.append(Table(caption, ["estimate of", "middle", "half-width", "GO if within"], rows))
+        tables.append(Table(caption, ["estimated state", "center", "half-width", "GO if within"], rows))
     return tables
 
 
@@ -59,7 +59,7 @@ def instants(joint: Mapping[str, Any], clock: Mapping[str, float]) -> str:
     elif joint["later"]:
         spans = ", ".join(_span(a * h, b * h) for a, b in joint["later"])
         parts.append(
-            f"in later turns of {clock['turn_s']:.6g} s when {spans} of one have passed since {T:g} s"
+            f"in later revolutions of {clock['turn_s']:.6g} s, counted from {T:g} s, at {spans} of each"
         )
     return " and ".join(parts)
 
@@ -69,7 +69,7 @@ def _span(a: float, b: float) -> str:
 
 
 def _spent(sums: Mapping[str, Any]) -> str:
-    return "no bound: more than" if sums["delta_v_max_m_s"] is None else _up(sums["delta_v_max_m_s"])
+    return "no bound in" if sums["delta_v_max_m_s"] is None else _up(sums["delta_v_max_m_s"])
 
 
 def _up(x: float) -> str:
@@ -77,16 +77,16 @@ def _up(x: float) -> str:
 
 
 def rows_flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
-    """Return what simulated flights from end to end came to, which proves nothing."""
+    """Return statistics of simulated flights from end to end; they prove nothing."""
     flown = summary["flown"]
     shares = ", ".join(f"{share:.0%}" for share in flown["share_of_start_set"])
     near = [distance for distance in flown["least_distance_m"] if distance is not None]
     return (
         (
             "Simulated flights",
-            f"{flown['runs']} from end to end, {sum(flown['delta_v_m_s']):.4g} m/s on average",
+            f"{flown['runs']} from end to end, mean delta-v {sum(flown['delta_v_m_s']):.4g} m/s",
         ),
-        ("Most that one spends", f"{flown['delta_v_largest_m_s']:.4g} m/s"),
-        ("Least distance", f"{min(near):.4g} m" if near else "no unsafe set"),
-        ("Share of the start sets that they use", shares),
+        ("Largest delta-v of a flight", f"{flown['delta_v_largest_m_s']:.4g} m/s"),
+        ("Minimum distance", f"{min(near):.4g} m" if near else "no keep-out zone"),
+        ("Share of the start sets used", shares),
     )

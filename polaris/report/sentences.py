@@ -13,42 +13,43 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     seconds, plan = dict(details["seconds"]), details["planner"]
     total, _ = seconds.pop("total"), seconds.pop("plan_parts")
     stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
-    text = f"{_planned(plan)}, {plan['delta_v_m_s']:.4g} m/s"
+    text = f"{_planned(plan)}; delta-v {plan['delta_v_m_s']:.4g} m/s"
     if plan["margin_m"] is not None:
-        text += f", clearance {directed(plan['margin_m'], '.4g')} m beyond the tube"
-    rows = [("Plan", text)]
+        text += f", clearance {directed(plan['margin_m'], '.4g')} m beyond the tracking error"
+    rows = [("Reference", text)]
     start, limit = details["start_margin"], details["start_limit"]
     if start is not None:
-        rows.append(("Start", f"{directed(start, '.1%')} of the room is left, least at {limit}"))
+        rows.append(("Start margin", f"{directed(start, '.1%')} of the clearance (limiting: {limit})"))
     rows.append(("Recoverable sets", str(details["recoverable"])))
     rows.append(("U flies", share(details)))
     if "proven_share" in details:
-        text = "of the time is proven for anything within the thrust limits instead of black boxes"
-        rows.append(("Without samples", f"{details['proven_share']:.1%} {text}"))
-        rows.append(("Worst found", _worst(details["worst_found"])))
+        text = "of the time, proven for any thrust within the limits in place of the black boxes"
+        rows.append(("U without samples", f"{details['proven_share']:.1%} {text}"))
+        rows.append(("Attacks on black boxes", _worst(details["worst_found"])))
     if (left_out := summary.get("model_error")) is not None:
         bound = directed(left_out["bound_m_s2"], ".3g", up=True)
         within = "within" if left_out["covered"] else "MORE THAN"
-        text = f"the linear model leaves out at most {bound} m/s^2 where the schedule flies, {within} the"
-        text += f" {left_out['declared_m_s2']:g} that the proof allows; the checker does not derive it"
+        text = f"the linear model neglects at most {bound} m/s^2 along the schedule, {within} the disturbance"
+        text += f" bound of {left_out['declared_m_s2']:g} m/s^2; the checker does not verify this bound"
         rows.append(("Model error", text))
-    return [*rows, ("Time", f"{total:.2f} s ({stages})")]
+    return [*rows, ("Computation time", f"{total:.2f} s ({stages})")]
 
 
 def share(details: Mapping[str, Any]) -> str:
     """Return the share of the time under U, and what is proven of any schedule, in words."""
     flies, top = f"{details['experimental_share']:.1%} of the time", details["share_at_most"]
-    return f"{flies}; no schedule can exceed {directed(top - 1e-12, '.1%', up=True)}" if top < 1 else flies
+    bound = directed(top - 1e-12, ".1%", up=True)
+    return f"{flies}; upper bound for any schedule: {bound}" if top < 1 else flies
 
 
 def _planned(plan: Mapping[str, Any]) -> str:
     """Describe the planner's outcome and its solver."""
-    gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
+    gap = "" if plan["gap"] is None else f", optimality gap {plan['gap']:.2g}"
     ended = {
-        "optimal": "optimal",
-        "in_view": "with U in view",
-        "effort_limit": f"stopped at the limit of its effort{gap}",
-        "time_limit": f"stopped by the clock{gap}",
+        "optimal": "optimal plan",
+        "in_view": "planned along U's path",
+        "effort_limit": f"plan cut off at the planner's effort limit{gap}",
+        "time_limit": f"plan cut off by planner.time_limit_s{gap}",
     }[plan["status"]]
     return f"{ended} ({plan['solver_name']})"
 
@@ -56,12 +57,12 @@ def _planned(plan: Mapping[str, Any]) -> str:
 def _worst(worst: Mapping[str, Any] | None) -> str:
     """Describe the worst flights found with black boxes."""
     if worst is None:
-        return "black boxes fly no step: nothing could be said of them with the probability asked for"
-    hit = "one enters an unsafe set" if worst["violated"] else "none enters an unsafe set"
-    near = "" if worst["least_m"] is None else f", least distance {worst['least_m']:.4g} m"
-    leave = f"{worst['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
-    text = f"of {counted(worst['runs'], 'flight')} searched for the worst {hit}{near}; {leave}"
-    why = ". Asked again, or about few flights alone, they answer otherwise: a condition is not met"
+        return "black boxes fly no step: the samples do not support the requested probability"
+    hit = "at least one" if worst["violated"] else "none"
+    near = "" if worst["least_m"] is None else f", minimum distance {worst['least_m']:.4g} m"
+    leave = f"{worst['leave_sets']:.1%} of the attacked flights leave the command bands"
+    text = f"{hit} of {counted(worst['runs'], 'flight')} enters a keep-out zone{near}; {leave}"
+    why = ". WARNING: boxes answer the same questions differently, which violates an assumption"
     return text + ("" if worst["repeats"] else why)
 
 
@@ -69,13 +70,13 @@ def reach(claim: Mapping[str, Any]) -> str:
     """Describe until when a schedule's claim holds, and of how many flights."""
     text = {
         "infinite": "for all time",
-        "one_period": f"until {claim['until_s'] or 0:.6g} s: the end of the schedule and a period under S",
-        "none": "up to the end of the schedule only",
+        "one_period": f"until {claim['until_s'] or 0:.6g} s (end of the schedule, then one period under S)",
+        "none": "until the end of the schedule only",
     }[claim["horizon"]]
     if "statement" in claim:
         said = claim["statement"]
         chance = directed(said["probability"], ".2g", up=True)
-        text += f" but for {chance} of all flights, said with a confidence of {said['confidence']:g}"
+        text += f" except with probability {chance} per flight, at confidence {said['confidence']:g}"
     return text
 
 
@@ -83,10 +84,10 @@ def goal(claim: Mapping[str, Any]) -> str:
     """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
     counts, off = claim["velocity_time_s"], f"within {near} m"
-    off += "" if counts is None else f" (velocities count as the length they make in {counts:.4g} s)"
-    alone = "" if drift is None else f": alone it drifts up to {directed(drift, '.3g', up=True)} m per orbit"
-    spent = f"Velocity change until then at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
+    off += "" if counts is None else f" (velocity errors count as the distance covered in {counts:.4g} s)"
+    alone = "" if drift is None else f": free drift is up to {directed(drift, '.3g', up=True)} m per orbit"
+    spent = f"Delta-v until then: at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
     if claim["reached"] is True:
-        return f"reached at {claim['by_s']:.6g} s, {off}. To stay there S must fly on{alone}. {spent}"
+        return f"reached at {claim['by_s']:.6g} s, {off}. S must fly on to stay there{alone}. {spent}"
     missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached. {spent}"
+    return f"{missed}: {off} at best; the tolerance is {claim['tolerance_m']:.4g} m. {spent}"

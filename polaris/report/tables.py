@@ -12,8 +12,8 @@ from ..runs.inspections.inspection import MEANING
 from ..simulation.metrics import possible
 
 ABSENT = {  # meaning of null by key: see "null and empty cells" in ``docs/guarantees.md``
-    "min_distance_m": ("none", "there is no unsafe set"),
-    "min_distance_mean_m": ("none", "there is no unsafe set"),
+    "min_distance_m": ("none", "there is no keep-out zone"),
+    "min_distance_mean_m": ("none", "there is no keep-out zone"),
     "min_ttc_s": ("∞", "no run was ever on a collision course"),
     "min_ttc_free_drift_s": ("∞", "no run was ever on a collision course with its thrusters off"),
     "max_thrust_ratio_safety": ("none", "this controller never flew"),
@@ -23,26 +23,26 @@ ABSENT = {  # meaning of null by key: see "null and empty cells" in ``docs/guara
 
 TITLES = {  # titles of metrics, in the order of tables
     "runs": "simulated runs",
-    "min_distance_m": "least distance to an unsafe set",
+    "min_distance_m": "minimum distance to keep-out zones",
     "violations": "violations",
-    "min_distance_mean_m": "least distance, mean over runs",
+    "min_distance_mean_m": "minimum distance, mean over runs",
     "mean_distance_m": "distance, mean over time and runs",
-    "min_ttc_s": "least time to collision, straight on",
-    "min_ttc_free_drift_s": "least time to collision, free drift",
-    "drift_horizon_s": "time that free drift is followed for",
-    "experimental_share": "share of experimental control",
+    "min_ttc_s": "minimum time to collision, straight",
+    "min_ttc_free_drift_s": "minimum time to collision, drift",
+    "drift_horizon_s": "horizon of the free drift",
+    "experimental_share": "share of time under U",
     "switches": "switches",
-    "delta_v_m_s": "velocity change, mean",
-    "delta_v_max_m_s": "velocity change, largest",
-    "collided": "any run enters an unsafe set",
-    "collided_runs": "runs that enter an unsafe set",
-    "deviation": "input other than U's, mean",
-    "max_thrust_ratio": "largest demand of thrust",
-    "max_thrust_ratio_safety": "largest demand of thrust by S",
-    "max_thrust_ratio_experimental": "largest demand of thrust by U",
-    "decision_median_us": "time of a decision, median",
-    "decision_p99_us": "time of a decision, 99th percentile",
-    "synthesis_s": "time of synthesis",
+    "delta_v_m_s": "delta-v, mean",
+    "delta_v_max_m_s": "delta-v, largest",
+    "collided": "any run enters a keep-out zone",
+    "collided_runs": "runs that enter a keep-out zone",
+    "deviation": "deviation from U's input, mean",
+    "max_thrust_ratio": "peak thrust demand",
+    "max_thrust_ratio_safety": "peak thrust demand of S",
+    "max_thrust_ratio_experimental": "peak thrust demand of U",
+    "decision_median_us": "decision time, median",
+    "decision_p99_us": "decision time, 99th percentile",
+    "synthesis_s": "synthesis time",
 }
 
 SUFFIXES = {"_m_s2": "m/s²", "_m_s": "m/s", "_us": "µs", "_ms": "ms", "_s": "s", "_m": "m", "_N": "N"}
@@ -206,10 +206,8 @@ def constraints(summary: Mapping[str, Any]) -> Table:
         ]
         for row in summary["constraints"]
     ]
-    heads = ["constraint", "meaning", "least", "at", "deputies", "share violated"]
-    return Table(
-        "Least value of every constraint over the flight; negative is a violation", heads, rows, True
-    )
+    heads = ["constraint", "meaning", "minimum", "at", "deputies", "share violated"]
+    return Table("Minimum of every constraint over the flight; negative is a violation", heads, rows, True)
 
 
 def studies(summary: Mapping[str, Any]) -> Table:
@@ -228,7 +226,7 @@ def studies(summary: Mapping[str, Any]) -> Table:
                 *(Cell(str(count), count, bad=count > 0) for count in counts),
             ]
         )
-    heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "velocity change", *kinds]
+    heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "delta-v", *kinds]
     return Table(f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s", heads, rows, True)
 
 

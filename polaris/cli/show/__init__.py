@@ -28,11 +28,11 @@ def show_table(shown: Table, width: int = 0) -> None:
 
 
 def show_claim(claim: Mapping[str, Any]) -> None:
-    """Print what is claimed, and on what assumptions."""
+    """Print a guarantee of the inspection problem and its assumptions."""
     say(f"Guarantee: {str(claim['kind']).replace('_', ' ')}; {claim['reason']}.", "bold")
     if claim.get("periods") and claim["kind"] == "per_period":
-        covered = f"{claim['periods_covered']} of {claim['periods']} periods"
-        say(f"That is {covered} of this flight, assuming that")
+        say(f"Periods covered: {claim['periods_covered']} of {claim['periods']} of this flight.")
+    say("Assumptions:")
     assume(claim["assumptions"])
 
 

@@ -12,10 +12,10 @@ from . import say, show_table, table
 
 SAFETY = {  # metrics of the first table, and their heads
     "violations": "violations",
-    "min_distance_m": "least\ndist. m",
+    "min_distance_m": "min.\ndist. m",
     "mean_distance_m": "mean\ndist. m",
-    "min_ttc_s": "least\nTTC s",
-    "min_ttc_free_drift_s": "drift\nTTC s",
+    "min_ttc_s": "min.\nTTC s",
+    "min_ttc_free_drift_s": "min. drift\nTTC s",
 }
 COST = {  # metrics of the second table, and their heads
     "experimental_share": "share\nof U",
@@ -30,7 +30,7 @@ LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 
 
 def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
-    """Print the comparison as a table, and where its folder lies."""
+    """Print the comparison as two tables, and the path of its folder."""
     say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
     flown = [method for method in summary["methods"] if method["available"]]
     for named, columns in ((("method", "guarantee"), SAFETY), (("method",), COST)):
@@ -40,11 +40,11 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
             shown.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
         show_table(shown)
         say("")
-    say("Least distance and TTC: worst over all runs. The others: means over runs, whose")
-    say("95 % intervals and paired differences are in comparison.json and in the report.")
+    say("Minimum distance and time to collision (TTC): worst of all runs. Other columns: means over runs.")
+    say("95 % intervals and paired differences: see comparison.json or the report.")
     for method in summary["methods"]:
         if not method["available"]:
-            say(f"not available: {method['key']} ({method['reach']})")
+            say(f"not applicable: {method['key']} ({method['reach']})")
     say(f"Comparison folder: {folder}")
     say(f"Interactive report: polaris report {shlex.quote(folder)}")
 
@@ -65,12 +65,12 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
-HEADS = ("", "share of U", "switches", "mean m/s", "largest", "proven", "goal by s", "safe until s")
-"""Of the table; velocity changes are simulated (mean and largest) and proven never to be exceeded."""
+HEADS = ("", "share of U", "switches", "delta-v m/s", "largest", "bound", "goal by s", "safe until s")
+"""Heads of the table; delta-v is the simulated mean, the simulated largest, and the proven bound."""
 
 
 def show_tradeoff(summary: Mapping[str, Any], folder: str) -> None:
-    """Print the points, those that no other outdoes marked, and where their folders lie."""
+    """Print the points, with a mark on those that are not dominated, and the paths of their folders."""
     points = summary["points"]
     say(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
     longest = max(len(point["folder"]) for point in points)
@@ -79,9 +79,9 @@ def show_tradeoff(summary: Mapping[str, Any], folder: str) -> None:
         for one in summary["needed"]:
             say(answered(one))
     else:
-        say("* no other is as good in all of share, mean velocity change, switches, goal and guarantee.")
+        say("* not dominated: no other is as good in share, mean delta-v, switches, goal and guarantee.")
     say(f"Trade-off: {folder}")
-    say(f"One of them in detail: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
+    say(f"Report of one schedule: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
 
 
 def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
@@ -101,14 +101,14 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def answered(needed: Mapping[str, Any]) -> str:
-    """Describe the last value of a field that is proven with the share asked for, and the next one."""
+    """Describe the last value of a field that is proven with the required share of U, and the next one."""
     asked, field = f"{100 * needed['share']:.4g} % of the time under U", needed["field"]
     if needed["last_proven"] is None:
-        return f"{field}: no value tried has {asked}."
+        return f"{field}: no value tried is proven for {asked}."
     last, there = f"{needed['last_proven']:g}", f"{needed['share_there']:.1%}"
-    text = f"{field}: {needed['bound']} {last} for {asked} ({there} is proven there"
+    text = f"{field}: {needed['bound']} {last} for {asked} (proven at this value: {there}"
     if needed["next"] is None:
-        return f"{text}; nothing further was tried)."
+        return f"{text}; no further value was tried)."
     if needed["interpolated"] is None:
         return f"{text}; infeasible at {needed['next']:g})."
     between, beyond = f"{needed['interpolated']:.4g}", f"{needed['share_next']:.1%} at {needed['next']:g}"

@@ -9,7 +9,7 @@ from . import RED, say, show_cells, show_claim, show_table, table
 
 
 def show_flight(summary: Mapping[str, Any], folder: str) -> None:
-    """Print the least value of every constraint, the answers of the filter, and what is claimed."""
+    """Print the minimum of every constraint, the decisions of the filter, and the guarantee."""
     say(str(summary["title"]), "bold")
     say(f"{counted(summary['deputies'], 'deputy', 'deputies')}, {summary['duration_s']:g} s")
     show_cells(constraints(summary), 96)
@@ -17,42 +17,43 @@ def show_flight(summary: Mapping[str, Any], folder: str) -> None:
     say("No constraint is violated." if safe else "CONSTRAINTS ARE VIOLATED.", "" if safe else RED)
     total = sum(steps.values())
     answers = ", ".join(f"{name} {count / total:.1%}" for name, count in steps.items() if count)
-    say(f"Filter ({summary['filter']['kind']}): {answers} of {total} answers.")
-    say(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
+    say(f"Filter ({summary['filter']['kind']}), {total} decisions: {answers}.")
+    slow = f"99th percentile {1e3 * seconds['p99']:.3g} ms"
+    say(f"Decision time: median {1e3 * seconds['median']:.3g} ms, {slow}.")
     spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
-    say(f"Velocity change per deputy: {spent} m/s.")
+    say(f"Delta-v per deputy: {spent} m/s.")
     tank, largest = summary["delta_v_max_m_s"], max(summary["delta_v_m_s"])
     if largest > tank:
-        say(f"THE FUEL LIMIT IS EXCEEDED: {largest:.4g} m/s of {tank:g} m/s, which no barrier keeps.", RED)
+        text = f"delta-v {largest:.4g} m/s of {tank:g} m/s; no barrier of this filter limits fuel"
+        say(f"THE FUEL LIMIT IS EXCEEDED: {text}.", RED)
     smooth = summary.get("smoothness")
     if smooth:
-        applied, wanted = (
-            f"{one['switches']:.2g} and {one['variation']:.2g} N"
-            for one in (smooth["applied"], smooth["wanted"])
-        )
-        say(f"Changes of sign and of thrust per axis and minute: {applied}; wanted {wanted}.")
+        applied, wanted = smooth["applied"], smooth["wanted"]
+        text = f"{applied['switches']:.2g} sign changes and {applied['variation']:.2g} N of thrust variation"
+        primary = f"{wanted['switches']:.2g} and {wanted['variation']:.2g} N"
+        say(f"Chatter: {text} per axis and minute; primary controller: {primary}.")
     show_claim(summary["guarantee"])
     say(f"Run folder: {folder}")
 
 
 def show_fuel(summary: Mapping[str, Any], folder: str) -> None:
-    """Print what was spent, when the backup took over, and what is claimed."""
+    """Print the delta-v, the time at which the backup took over, and the guarantee."""
     say(str(summary["title"]), "bold")
     latched, last, least = summary["latched_at_s"], summary["last_thrust_s"], summary["distance_least_m"]
     rows = [
-        ("velocity change", f"{summary['delta_v_m_s']:.4g} of {summary['delta_v_max_m_s']:g} m/s"),
+        ("delta-v", f"{summary['delta_v_m_s']:.4g} of {summary['delta_v_max_m_s']:g} m/s"),
         ("backup takes over", "never" if latched is None else f"at {latched:g} s"),
     ]
     if latched is not None:
-        rows.append(("spent by then", f"{summary['delta_v_at_latch_m_s']:.4g} m/s"))
+        rows.append(("delta-v by then", f"{summary['delta_v_at_latch_m_s']:.4g} m/s"))
     rows += [
         ("last thrust", "none" if last is None else f"at {last:g} s"),
-        ("least distance from the chief", f"{least:.4g} m at {summary['distance_least_time_s']:g} s"),
+        ("minimum distance from the chief", f"{least:.4g} m at {summary['distance_least_time_s']:g} s"),
         ("semi-minor axis at the end", f"{summary['parking_orbit']['semi_minor_m']:.4g} m"),
     ]
     show_table(table("", "", rows=rows))
     if latched is not None:
-        say(f"Why: {summary['latch_reason']}.")
+        say(f"Reason of the takeover: {summary['latch_reason']}.")
     safe = summary["safe"]
     say("The fuel limit is kept." if safe else "THE FUEL LIMIT IS EXCEEDED.", "" if safe else RED)
     show_claim(summary["guarantee"])
@@ -60,7 +61,7 @@ def show_fuel(summary: Mapping[str, Any], folder: str) -> None:
 
 
 def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
-    """Print the success of every study and what its failures were."""
+    """Print the success rate of every study and the kinds of its failures."""
     say(str(summary["title"]), "bold")
     shown = studies(summary)
     say(shown.caption)

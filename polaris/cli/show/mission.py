@@ -9,7 +9,7 @@ from . import assume, say, show_cells
 
 
 def show_mission(summary: Mapping[str, Any], folder: str) -> None:
-    """Print legs, GO boxes, statistics of flights, and what the mission rests on besides its legs."""
+    """Print legs, GO boxes, statistics of flights, and the assumptions beyond those of the legs."""
     say(str(summary["title"]), "bold")
     show_cells(legs_table(summary), 110)
     for shown in joint_tables(summary):
@@ -19,7 +19,7 @@ def show_mission(summary: Mapping[str, Any], folder: str) -> None:
     say("")
     for head, sentence in rows_flown(summary):
         say(f"{head}: {sentence}.")
-    say("Guarantee: proved leg by leg and at the joints, assuming what the legs do, and that", "bold")
+    say("Guarantee: proved leg by leg and at the joints. Assumptions, besides those of the legs:", "bold")
     assume(summary["mission"]["assumptions"])
     say(f"Run folder: {folder}; one folder in it for each leg")
     say(f"Report: polaris report {shlex.quote(folder)}")

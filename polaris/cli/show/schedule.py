@@ -20,10 +20,8 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     for head, sentence in synthesis(summary):
         say(f"{head}: {sentence}.")
     proved = claim["kind"] != "none"
-    say(
-        f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']}), assuming that",
-        "bold" if claim["kind"] == "proved" else RED,
-    )
+    said = f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']})."
+    say(f"{said} Assumptions:" if proved else said, "bold" if claim["kind"] == "proved" else RED)
     assume(claim["assumptions"] if proved else ())
     if proved:
         say(f"Goal: {goal(claim['goal'])}")
@@ -32,19 +30,19 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     say(f"Run folder: {folder}")
 
 
-COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")
-COLUMNS += ("its mean, 95 %", "share of U", "velocity change, 95 %")
+COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "min. distance")
+COLUMNS += ("mean min. distance, 95 %", "share of U", "delta-v, 95 %")
 
 
 def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
-    """Print violations, distances, use of U and velocity change of every case and mode."""
+    """Print violations, distances, use of U and delta-v of every case and mode."""
     grid = table("case", *COLUMNS, wrap=0)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
         for mode, result in case.get("modes", {}).items():
             grid.add_row(label, *_row(mode, result))
             label = ""
-    show_table(grid, max(len(str(case["label"])) for case in summary["cases"]) + 157)
+    show_table(grid, max(len(str(case["label"])) for case in summary["cases"]) + 158)
     for case in summary["cases"]:
         if "failure" in case:
             say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
@@ -53,7 +51,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
 
 
 def show_run(row: Mapping[str, Any]) -> None:
-    """Print what the table says of one run."""
+    """Print the row of one run, a value per line."""
     rows = ((name, "-" if value is None else str(value)) for name, value in row.items())
     show_table(table("", "", rows=rows))
 

@@ -170,12 +170,12 @@ def _withheld(claim: Mapping[str, Any]) -> str:
     """Describe the steps that S flies because of a fault, and the bound that is short."""
     fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
     if not steps:
-        return f"along this reference {fault} keeps no step from U."
+        return f"fault {fault} reserves no step for S along this reference."
     worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
     short, when = missing(worst["limit"], worst["short"]), f"t = {worst['limit_time_s']:.6g} s"
     return (
-        f"because of {fault} S flies {len(steps)} of the steps ({', '.join(str(x['step']) for x in steps)});"
-        f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"
+        f"fault {fault} reserves {len(steps)} steps for S ({', '.join(str(x['step']) for x in steps)}):"
+        f" {worst['controller']} in step {worst['step']} would leave {worst['limit']} {short} short in step"
         f" {worst['limit_step']} ({when})."
     )
 
@@ -184,10 +184,11 @@ def abort_told(claim: Mapping[str, Any]) -> str:
     """Describe from which steps S reaches the orbit of an abort, and why not from the first of the others."""
     steps = claim["steps"]
     reached, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
-    text = f"from {len(reached)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    text = f"from {len(reached)} of {len(steps)} steps S provably reaches the orbit, aborting at any instant"
     if reached:
-        text += f", for at most {directed(max(each['delta_v_m_s'] for each in reached), '.4g', up=True)} m/s"
-    return f"{text}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{text}."
+        spent = directed(max(each["delta_v_m_s"] for each in reached), ".4g", up=True)
+        text += f", with a delta-v of at most {spent} m/s"
+    return f"{text}. Step {lost[0]['step']} fails: {lost[0]['why']}." if lost else f"{text}."
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:
@@ -195,34 +196,34 @@ def _upkeep(claim: Mapping[str, Any]) -> str:
     orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
     rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
     cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
-    text = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    text = f"S uses a delta-v of at most {cost} from {claim['settled_s']:.6g} s on"
     if tank is None:
         return f"{text}."
     if lasts is None:
-        return f"{text}: the tank of {tank:g} m/s lasts for ever."
-    return f"{text}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+        return f"{text}; the propellant for {tank:g} m/s lasts for ever."
+    return f"{text}; the propellant for {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
 
 
 def _estimate(claim: Mapping[str, Any]) -> str:
     """Describe how far an observer's estimates may be off."""
     each = {
         "once S has settled": claim["settled"],
-        "while experimental controllers fly": claim["experimental"],
+        "while an experimental controller flies": claim["experimental"],
     }
     texts = (
-        f"within {', '.join(directed(x, '.3g', up=True) for x in bounds)} {when}"
+        f"at most {', '.join(directed(x, '.3g', up=True) for x in bounds)} {when}"
         for when, bounds in each.items()
         if bounds is not None
     )
-    return f"of the states, in their order and SI units, estimates are {'; '.join(texts) or 'not bounded'}."
+    return f"errors by state, in state order and SI units: {'; '.join(texts) or 'not bounded'}."
 
 
 def drift_told(claim: Mapping[str, Any]) -> str:
     """Describe from when to when all thrust may stop, and where the drift is not shown to stay clear."""
     spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
     margin = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
-    stays = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
-    text = f"{stays} from {spans}{margin}" if spans else f"{stays} from no step"
+    stays = f"the free drift stays clear for {claim['drift_s']:.6g} s{margin}"
+    text = f"if all thrust stops at any time in {spans}, {stays}" if spans else f"in no step {stays}"
     if claim["witness"] is None:
-        return f"{text}, all of the flight."
+        return f"{text}; this covers the whole flight."
     return f"{text}. Witness: {in_words(claim['witness'])}."

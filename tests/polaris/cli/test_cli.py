@@ -74,7 +74,7 @@ def test_version_and_help(invoke):
 def test_run_prints_a_table_and_where_the_folder_lies(invoke, tmp_path):
     done = invoke("run", TINY)
     assert done.exit_code == 0, done.output
-    for text in ("S alone", "U alone", "Polaris", "least distance", "Guarantee: proved", "assuming that"):
+    for text in ("S alone", "U alone", "Polaris", "minimum distance", "Guarantee: proved", "Assumptions:"):
         assert text in done.stdout
     assert str(tmp_path / "runs" / "tiny") in done.stdout
     assert (tmp_path / "runs" / "tiny" / "figures" / "scene.pdf").is_file()

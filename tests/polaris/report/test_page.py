@@ -234,10 +234,10 @@ def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
 
     rewrite_json(folder / "summary.json", nearly)
     text = words(report_of(folder, tmp_path))
-    assert "99.9% of the room is left, least at" in text and "29.99 m" in text
+    assert "99.9% of the clearance (limiting: " in text and "29.99 m" in text
     show_summary(read_run(folder).summary, "run")
     printed = capsys.readouterr().out
-    assert "Start: 99.9% of the room" in printed and "clearance 29.99 m" in printed
+    assert "Start margin: 99.9% of the clearance" in printed and "clearance 29.99 m" in printed
 
 
 def test_no_raw_value_is_ever_printed(run, tmp_path):

@@ -303,7 +303,7 @@ def test_how_far_a_value_may_go():
     assert (beyond["last_proven"], beyond["interpolated"]) == (3, None)
     assert "infeasible at 4" in answered(beyond)
     assert needed(falling, "f", 0.99)["last_proven"] is None
-    assert "nothing further" in answered(needed(falling[1:], "f", 0.8))
+    assert "no further value" in answered(needed(falling[1:], "f", 0.8))
 
 
 # -- what is refused ------------------------------------------------------------------------------------

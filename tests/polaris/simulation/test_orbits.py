@@ -406,7 +406,7 @@ def client(tmp_path_factory):
         "note: assumption: the start set covers 3 sigma" in done.stderr and "safe for all time" in done.stdout
     )
     assert (
-        "Model error: the linear model leaves out at most" in done.stdout and "MORE THAN" not in done.stdout
+        "Model error: the linear model neglects at most" in done.stdout and "MORE THAN" not in done.stdout
     )
     done = CliRunner().invoke(app, ["export", "oem", str(out)])
     assert done.exit_code == 0 and str(out / "oem" / "reference.oem") in done.stdout

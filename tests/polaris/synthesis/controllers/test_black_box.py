@@ -676,7 +676,7 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
     command = shlex.join([sys.executable, str(tmp_path / "box.py")])
     given = CliRunner().invoke(app, ["run", *place, "--black-box", f"box={command}"])
     assert given.exit_code == 0, given.output
-    assert "proven for anything within the thrust limits" in " ".join(given.output.split())
+    assert "proven for any thrust within the limits" in " ".join(given.output.split())
     wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
     assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
     for arguments, reason in (

@@ -157,7 +157,7 @@ def test_what_is_required_is_kept_or_refused_with_the_witness():
     kept = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
     assert kept.passive.clear.all() and kept.passive.witness() is None
     text = drift_told(kept.passive.told())
-    assert "from 0 to 12 s" in text and text.endswith("all of the flight.")
+    assert "any time in 0 to 12 s" in text and text.endswith("covers the whole flight.")
     with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
         drifting(load_scenario(TINY), 10 / 12, "abort.required=true")
     assert error.value.exit_code == 3 and error.value.shortfall > 0

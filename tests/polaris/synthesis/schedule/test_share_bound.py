@@ -252,7 +252,7 @@ def test_a_cap_of_no_switch_leaves_s_alone():
 def test_what_the_command_line_says():
     assert (
         _share({"experimental_share": 0.95, "share_at_most": 58 / 60})
-        == "95.0% of the time; no schedule can exceed 96.7%"
+        == "95.0% of the time; upper bound for any schedule: 96.7%"
     )
     assert _share({"experimental_share": 0.5, "share_at_most": 0.9}).endswith("90.0%")
     assert _share({"experimental_share": 1.0, "share_at_most": 1.0}) == "100.0% of the time"

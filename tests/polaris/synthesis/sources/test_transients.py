@@ -484,7 +484,7 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
     starts += [step.tube.end for step in schedule.steps]
     for fault, transient in zip(withheld, safety.problem.system.transients, strict=True):
         assert (
-            f"because of {fault['fault']} "
+            f"fault {fault['fault']} "
             in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
         )
         for step in fault["steps"]:
