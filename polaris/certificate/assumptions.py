@@ -6,55 +6,54 @@ from dataclasses import dataclass
 from typing import Any
 
 SATELLITES = (
-    "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
-    "acceleration than is declared for it"
+    "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, plus at most the "
+    "acceleration declared for it"
 )
 """Assumed where there are any."""
 
 STATES = (
-    "limits on the whole state: they limit the states of the model, of the point that is navigated, at times "
+    "limits on the whole state: they apply to the state of the model, that of the navigated point, at times "
     "of the schedule"
 )
 """Assumed where there are any."""
 
 ALLOCATED = (
-    "faults: of the thrusters at most one fails, in a way that is declared and known at once, and what is "
-    "commanded is allocated to the others"
+    "faults: at most one thruster fails, in a declared way that is known at once, and commands are "
+    "allocated to the other thrusters"
 )
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 PLACES = {
-    "": "in the middle of it",
-    "start": "from the start of it on",
-    "staggered": "one after another from the start of it on, in their order and without a gap",
+    "": "in its middle",
+    "start": "from its start",
+    "staggered": "one after another from its start, in their order and without a gap",
 }
 """Places of the pulses of a period, by name."""
 
 ALLOCATIONS = {
-    "least_thrust_mixes": "the sum of a fixed mix for each input and sign",
-    "pseudo_inverse": "twice the positive part of the pseudo-inverse, of whole pairs, times the inputs",
-    "linear_program": "thrusts within their limits that make the inputs, of the least sum, each times the "
-    "length of its direction",
-    "nearest": "thrusts within their limits that come nearest to the inputs, of these the least in 2-norm",
+    "least_thrust_mixes": "the sum of a fixed mix of thrusters for each input and sign",
+    "pseudo_inverse": "twice the positive part of the pseudo-inverse of all intact pairs times the inputs",
+    "linear_program": "thrusts within their limits that produce the inputs, with the least sum weighted by "
+    "the lengths of their directions",
+    "nearest": "thrusts within their limits that produce the nearest inputs, of these the least in 2-norm",
 }
 """Ways to allocate what is commanded to the thrusters of a layout, by kind."""
 
 NOTHING_ELSE = (
-    "the safety controller flies from then on (without measurements: from when they cease), and no second "
-    "fault occurs; goal, velocity change, estimates, enclosures and drift are those of flights without such "
-    "faults"
+    "the safety controller flies from then on (in an outage of navigation: from its start), and no second "
+    "fault occurs; goal, delta-v, estimates, enclosures and drift are claimed of flights without such faults"
 )
-"""Assumed of faults that are isolated late, and what is told of them."""
+"""Assumed of faults that are isolated late, and the claims that hold without them only."""
 
 
 _ROUNDED = (
-    "inputs scaled and rounded to it, IEEE 754 rounding to nearest, sums in any order, with or without fused "
-    "multiply-add; tanh and sigmoid are within {error:.2g} of their value"
+    "inputs are scaled and rounded to it, IEEE 754 rounds to nearest, sums are in any order, with or without "
+    "fused multiply-add, and tanh and sigmoid are within {error:.2g} of their values"
 )
 ARITHMETIC = {
-    "real": "it is evaluated in real arithmetic: how a flight computer rounds in it is not covered",
-    "float32": f"it is evaluated in single precision (float32): {_ROUNDED.format(error=8 * 2.0**-24)}",
-    "float64": f"it is evaluated in double precision (float64): {_ROUNDED.format(error=8 * 2.0**-53)}",
+    "real": "evaluated in real arithmetic; rounding on the flight computer is not covered",
+    "float32": f"evaluated in single precision (float32): {_ROUNDED.format(error=8 * 2.0**-24)}",
+    "float64": f"evaluated in double precision (float64): {_ROUNDED.format(error=8 * 2.0**-53)}",
 }
 """Assumption about the arithmetic of a network, by its precision."""
 
@@ -97,16 +96,16 @@ class Premises:
 
     def told(self) -> list[str]:
         """Return all assumptions that apply, in words, in the order that the format prescribes."""
-        size = f"within {self.chaser:g} m of the point that is navigated, which is added to every unsafe set"
-        point = "a point, its own size being part of the unsafe sets"
+        size = f"within {self.chaser:g} m of the navigated point, a radius added to every unsafe set"
+        point = "a point; its size is part of the unsafe sets"
         ever = " for ever" if self.horizon == "infinite" else ""
-        limits = f"|u_i| <= u_max, norm(w, 2) <= {self.w_max:g} and otherwise arbitrary"
+        limits = f"with |u_i| <= u_max and any w of norm(w, 2) <= {self.w_max:g}"
         if any(bias := list(self.bias)):
-            limits += f", to which a constant within [{_listed(bias)}] adds, one in a whole flight"
+            limits += f", plus a constant of the flight of at most [{_listed(bias)}]"
         axes = ", ".join(map(_sum, self.position))
         return [
-            f"model: x' = A x + B u + D w, {limits}",
-            *([f"position: C x = ({axes}), states counted from 0; the unsafe sets lie there"] * bool(axes)),
+            f"model: x' = A x + B u + D w {limits}",
+            *([f"position: C x = ({axes}), states counted from 0; unsafe sets are sets of it"] * bool(axes)),
             "initial state: inside the initial set",
             f"chaser: {size if self.chaser else point}",
             "perception: every unsafe set lies in its timed polytope",
@@ -114,8 +113,8 @@ class Premises:
             *([SATELLITES] if self.satellites else []),
             *([STATES] if self.of_state else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model, and what it is told of obstacles "
-            "agrees with their declared motion",
+            "experimental controllers: each obeys its declared model, and the obstacle states it receives "
+            "agree with the declared motion",
             *(f"network {name}: {ARITHMETIC[precision]}" for name, precision in self.networks),
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
@@ -128,49 +127,51 @@ class Premises:
         predicted = delay > 0 or missed > 0
         seen = "an estimate of the state" if any(errors) else "the exact state"
         seen = "a prediction of the state" if predicted else seen
-        yield f"sampling: commands are renewed every {self.period:g} s and held, in time and with {seen}"
+        yield f"sampling: commands are renewed on time every {self.period:g} s from {seen}, and held"
         if measured := list(self.observer):
             of = " in each period that is not missed" if missed else " in each period"
-            known = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
+            known = f"errors of measurements{of} are at most [{_listed(measured)}]"
             if constant := list(self.constant):
-                known += f", of which [{_listed(constant)}] is a constant of the flight"
-            first = list(self.initial)
-            made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
-            yield f"observer: {known}, the filter has the gain that is stated, and {made}"
+                known += f", of which [{_listed(constant)}] is constant in a flight"
+            first = f"errors of the first estimate are at most [{_listed(self.initial)}]"
+            made = first if list(self.initial) else "the filter has run long before the start"
+            yield f"observer: {known}, the filter has the stated gain, and {made}"
         elif any(errors):
-            near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
-            apart = ", nor in any step than is stated for it" if self.by_step else ""
-            yield f"navigation: at all times {near}{apart}"
+            apart = ", and in each step at most the bounds stated for it" if self.by_step else ""
+            yield f"navigation: at all times estimate errors by state are at most [{_listed(errors)}]{apart}"
         if any(applied):
             if self.carried:
                 applied[3] = 0.0
             if self.layout:
-                units = "of it along it", "of it to its side", "of the mass", "N of an input by rounding"
-                asked = "the impulse that it makes" if self.carried else "what it is asked for"
+                units = "of it lengthwise", "of it sideways", "of it by the mass", "N of an input by rounding"
+                asked = "rounded impulse" if self.carried else "command"
                 off = ", ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                yield f"thrusters: each is off {asked} by at most {off}"
+                yield f"thrusters: each is off its {asked} by at most {off}"
             else:
                 units = "|u_i|", "norm(u_other, 2)", "", "N"
                 off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                asked = "what is made of its command, u_i" if self.carried else "its command u_i"
-                same = ", each command counting by the same share all flight" * self.same_shares
-                yield f"thrusters: what is applied to an input is within {off} of {asked}{same}"
+                asked = "u_i, the thrust made of its command" if self.carried else "its command u_i"
+                same = ", by one constant matrix in a flight" * self.same_shares
+                yield f"thrusters: the thrust applied to an input is within {off} of {asked}{same}"
         if self.carried and self.layout:
-            left = f"at first nothing, of an input at most {self.carried:g} N s in all"
-            yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"
+            left = f"zero at first and at most {self.carried:g} N s of an input in all"
+            yield f"impulses: the remainder of each thruster, {left}, is carried to the next period"
         elif self.carried:
-            made = "what it is asked for unless that is below" if self.fine else "a multiple of"
-            made = f"a period makes {made} {self.carried:g} N s, or all that its limit allows"
-            yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
+            made = "its command unless that is below" if self.fine else "a multiple of"
+            made = f"each input makes in a period {made} {self.carried:g} N s, or all that its limit allows"
+            yield f"impulses: {made}; the remainder, zero at first, is carried to the next period"
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
-            made = f"one pulse per period, {PLACES[self.placed]}, of the thrusts [{fired}]"
+            made = f"each input is one pulse per period, {PLACES[self.placed]}, of the thrusts [{fired}]"
             if self.layout:
-                made = f"one pulse of each thruster per period, {PLACES[self.placed]}, of which those at "
-                made += f"once make at most [{fired}] N"
-            made += f", up and down within {self.edge:g} s with its impulse kept" * (self.edge > 0)
-            made += ", of its impulse whenever it begins, never over another of its thruster" * (jitter > 0)
-            yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
-        late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
+                made = f"each thruster fires one pulse per period, {PLACES[self.placed]}; simultaneous ones "
+                made += f"make at most [{fired}] N"
+            made += f"; thrust rises and falls within {self.edge:g} s, impulses are kept" * (self.edge > 0)
+            made += (
+                "; a pulse keeps its impulse whenever it begins, and overlaps no other of its thruster"
+                * (jitter > 0)
+            )
+            yield f"pulses: {made}; thruster errors are constant in a period"
+        late = ", ".join(f"{name} within {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
             yield (
                 ALLOCATED.replace("known at once", "known at once or when it is isolated")
@@ -178,19 +179,17 @@ class Premises:
                 else ALLOCATED
             )
         if self.layout:
-            yield f"allocation: thrusters are asked for {ALLOCATIONS[self.layout]}"
+            yield f"allocation: the thrusters' commands are {ALLOCATIONS[self.layout]}"
         if late:
-            yield f"isolation: {late} at the latest; {NOTHING_ELSE}"
+            yield f"isolation: {late}; {NOTHING_ELSE}"
         if predicted or jitter > 0:
-            late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
-            late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
-            late += f", at most {missed} periods in a row without a new one" if missed else ""
-            yield (
-                late + "; what is commanded meanwhile is known, and the model holds before the start as well"
-            )
+            late = f"timing: commands take effect {delay:g} s after their measurement"
+            late += f", up to {jitter:g} s earlier or later from the second on" if jitter else ""
+            late += f", with at most {missed} missed periods in a row" if missed else ""
+            yield f"{late}; commands in force meanwhile are known, and the model holds before the start, too"
         if clock > 0:
             own = "schedule and reference count from the same instant"
-            yield f"clocks: {own}, unsafe sets from within {clock:g} s of it"
+            yield f"clocks: {own}, unsafe sets from an instant within {clock:g} s of it"
         else:
             yield "clocks: exact; schedule, reference and unsafe sets count from the same instant"
 
@@ -199,7 +198,7 @@ class Premises:
         if self.horizon == "none" or not (ever or self.until):
             return "fuel: enough for every command up to T"
         end = "for ever" if ever else f"until {self.until:g} s"
-        return f"after T: the safety controller flies on {end}, and there is fuel for every command"
+        return f"after T: the safety controller flies on {end}, with fuel for every command"
 
 
 def _sum(row: Iterable[float]) -> str:
@@ -219,21 +218,21 @@ def _of_samples(
     bound = f"{math.ceil(probability * 1e6) / 1e6:g}"
     doubt = f"{float(f'{1 - confidence:.12g}'):g}"
     return [
-        "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
-        f" most {bound}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
-        f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
-        "distribution: a flight's initial state is uniform in the generators of the initial set, its"
+        "black boxes: a random flight leaves the bands of their commands with a probability of at most"
+        f" {bound}; this statement is wrong with a probability of {doubt} over samples ({flights} flights,"
+        f" {outside} outside, seed {seed}, attempt {attempts}); flights that leave the bands are not covered",
+        "distribution: the initial state of a flight is uniform in the generators of the initial set, its"
         " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
-        " flights are independent, and nobody looked what other seeds say",
-        "no drift: the boxes answer in flight as they answered the samples: begun afresh with every flight"
-        " and asked once in every control period of it, whoever flies, in no matter what other flights",
+        " flights are independent, and no results of other seeds were looked at",
+        "no drift: the boxes answer in flight as they answered the samples; they are reset before each flight"
+        " and asked once in every control period of it, whichever controller flies, beside any other flights",
     ]
 
 
 def hand_over(moving: bool, faulty: bool) -> tuple[str, ...]:
-    """Return what a mission rests on besides its legs: `moving` sets, and thrusters that may fail."""
-    known = "every leg's scenario is declared of the flight from its start on, whatever was flown before"
-    start = "at a node at which it is given, known on board before the leg's first command is made"
-    moves = "sets that move: they are where they are by the mission's clock, which starts with the first leg"
+    """Return the assumptions of a mission beyond those of its legs: `moving` sets, thrusters that fail."""
+    known = "the scenario of every leg holds from the start of the leg on, whatever was flown before"
+    start = "a leg starts at a node at which GO is given, known on board before its first command is made"
+    moves = "sets that move: their motion counts from the start of the first leg"
     fails = "faults: at most one thruster fails in all legs together"
     return f"GO: {start}", f"legs: {known}", *[moves] * moving, *[fails] * faulty

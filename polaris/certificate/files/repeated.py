@@ -33,7 +33,7 @@ REASONS = {
     "infinite": r"the reference ends (?P<how>on a closed orbit|at rest), and all unsafe sets are static",
     "one_period": r"the reference does not end on a natural motion trajectory"
     r"|unsafe sets that move \((?P<moving>.*)\) are covered until (?P<until>\S+) s only"
-    r"|the period is shorter than the memory of the loop",
+    r"|one period is shorter than the loop's settling horizon",
     "none": r"not proven after T = (?P<until>\S+) s: "
     rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER} of {_NUMBER}",
 }
@@ -231,7 +231,7 @@ def _check_reason(document: Document, reason: str) -> None:
             same("end", f"{what} in the reason", true[what], value)
 
 
-ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked tolerances"
+ARITHMETIC = "arithmetic: double precision, its round-off covered by rounding allowances"
 """What the synthesis assumes besides, and the checker does not."""
 
 

@@ -24,19 +24,18 @@ BLOCK = 100  # runs flown together: what fits into fast memory
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
 
 DEFINITIONS = {
-    "success": "no constraint was negative, at the samples, between them and at the end, and every "
-    "program had a solution; constraints left out of the filter are left out of this",
-    "failures": "runs with that failure; a run may have several",
+    "success": "no constraint was negative at samples, between them or at the end, and every program had a "
+    "solution; constraints left out of the filter are not counted",
+    "failures": "number of runs with this failure; a run may have several",
     "acceptance": "share of the drawn initial conditions that satisfied every constraint",
 }
 
 GUARANTEE = {
     "kind": "statistical",
-    "reason": f"the lower bounds on the probability of success hold with {CONFIDENCE:.0%} confidence "
-    "each, for initial conditions drawn as here and flights of this length, as far as the instants "
-    "that were looked at show",
+    "reason": f"each lower bound on the probability of success holds with {CONFIDENCE:.0%} confidence, for "
+    "initial conditions drawn as here, flights of this length, and constraints at the evaluated instants",
     "assumptions": [
-        "the initial conditions count as independent; Latin hypercube samples are so only nearly"
+        "the initial conditions are independent, which Latin hypercube samples are only approximately"
     ],
 }
 

@@ -67,13 +67,12 @@ DEFINITIONS = {
 
 ASSUMPTIONS = {
     "mixed": "half of the runs of each batch start at corners under worst-case disturbances, the others are"
-    " random, and in every second one something fails if that may be isolated late; probabilities and means"
-    " are those of this mixture, not of flights in nature",
-    "drawn": "probabilities and means are those of initial states and disturbances drawn as here, not of"
-    " flights in nature",
-    "independent": "runs count as independent; that halves of the mixture are fixed can only make the"
-    " intervals wider than needed",
-    "normal": "the mean of so many runs is taken to be normally distributed",
+    " random, and every second run has a fault if faults are isolated late; probabilities and means apply"
+    " to this mixture, not to real flights",
+    "drawn": "probabilities and means apply to initial states and disturbances drawn as here, not to real"
+    " flights",
+    "independent": "runs are independent; the fixed halves of the mixture can only widen the intervals",
+    "normal": "the mean over the runs is normally distributed",
 }
 
 

@@ -77,20 +77,20 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
     """Return the claim about the fuel limit, and its assumptions."""
     nothing = None
     if run.exhausted:
-        nothing = "thrust was cut where the fuel ended: the limit held, the parking orbit may be missed"
+        nothing = "thrust was cut off at the fuel limit, so that the parking orbit may be missed"
     elif run.latched_at is not None and run.latched_at <= run.t[0]:
-        nothing = f"the backup took over at once, and nothing was known of its flight before ({run.reason})"
+        nothing = f"the backup took over at the start, and its flight was not predicted before ({run.reason})"
     if nothing:
         return {"kind": "none", "reason": nothing, "assumptions": []}
     clear = ", and the deputy stays clear of the chief" if model.fuel.keep_clear else ""
     return {
         "kind": "by_prediction",
-        "reason": f"the limit is never exceeded{clear}: each period begins with a backup flight that is "
-        "predicted to its end and bounded beyond, and paid for. The other constraints are not looked at",
+        "reason": f"the fuel limit is never exceeded{clear}: each period begins with a predicted backup "
+        "flight, bounded for all time, for which the fuel is left. Other constraints are not checked",
         "assumptions": [
-            "the motion is that of the Clohessy-Wiltshire equations, without disturbance",
+            "the motion obeys the Clohessy-Wiltshire equations, without disturbance",
             "the state is known exactly and without delay, and the thrust is applied exactly",
-            "the filter is asked once per period, and at the first one the backup flight can be paid for",
+            "the filter decides once per period, and at the first the fuel suffices for the backup flight",
         ],
     }
 

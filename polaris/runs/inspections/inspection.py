@@ -92,14 +92,14 @@ DEFINITIONS = {
     "constraints": "least value over the flight, at the start of every control period and at the instants "
     "between; negative is a violation",
     "violated_share": "share of those instants at which anyone violates it",
-    "steps": "answers of the filter, one per deputy and period: desired, the input wanted; filtered, the "
-    "nearest that satisfies all conditions; short, none does, and this violates them least; failed, no "
-    "answer, no thrust; backup, the backup controller's; unproven, not even this is known to be safe",
-    "filter_seconds": "wall time of one answer for all deputies",
-    "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], "
-    "per axis and minute: of what was applied, and of what was wanted within the thrust limits",
-    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy; delta_v_max_m_s is "
-    "the tank's, which no barrier keeps",
+    "steps": "decisions of the filter, one per deputy and period: desired, the desired input; filtered, the "
+    "nearest input that satisfies all conditions; short, no input does, the least violation is applied; "
+    "failed, no solution, no thrust; backup, the backup controller's; unproven, not known to be safe",
+    "filter_seconds": "wall time of one decision for all deputies",
+    "smoothness": "sign changes between consecutive periods, and the total variation of thrust [N], per axis "
+    "and minute: of the applied thrust, and of the desired one within the thrust limits",
+    "delta_v_m_s": "integral of the absolute thrusts over mass (eq. 25), per deputy; delta_v_max_m_s is the "
+    "limit of the tank, which no barrier keeps",
 }
 
 
@@ -107,22 +107,22 @@ def assumptions(scenario: FlightScenario) -> list[str]:
     """Return the assumptions of a claim about a flight."""
     known, flight = scenario.uncertainty(), scenario.model.flight
     delay = scenario.model.timing.delay_s
-    late = f", earlier or later by at most {known.jitter:g} s" if known.jitter else ""
-    how = f"as predicted over {delay:g} s" if delay else "without delay"
+    late = f", at most {known.jitter:g} s early or late" if known.jitter else ""
+    how = f"by a prediction over {delay:g} s" if delay else "without delay"
     state, push, thrust = f"exactly and {how}", "without disturbance", "exactly"
     if known.estimate.any():
         largest = known.estimate.reshape(2, 3).max(axis=1)
-        state = f"{how}, to {largest[0]:g} m and {largest[1]:g} m/s per axis"
+        state = f"{how}, within {largest[0]:g} m and {largest[1]:g} m/s per axis"
     if known.disturbance:
         push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
     if not (errors := known.thrusters).exact:
-        parts = f"{100 * errors.along:.3g} % of each thrust, {100 * errors.across:.3g} % of their length"
-        thrust = f"to {parts} and {errors.bit:.3g} N"
+        parts = f"{100 * errors.along:.3g} % of each thrust, {100 * errors.across:.3g} % of their 2-norm"
+        thrust = f"within {parts} and {errors.bit:.3g} N"
     return [
-        f"the motion is that of the Clohessy-Wiltshire equations, {push}",
-        f"every deputy's state is known {state}",
+        f"the motion obeys the Clohessy-Wiltshire equations, {push}",
+        f"the state of every deputy is known {state}",
         f"the thrust is applied {thrust}, and held for the control period",
-        f"the filter is asked every {flight.period_s:g} s{late}",
+        f"the filter decides every {flight.period_s:g} s{late}",
     ]
 
 
@@ -217,24 +217,24 @@ def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> 
     left_out = f"constraints left out: {', '.join(spec.without)}"
     if isinstance(spec, BarrierFilter):
         if not spec.sampled_data:
-            return "none", "the conditions are met at the start of each period only"
+            return "none", "the conditions hold at the start of each period only"
         if not exact:
-            return "none", "the conditions take states, thrust and model for exact"
+            return "none", "the conditions assume exact states, thrust and model"
         if getattr(spec, "sharing", None) == "coasting":
-            return "none", "each deputy answers for a pair as if the other did not thrust"
+            return "none", "each deputy meets the conditions on a pair as if the other did not thrust"
         if spec.without:
             return "none", left_out
         return "per_period", (
-            "each period that began safe and for which the program had a solution: no barrier becomes "
-            "negative within it. That the next program has one is not claimed"
+            "no barrier becomes negative within a period that began safe and whose program had a solution. "
+            "A solution of the next program is not claimed"
         )
     if missed:
-        return "none", "not from every state a plan is known that keeps the constraints"
+        return "none", "at some states no plan is known that keeps the constraints"
     if spec.without:
         return "none", left_out
     return "all_time", (
-        "phi1 to phi11 hold at every instant, and would for ever if the primary controller were never heard "
-        "again: nothing is applied before a plan after it is proven safe for all time"
+        "phi1 to phi11 hold at every instant, and for ever if the primary controller stops: no thrust is "
+        "applied before a plan from its end is proven safe for all time"
     )
 
 

@@ -119,5 +119,5 @@ def judge_end(
         return EndCondition("one_period", until, reason)
     settled = (tracking.memory + 1) <= tail * tracking.feedback.nodes_per_cell
     if not settled:
-        return EndCondition("one_period", until, "the period is shorter than the memory of the loop")
+        return EndCondition("one_period", until, "one period is shorter than the loop's settling horizon")
     return EndCondition("infinite", np.inf, f"the reference ends {word}, and all unsafe sets are static")

@@ -148,7 +148,7 @@ class Schedule:
                 if isinstance(law, NeuralController)
             ],
         )
-        return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
+        return *premises.told(), "arithmetic: double precision, its round-off covered by rounding allowances"
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:

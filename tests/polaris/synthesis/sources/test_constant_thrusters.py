@@ -242,7 +242,7 @@ def forger(tmp_path_factory):
 
 def test_forged_constants_of_thrusters_are_refused(forger):
     assert forger.judge({}).outcome == "VERIFIED"
-    words = ", each command counting by the same share all flight"
+    words = ", by one constant matrix in a flight"
 
     def varying(lie):
         """Say in certificate and guarantee that errors vary."""

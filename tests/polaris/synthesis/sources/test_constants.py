@@ -282,5 +282,5 @@ def test_proofs_with_a_camera_with_a_constant_error_hold_at_their_worst(delay, t
     lie.judge({"system"})
     del lie.certificate["system"]["observer"]["constant"]
     for lines in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
-        lines[:] = [line.replace(", of which [0.01, 0.01] is a constant of the flight", "") for line in lines]
+        lines[:] = [line.replace(", of which [0.01, 0.01] is constant in a flight", "") for line in lines]
     lie.judge({"margins", "recoverable", "separation", "goal", "upkeep"})

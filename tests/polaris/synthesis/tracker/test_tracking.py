@@ -121,7 +121,7 @@ def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):
     schedule, h = synthesize(scenario), 1 / 9
     assert scenario.period() == schedule.safety.tracking.flow.h == pytest.approx(h)
     assert f"(commands each {h:g} s)" in scenario.outline()
-    premise = f"sampling: commands are renewed every {h:g} s and held"
+    premise = f"sampling: commands are renewed on time every {h:g} s from "
     assert any(line.startswith(premise) for line in schedule.assumptions)
     assert schedule.guarantee == "proved" and schedule.share() > 0
     assert verify_document(certificate(schedule, scenario.name)).outcome == "VERIFIED"
