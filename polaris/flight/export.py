@@ -65,7 +65,7 @@ def export_c(
     tables = flight_tables(document).rounded(precision)
     rounding = stated_rounding(document, tables, precision)
     if (share := disturbance_taken(document, rounding)) >= 1:
-        rule = f"takes {share:.3g} of the disturbance bound by rounding, and must leave some of it"
+        rule = f"rounds by {share:.3g} of the disturbance bound, which must be less than 1; use double"
         raise ScenarioError("precision", precision, rule)
     tables = replace(tables, rounding=rounding).rounded(precision)
     if monitor:

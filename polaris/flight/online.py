@@ -53,7 +53,7 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
             break
         apart = apart / 2
     else:
-        raise ScenarioError("monitor", True, "must be off: limits beyond the loop's memory leave no room")
+        raise ScenarioError("monitor", True, "must be off: later limits have no slack")
     return _laid_out(tables, document, prospect, precision, apart, off, count)
 
 

@@ -58,7 +58,7 @@ class Ellipses:
             if not getattr(self, name) > 0:
                 raise ScenarioError(name, getattr(self, name), "must be > 0 [m]")
         if self.largest < (1 + 3 * DEEPER) * self.least:
-            rule = f"must be at least {(1 + 3 * DEEPER) * self.least:g} m, the least semi-minor axis and room"
+            rule = f"must be at least {(1 + 3 * DEEPER) * self.least:g} m, above the least semi-minor axis"
             raise ScenarioError("largest", self.largest, rule)
 
     @classmethod

@@ -82,7 +82,7 @@ class Allocation:
             reach = _mixes(scaled, capacity.tobytes(), 0.0)[0]
             if not reach > ROUNDED:
                 raise SynthesisInfeasible(
-                    f"the thrusters do not push every way {what}.",
+                    f"the thrusters do not span every direction of the inputs {what}.",
                     relax="add thrusters (thrusters.directions), or take the fault out.",
                 )
             share = min(share, reach * (1 - ROUNDED))
@@ -94,7 +94,7 @@ class Allocation:
         off = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
         if np.max(wanted @ off / wanted) > OFF:
             raise SynthesisInfeasible(
-                "the thrusters barely push every way, or are too unequal: rounding spoils what they make.",
+                "the thrusters barely span every direction of the inputs, or are too unequal.",
                 relax="turn thrusters (thrusters.directions) so that more of their push is along each input.",
             )
         asked, capacity = (share * wanted) @ mixes.max(axis=1), np.array([top for _, top in every])
@@ -198,7 +198,7 @@ def _of_pairs(directions: Array, capacity: Array, what: str) -> Array:
     mixes, kept = np.zeros((2, directions.shape[1], len(directions))), list[tuple[Array, list[list[int]]]]()
     for way, pair in sides.items():
         if len(pair[0]) != len(pair[1]):
-            rule = "must hold an opposite one for every thruster with thrusters.allocation = 'pseudo_inverse'"
+            rule = "must hold pairs of opposite directions with thrusters.allocation = 'pseudo_inverse'"
             raise ScenarioError("thrusters.directions", list(way), rule)
         left = [[j for j in side if capacity[j] > 0] for side in pair]
         count = min(map(len, left))
@@ -208,7 +208,7 @@ def _of_pairs(directions: Array, capacity: Array, what: str) -> Array:
     )
     if np.linalg.matrix_rank(M) < len(M):
         raise SynthesisInfeasible(
-            f"pairs of opposite thrusters do not push every way {what}.",
+            f"pairs of opposite thrusters do not span every direction of the inputs {what}.",
             relax="add thrusters (thrusters.directions), take the fault out, or choose another allocation.",
         )
     for along, both in kept:

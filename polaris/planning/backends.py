@@ -137,7 +137,7 @@ def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: 
             finally:
                 solver.close()
     except gp.GurobiError as error:
-        rule = f"Gurobi refused the model ({error}); use another solver, or a licence without size limit"
+        rule = f"is refused by Gurobi ({error}); use another solver, or a licence without size limit"
         raise ScenarioError("planner.solver", "gurobi", rule) from error
 
 

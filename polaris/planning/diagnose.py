@@ -33,15 +33,13 @@ def unreachable(rows: Rows, deadline: float) -> NoReturn:
         f" {problem.delta:g} s within the input limits, even without unsafe sets:"
         f" it is missed by {miss:.3g} m at best."
     )
-    relax = "no input limits would do; change the goal or the number of steps."
+    relax = "change the goal or the number of steps, as larger input limits do not help."
     if factor is not None:
         relax = (
             f"input limits {factor:.3g} times as large (when tightened), a longer horizon or a wider goal."
         )
     elif not np.all(rows.limit):
-        relax = (
-            "a smaller planner.thrust_reserve or initial set, or larger input limits: nothing is left of one."
-        )
+        relax = "a smaller planner.thrust_reserve or initial set, or larger input limits."
     raise SynthesisInfeasible(condition, miss, relax)
 
 
@@ -69,7 +67,7 @@ def blocked(rows: Rows, deadline: float) -> NoReturn:
         ways.append(f"input limits {factor:g} times as large")
     relax = (", or ".join(ways) or "a longer horizon or another goal") + "."
     if perf_counter() > deadline:
-        relax += " (The time given ran out while this was looked for.)"
+        relax += " (The time limit ended the search for these values.)"
     raise SynthesisInfeasible(condition, short, relax)
 
 

@@ -129,7 +129,7 @@ class GrowingLP:
         self.out_of_time = status == kind.kTimeLimit
         if self.out_of_time or status in (kind.kInfeasible, kind.kUnboundedOrInfeasible):
             return None
-        raise NotCertified(f"a linear program of the planner ended without an answer ({status})")
+        raise NotCertified(f"a linear program of the planner ended without a solution ({status})")
 
     def _set(self, **options: Any) -> None:
         for name, value in options.items():

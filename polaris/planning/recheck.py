@@ -96,13 +96,13 @@ def certified(
     if best.size and np.min(best) < 0:
         i, k = (int(at) for at in np.unravel_index(np.argmin(best), shape))
         raise NotCertified(
-            f"found but not certified: clearance from {problem.unsafe[i].name} in cell {k} is "
+            f"plan not certified: the clearance from {problem.unsafe[i].name} in cell {k} is "
             f"{-best[i, k]:.3g} m short of its margin ({problem.required(i)[k].max():.3g} m)"
         )
     amount, name = check.goal
     if amount > 0:
         rule = f"the goal is missed by {amount:.3g} of its scale: {name}"
-        raise NotCertified(f"found but not certified: {rule}")
+        raise NotCertified(f"plan not certified: {rule}")
     nu = check.reference.nu
     extra: Array = best[:, :K]
     return Plan(

@@ -151,7 +151,7 @@ class Planner:
         return outcome
 
     def _out_of_time(self) -> NoReturn:
-        raise OutOfTime(f"none found in the time given ({self.options.time_limit} s): {NEITHER}")
+        raise OutOfTime(f"no plan within planner.time_limit_s = {self.options.time_limit}: {NEITHER}")
 
     def _none(self, status: str) -> NoReturn:
         if status == "infeasible":
@@ -160,7 +160,7 @@ class Planner:
             self._out_of_time()
         name = "max_linear_programs" if self.options.solver == "facets" else "max_nodes"
         given = f"planner.{name} = {getattr(self.options, name)}"
-        raise NotCertified(f"none found with the effort given ({given}): {NEITHER}")
+        raise NotCertified(f"no plan within the effort limit ({given}): {NEITHER}")
 
     def _none_because(self, explain: Callable[[Rows, float], NoReturn]) -> NoReturn:
         if self.effort.left <= 0:
@@ -170,7 +170,7 @@ class Planner:
         booked = max((float(b.max()) for b in self.rows.booking), default=0.0)
         if booked > BOOKED_MOST:
             raise NotCertified(
-                f"no certified plan: with the {booked:.3g} m that the re-check asked to book between the "
+                f"no certified plan: with the {booked:.3g} m that the re-check requires between "
                 "waypoints, the program has no solution; take smaller steps"
             )
         explain(self.rows, self.search.deadline)

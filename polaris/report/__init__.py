@@ -44,7 +44,7 @@ def write_report(
     """
     run = read_run(folder)
     if run.kind is TRADEOFF:
-        rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
+        rule = "must be a run folder; of a trade-off give one of the run folders in it"
         raise ScenarioError("report", str(folder), rule)
     name, endings = ("dossier.pdf", (".pdf",)) if dossier else ("report.html", (".html", ".htm"))
     target = None if out is None else check_file(out, endings=endings, force=force)

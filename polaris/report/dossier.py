@@ -101,7 +101,7 @@ class Dossier:
             named = zip(run.summary["mission"]["legs"], run.picture().legs, strict=True)
             return cls(run, judge(run.path), [DossierLeg.of(leg, known["name"]) for known, leg in named])
         if run.kind.name != "schedule":
-            raise ScenarioError("report", str(run.path), "is no run of a schedule: it has no dossier")
+            raise ScenarioError("report", str(run.path), "must be the run of a schedule or a mission")
         return cls(run, judge(run.path), [DossierLeg.of(run)])
 
     @property

@@ -107,7 +107,7 @@ def compare_methods(
     whole("runs", runs, 1)
     keys, options = selected(methods, tuning)
     if len(grid.controllers) < 2:
-        raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
+        raise ScenarioError("experimental", "none", "must hold at least one controller for a comparison")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
     results, shown, decisions, refused = {}, {}, {}, {}
     alone = [{"mode": mode} for mode in range(1, len(grid.controllers))]

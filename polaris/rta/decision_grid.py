@@ -260,7 +260,7 @@ def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
     if not (faults := system.transients):
         return system
     if system.observer is not None:
-        rule = "isolated late need errors of estimates, not navigation.measurement, for run-time methods"
+        rule = "must be isolated at once with navigation.measurement, for run-time methods"
         raise ScenarioError("faults", faults[0].name, rule)
     wait, after = h * (nodes - 1), h * max(delay, 1) * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)

@@ -179,7 +179,7 @@ class Method(ABC):
     def on(cls, grid: DecisionGrid, **options: Any) -> "Method":
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
         if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
-            reason = "it would ask what a black box with memory answers in flights that are not flown"
+            reason = "it predicts U, which is not possible for a black box with memory"
             raise NotCertified(reason)
         try:
             return cls(grid, **options)

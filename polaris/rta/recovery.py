@@ -63,7 +63,7 @@ class Recovery:
         if not share <= 1:
             raise NotCertified(
                 "the initial set is not inside the first recoverable set of the run-time methods:"
-                f" it needs {share:.4g} of the room there"
+                f" it needs {share:.4g} of the clearance there"
             )
         return recovery if decided is None or decided is grid else cls(decided)
 

@@ -62,7 +62,7 @@ def load_target(target: str, overrides: Sequence[str] = (), apart: str = "") -> 
         return Target(load_scenario(target, overrides, only=ScheduleScenario))
     if not all(apart and text.lstrip().startswith(f"{apart}.") for text in overrides):
         rule = f"must change keys of [{apart}] only" if apart else "must be left out"
-        raise ScenarioError("--set", list(overrides), f"{rule} for a run folder: it is as it is")
+        raise ScenarioError("--set", list(overrides), f"{rule} for a run folder, whose schedule is fixed")
     folder = schedule_folder(target)
     return Target(folder.scenario.with_assignments(overrides), folder)
 
@@ -89,7 +89,7 @@ def write_case(
         If there is no failure, or a file is there already, or it cannot be written.
     """
     if found.case is None or found.failure is None:
-        raise ScenarioError("case", None, "there is none: the search found no violation")
+        raise ScenarioError("case", None, "must come from a search that found a violation")
     attack, tail = found.case
     data = {
         "format": FORMAT,
@@ -128,7 +128,7 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
     scenario = ScheduleScenario.from_dict(parse_toml(data["scenario"], str(path)), Path(path).name)
     whole = synthesize(scenario)
     if digest(whole) != data["schedule"]:
-        rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
+        rule = "is of another schedule than its scenario gives here; is the solver's version the same?"
         raise ScenarioError("case", str(path), rule)
     schedule = whole if data.get("abort") is None else whole.aborted(int(data["abort"]))
     try:

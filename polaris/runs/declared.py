@@ -25,7 +25,7 @@ def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> Syn
     ways = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
     texts = [way for way in ways if way] or [_lowered(scenario, bounds)]
     relax = (
-        f"{error.relax.rstrip('.')}; or declare {', or '.join(texts)}: with that a safe reference is found."
+        f"{error.relax.rstrip('.')}; or declare {', or '.join(texts)}, with which a safe reference is found."
     )
     return SynthesisInfeasible(error.condition, error.shortfall, relax)
 

@@ -54,9 +54,9 @@ class _Program:
         except Empty:
             raise self._refused(f"must answer within {self.seconds:g} s") from None
         if not line.endswith(b"\n"):
-            raise self._refused("must answer each line; it ended, or wrote too much")
+            raise self._refused("must answer each line, but ended or wrote too much")
         if early:
-            raise self._refused("must answer each line by one; it wrote more")
+            raise self._refused("must answer each line with one line, but wrote more")
         try:
             return json.loads(line)["u"]
         except (ValueError, TypeError, KeyError, RecursionError):

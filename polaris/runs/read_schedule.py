@@ -148,7 +148,7 @@ def _proven(run: RunFolder, document: Document, boxes: Mapping[str, Ask]) -> Sch
     schedule = replace(schedule, branches=_branches(run, document))
     demanding = rules.delta_v_max is not None or (problem.abort is not None and problem.abort.required)
     if demanding and not schedule.keeps(rules):
-        raise NotCertified("its velocity change or its drift is not proven to be what the scenario demands")
+        raise NotCertified("its delta-v or its drift is not proven to meet the scenario")
     if schedule.powered is not None:
         schedule.powered.require()
     return schedule

@@ -117,7 +117,7 @@ def read_run(path: str | Path) -> RunFolder:
     for name, known in _hashes(folder / "certificate.json").items():
         known_file = name in kind.files or ((folder / name).is_file() and name.endswith(".onnx"))
         if known_file and sha256(folder / name) != known:
-            rule = "is not what was written with the other files (edited, or damaged); run the scenario again"
+            rule = "was edited or damaged after the run was written; run the scenario again"
             raise ScenarioError("run folder", str(folder / name), rule)
     return RunFolder(folder, load_scenario(folder / SCENARIO), kind)
 

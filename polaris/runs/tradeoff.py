@@ -81,9 +81,7 @@ def tradeoff(
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
-        raise ScenarioError(
-            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
-        )
+        raise ScenarioError("executor", type(executor).__name__, "must be left out with black boxes")
     scenario = loaded(scenario, overrides, ScheduleScenario)
     if not 0 < number("share", share) <= 1:
         raise ScenarioError("share", share, "must be above 0 and at most 1")
@@ -108,9 +106,9 @@ def _points(
     """Return the scenario of every point, by the name of its folder."""
     fields = {field for field, _ in values.values()}
     for field in fields & {parse_assignment(text)[0] for text in overrides}:
-        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
+        raise ScenarioError("--set", field, "must be left out, as the trade-off varies it")
     if PRICE in fields and scenario.model.recoverable.recourse == "none":
-        raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
+        raise ScenarioError(RECOURSE, "none", "must be left out, as prices need recourse")
     texts = {
         name: f"{RECOURSE}=none" if value is None else f"{key}={repr(value).removesuffix('.0')}"
         for name, (key, value) in values.items()
@@ -146,7 +144,7 @@ def _take_up(out: str | Path) -> Path:
     target = check_target(out, TRADEOFF.names)
     files = read_list(target) if target.exists() else None
     if files and TRADEOFF.summary not in files:
-        raise ScenarioError("--out", str(out), "holds other results; a trade-off needs a folder of its own")
+        raise ScenarioError("--out", str(out), "must be empty or hold this trade-off; give another folder")
     target.mkdir(parents=True, exist_ok=True)
     if files is None:
         start_list(target)  # of nothing yet: it says whose folder this is

@@ -246,7 +246,7 @@ def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> No
             rule = f"no such key: {join_path(parts[:i])} is {kind}"
             raise ScenarioError(join_path(parts), value, rule, where)
         if isinstance(holder, list) and part >= len(holder):
-            rule = f"there are only {len(holder)} entries (counted from 0)"
+            rule = f"must be below {len(holder)}, the number of entries (counted from 0)"
             raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
         if i < len(parts) - 1:
             holder = holder.setdefault(part, {}) if isinstance(holder, dict) else holder[part]

@@ -133,8 +133,8 @@ def own_reference(
     cheapest = plan(asked, problem.planner)
     if cheapest.cut_by_clock:
         raise OutOfTime(
-            f"{path}: the cheapest plan of this reference was not found in the time given "
-            f"(planner.time_limit_s = {problem.planner.time_limit})"
+            f"{path}: no fuel-optimal plan was found within planner.time_limit_s = "
+            f"{problem.planner.time_limit}; raise it"
         )
     return Reference.propagate(system, delta, problem.initial_set.c, cheapest.nu)
 
@@ -142,7 +142,7 @@ def own_reference(
 def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) -> Reference:
     """Return a state kept without thrust: a network's setpoint, about which nothing else is known."""
     if np.any(system.A @ state):
-        rule = "must need no thrust to be kept, where a network heads for it; give its offset to the network"
+        rule = "must be at rest without thrust (A x = 0) as the setpoint of a network"
         raise ScenarioError(f"{path}.state", state.tolist(), rule)
     return Reference(system, delta, np.repeat(state[None], K + 1, axis=0), np.zeros((K, system.m)))
 
@@ -154,7 +154,7 @@ def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: flo
     """
     closed = system.A - system.B @ gain
     if np.linalg.matrix_rank(closed) < system.n:
-        rule = "the controller never comes to rest (singular loop)"
+        rule = "must have a state of rest under the controller: A - B K is singular; change the gain"
         raise ScenarioError(f"{path}.state", state.tolist(), rule)
     rest = np.linalg.solve(closed, -system.B @ gain @ state)
     u = gain @ (state - rest)

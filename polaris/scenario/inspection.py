@@ -93,7 +93,7 @@ class FilteredScenario(InspectionScenario):
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
         if len(set(spec.without)) == len(FAMILY_NAMES):
-            raise ScenarioError(f"{path}.without", list(spec.without), "must leave something to enforce")
+            raise ScenarioError(f"{path}.without", list(spec.without), "must leave a kind of constraint")
         with in_file_terms(path, spec, period=f"{table}.period_s"):
             self.filter(spec, period)
 
@@ -168,7 +168,7 @@ class FlightScenario(FilteredScenario):
         for table, key in SCHEDULES_ONLY:
             part = getattr(model, table)
             if (value := getattr(part, key)) != type(part).model_fields[key].default:
-                raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
+                raise ScenarioError(f"{table}.{key}", value, "must be left out: it applies to schedules only")
         system = Craft.of(replace(self.inspection().system, w_max=push))
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)

@@ -79,7 +79,7 @@ class MissionScenario(Scenario):
         legs, names = self.legs(), [leg.name for leg in self.model.legs]
         for i, name in enumerate(names):
             if name in names[:i]:
-                raise ScenarioError(f"legs[{i}].name", name, "must be another for every leg")
+                raise ScenarioError(f"legs[{i}].name", name, "must differ from the names of the other legs")
         for i, (leg, scenario) in enumerate(zip(self.model.legs, legs, strict=True)):
             at = f"legs[{i}]"
             for path in (each.path for each in leg.experimental if each.kind == "neural"):
@@ -87,20 +87,18 @@ class MissionScenario(Scenario):
                     rule = "must lie beside the mission's file"
                     raise ScenarioError(f"{at}.experimental", path, rule)
             if any(each.kind == "black_box" for each in leg.experimental):
-                raise ScenarioError(
-                    f"{at}.experimental", leg.name, "must be proven: no black boxes in a mission"
-                )
+                raise ScenarioError(f"{at}.experimental", leg.name, "must have no black boxes in a mission")
             if scenario.problem().system.transients:
-                rule = "must be isolated at once in a mission: one may last across a hand-over"
+                rule = "must be known at once in a mission, as a late one may last across a hand-over"
                 raise ScenarioError(f"{at}.faults", leg.name, rule)
             if i and not isinstance(leg.initial_set, InitialBox):
-                rule = "must be 'box' from the second leg on: it is the GO box"
+                rule = "must be 'box' from the second leg on, as it is the GO box"
                 raise ScenarioError(f"{at}.initial_set.kind", leg.initial_set.kind, rule)
             if whole_parts(leg.stay_s, scenario.period()) is None and leg.stay_s:
                 rule = f"must be a whole number of control periods of {scenario.period():g} s"
                 raise ScenarioError(f"{at}.stay_s", leg.stay_s, rule)
             if i and any(each.kind == "satellite" for each in leg.obstacles):
-                rule = "must be in the first leg only: how far it may be by then is not worked out"
+                rule = "must be in the first leg only, as its motion is not bounded over later legs"
                 raise ScenarioError(f"{at}.obstacles", "satellite", rule)
 
     def outline(self) -> str:

@@ -112,7 +112,7 @@ class _Resolved:
             None if self.source.ephemeris is None else self._file(self.source.ephemeris, "orbit.ephemeris")
         )
         if chaser is not None and target is None:
-            rule = "is required: a start set from the chaser's ephemeris needs the target's"
+            rule = "must be given with a start set from the chaser's ephemeris"
             raise ScenarioError("orbit.ephemeris", None, rule)
         named = target, self.source.two_line_elements, self.orbit.get("elements")
         if any(one is not None for one in named) or self.source.within_m is None:
@@ -144,10 +144,10 @@ class _Resolved:
         }
         named = [key for key, value in given.items() if value is not None]
         if len(named) != 1:
-            rule = "give one of orbit.elements, orbit.two_line_elements and orbit.ephemeris"
+            rule = "must have one of orbit.elements, orbit.two_line_elements and orbit.ephemeris"
             raise ScenarioError("orbit", named or None, rule)
         if self.source.epoch is not None and "orbit.elements" in named:
-            raise ScenarioError("orbit.epoch", self.source.epoch, "must be left out: elements have their own")
+            raise ScenarioError("orbit.epoch", self.source.epoch, "must be left out: elements have an epoch")
         try:
             epoch = None if self.source.epoch is None else parse_epoch(self.source.epoch)
         except ValueError as error:
@@ -246,7 +246,7 @@ class _Resolved:
         system = self.document.get("system")
         eta = system.get("mean_motion_rad_s") if isinstance(system, dict) else None
         if not isinstance(system, dict) or not isinstance(eta, float) or not 0 < eta <= 0.01:
-            raise ScenarioError("orbit.within_m", reach, "needs system.mean_motion_rad_s, or what gives it")
+            raise ScenarioError("orbit.within_m", reach, "needs system.mean_motion_rad_s or a source of it")
         if "disturbance_max_m_s2" not in system:
             speed = 2 * reach * max(eta, 1 / self.duration if self.duration else 0.0)
             bound = residual_bound(self._environment(eta)[0], reach, reach, speed)

@@ -47,7 +47,7 @@ def check_system(model: models.ScenarioModel) -> None:
         raise ScenarioError("orbit", spec.kind, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
     n, C, chosen = len(spec.A), spec.C, spec.position_states
     if C is not None and chosen is not None:
-        raise ScenarioError("system.C", C, "give C or position_states, not both")
+        raise ScenarioError("system.C", C, "must be left out with position_states")
     if C is not None and not (len(C[0]) == n and len(C) <= 3):
         shape = f"{len(C)} x {len(C[0])} numbers"
         raise ScenarioError("system.C", shape, f"must have one to three rows of {n} numbers")
@@ -105,7 +105,7 @@ def check_time(model: models.ScenarioModel) -> None:
     horizon = model.horizon
     T, delta = horizon.duration_s, horizon.step_s
     if T / delta > MAX_STEPS:
-        rule = f"must give at most {MAX_STEPS} steps, gives {T / delta:.4g}"
+        rule = f"must give at most {MAX_STEPS} steps, but gives {T / delta:.4g}"
         raise ScenarioError("horizon.step_s", delta, rule)
     K = whole_parts(T, delta)
     if not K:
@@ -116,7 +116,7 @@ def check_time(model: models.ScenarioModel) -> None:
         raise ScenarioError("schedule.min_dwell_steps", model.schedule.min_dwell_steps, rule)
     if (period := model.feedback.period_s) is not None:
         if T / period > MAX_STEPS:
-            rule = f"must give at most {MAX_STEPS} periods in all, gives {T / period:.4g}"
+            rule = f"must give at most {MAX_STEPS} periods in all, but gives {T / period:.4g}"
             raise ScenarioError("feedback.period_s", period, rule)
         if not whole_parts(delta, period):
             raise ScenarioError("feedback.period_s", period, f"must divide step_s = {delta:g}")
@@ -141,7 +141,7 @@ def check_names(model: models.ScenarioModel) -> None:
 def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system: LinearSystem) -> None:
     """Check that there is something to be safe from, and that proximity operations deal with it."""
     if not unsafe:
-        raise ScenarioError("obstacles", [], "give at least one obstacle or keep-in set")
+        raise ScenarioError("obstacles", [], "must hold at least one obstacle, unless there is a keep-in set")
     for (path, part), item in zip(model.scene_parts(), unsafe, strict=False):  # those of navigation come last
         moving, velocity = "velocity_m_s", getattr(part, "velocity_m_s", None) or 0.0
         if isinstance(item, SatelliteObstacle):
@@ -154,9 +154,7 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
             rule = f"must begin and end within duration_s = {T:g} (without until_s it holds for ever)"
             raise ScenarioError(f"{path}.from_s", [item.begins, item.ends], rule)
         if isinstance(item, TurningKeepIn) and model.abort is not None:
-            rule = (
-                f"must not stand beside a set that turns, {path}: of drifts and aborts nothing is proven then"
-            )
+            rule = f"must be left out with the turning set {path}: drifts and aborts are not proven for it"
             raise ScenarioError("abort", "a table", rule)
         if (speed := float(np.linalg.norm(velocity))) > MAX_SPEED_M_S:
             rule = f"must move at most at {MAX_SPEED_M_S:g} m/s"
@@ -168,7 +166,7 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
             raise ScenarioError("initial_set.center", f"{reach:.4g} m away", rule)
         speed = float(np.linalg.norm(system.velocity @ np.array(model.initial_set.center)))
         if speed > MAX_SPEED_M_S:
-            rule = f"must start at {MAX_SPEED_M_S:g} m/s past the target at most: a chaser on another orbit?"
+            rule = f"must be at most {MAX_SPEED_M_S:g} m/s past the target; is the chaser on another orbit?"
             raise ScenarioError("initial_set.center", f"{speed:.4g} m/s", rule)
 
 
@@ -189,23 +187,23 @@ def check_start_and_goal(
             for field, (state, later) in spots.items():
                 slack = float(item.slack(np.array(state), system))
                 if not later and slack < -_TOUCH_M:
-                    rule = f"must be a state that {path} ({item.name}) allows, is {-slack:.4g} m beyond it"
+                    rule = f"must be a state that {path} ({item.name}) allows; it is {-slack:.4g} m beyond"
                     raise ScenarioError(field, list(state), rule)
             continue
         kept = isinstance(item, KeepIn)
         side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
         named = f"{side} {path} ({item.name})"
         if (depth := unsafe_depth(item, Zonotope.point(place.c), 0.0, system)) > _TOUCH_M:
-            rule = f"must start {named}, is {depth:.4g} m {wrong}"
+            rule = f"must be {named}; the start is {depth:.4g} m {wrong}"
             raise ScenarioError("initial_set.center", list(model.initial_set.center), rule)
         if (depth := unsafe_depth(item, place, 0.0, system)) > _TOUCH_M:
-            rule = f"must keep all of the initial set {named}, reaches {depth:.4g} m {into}"
+            rule = f"must keep the initial set {named}; the set reaches {depth:.4g} m {into}"
             raise ScenarioError(*_size_of(model), rule)
         # Where another satellite is at the end is uncertain; the planner decides.
         if isinstance(model.goal, StationaryGoal) and not isinstance(item, SatelliteObstacle):
             spot = Zonotope.point(system.position @ np.array(model.goal.state))
             if (depth := unsafe_depth(item, spot, end, system)) > _TOUCH_M:
-                rule = f"must lie {named}{'' if kept else ' at the end'}, is {depth:.4g} m {wrong}"
+                rule = f"must be {named}{'' if kept else ' at the end'}; it is {depth:.4g} m {wrong}"
                 raise ScenarioError("goal.state", list(model.goal.state), rule)
 
 
@@ -237,14 +235,12 @@ def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
     modes, delta = np.linalg.eigvals(system.A), model.horizon.step_s
     fastest, growth = float(np.max(np.abs(modes))), float(np.max(modes.real))
     if fastest * delta > 1e3 or growth * delta > 20:
-        rule = f"is too long for the system's fastest mode ({fastest:.3g} rad/s); at most {20 / fastest:.3g}"
+        rule = f"must be at most {20 / fastest:.3g} s for the fastest mode, {fastest:.3g} rad/s"
         raise ScenarioError("horizon.step_s", delta, rule)
     stuck = _missed_mode(system.A, system.B)
     if stuck is not None:
         field = "system.B" if model.system.kind == "linear" else "system"
-        rule = (
-            f"must reach all modes that do not decay by themselves (not stabilisable: eigenvalue {stuck:.4g})"
-        )
+        rule = f"must control every mode that does not decay (not stabilisable: eigenvalue {stuck:.4g})"
         raise ScenarioError(field, system.B.tolist(), rule)
 
 
@@ -270,7 +266,7 @@ def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
         if spec.gain is None and (
             missing := next((name for name in "QR" if getattr(spec, name) is None), "")
         ):
-            raise ScenarioError(f"{path}.{missing}", None, "is required (Q and R, or gain)")
+            raise ScenarioError(f"{path}.{missing}", None, "must be given: Q and R, or gain")
         if spec.gain is None:
             yield path, spec.Q, spec.R
         elif spec.Q is not None or spec.R is not None:
@@ -300,7 +296,7 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     Qm, Rm = full_weight(Q), full_weight(R)
     unseen = _missed_mode(system.A.T, Qm)
     if unseen is not None:
-        rule = f"must weigh every mode that does not decay by itself (eigenvalue {unseen:.4g} is not)"
+        rule = f"must weight every mode that does not decay (eigenvalue {unseen:.4g} has no weight)"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)
     try:
         P = solve_continuous_are(system.A, system.B, Qm, Rm)
@@ -309,5 +305,5 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     except (LinAlgError, ValueError):
         stable = False
     if not stable:
-        rule = "must, with R, give a solvable Riccati equation; the weights are too far apart to compute with"
+        rule = "must give a solvable Riccati equation with R; bring the weights closer together"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)

@@ -24,7 +24,7 @@ SHARP, SMALL = 30_000.0, 0.02
 
 
 def scenario_warnings(scenario: Scenario) -> list[str]:
-    """Return what to look at again before a long run of a valid scenario, one sentence each."""
+    """Return warnings about a valid scenario to look at before a long run, one sentence each."""
     if isinstance(scenario, MissionScenario):
         return [f"leg {leg.name}: {note}" for leg in scenario.legs() for note in scenario_warnings(leg)]
     if not isinstance(scenario, ScheduleScenario):
@@ -33,13 +33,13 @@ def scenario_warnings(scenario: Scenario) -> list[str]:
     motion = system.mean_motion or 0.0
     (push, shove), size = _pushed(system, step), _size(scenario, system)
     notes = {
-        f"horizon: {steps} steps of {step:g} s; planning and sets grow with the number of steps, and bundled"
-        " scenes have 60: longer steps, or a shorter flight?": steps > MANY_STEPS,
+        f"horizon: {steps} steps of {step:g} s take long (bundled scenes have 60 steps); use longer steps or"
+        " a shorter flight?": steps > MANY_STEPS,
         f"system.mean_motion_rad_s: {motion:g} rad/s is faster than any orbit of the Earth (at most"
         f" {ORBITS[1]:g}): revolutions per day, or degrees?": motion > ORBITS[1],
         f"system.mean_motion_rad_s: {motion:g} rad/s is slower than the Moon (at least {ORBITS[0]:g}):"
         " another unit?": 0 < motion < ORBITS[0],
-        "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
+        "disturbance: zero, so that the proof covers only flights that obey the model exactly; was it"
         " forgotten, or D left at zero?": system.unbiased.w_max == 0 or not np.any(system.D),
         f"thrust: full thrust moves the chaser {push:.3g} m in one step of {step:g} s, and the scene is"
         f" {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?": push > FAR * size > 0,

@@ -69,17 +69,17 @@ class ScheduleScenario(Scenario):
         self.policies()
         late = [fault for fault in (each.build() for each in model.faults) if fault.isolation > 0]
         if late and min(fault.isolation for fault in late) < self.period():
-            rule = f"isolated late last no less than the control period of {self.period():g} s"
+            rule = f"must be isolated at once, or take at least the control period of {self.period():g} s"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
         pushing = [fault.name for fault in late if fault.name != "navigation_lost"]
         if pushing and system.observer is not None and system.timing.missed:
-            rule = "isolated late need timing.missed_periods = 0 where there is navigation.measurement"
+            rule = "must be known at once with navigation.measurement, unless timing.missed_periods = 0"
             raise ScenarioError("faults", pushing[0], rule)
         abort, given = model.abort, model.navigation
         parts = () if given is None else (given, *given.phases, given.measurement or given)
         drifts = abort is not None and abort.build(system) is not None and abort.keep_in
         if drifts and any(part.within_m is not None for part in parts):
-            rule = "must be false where bounds of navigation hold within_m: a drift needs no navigation"
+            rule = "must be false with within_m in navigation, as a drift needs no navigation"
             raise ScenarioError("abort.keep_in", True, rule)
         if model.abort is not None:
             model.abort.check(system, self.step)
@@ -208,11 +208,11 @@ class ScheduleScenario(Scenario):
         named = {spec.name: path for path, spec in self.model.controllers() if isinstance(spec, BlackBox)}
         for name in given:
             if name not in named:
-                rule = f"must be one of the scenario ({', '.join(named) or 'none'})"
+                rule = f"must be one of the scenario's black boxes ({', '.join(named) or 'none'})"
                 raise ScenarioError("black box", name, rule)
         for name, path in named.items():
             if name not in given:
-                rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
+                rule = "must be given with `polaris run --black-box NAME=COMMAND`, or from Python"
                 raise ScenarioError(path, name, rule)
 
     @property

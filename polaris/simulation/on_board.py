@@ -82,7 +82,7 @@ class FlightCode:
             self._library = _compiled(prefix, source, Path(scratch), self.online)
         size, *others = (ctypes.c_int32 * 3).in_dll(self._library, "sizes")
         if others != [self._input.itemsize, self._output.itemsize]:
-            raise PolarisError(f"{source}: its structures are laid out otherwise than here")
+            raise PolarisError(f"{source}: another layout of structures; export the code again")
         self._memory = np.zeros((0, size), dtype=np.uint8)
         self.modes: NDArray[np.int_] = np.zeros(0, dtype=int)
         self.answers: Counter[tuple[int, int]] = Counter()
@@ -98,7 +98,7 @@ class FlightCode:
         cells = schedule.safety.reference.chi[: len(reference)]
         same = self.tables.modes == schedule.modes.tolist() and reference.shape == cells.shape
         if not same or np.abs(reference - cells).max() > SAME * np.abs(cells).max():
-            raise ScenarioError("code", self.tables.sizes, "is the flight code of another schedule")
+            raise ScenarioError("code", self.tables.sizes, "must be the flight code of this schedule")
         return self
 
     def start(self, runs: int) -> None:
@@ -141,7 +141,7 @@ class FlightCode:
 def _compiled(prefix: str, source: Path, scratch: Path, online: bool) -> ctypes.CDLL:
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
-        raise PolarisError(f"flight code needs a C compiler, and none of {', '.join(COMPILERS)} is here")
+        raise PolarisError(f"flight code needs a C compiler, but none of {', '.join(COMPILERS)} is installed")
     loop, out = scratch / "loop.c", scratch / "flight.so"
     entry = f"{prefix}_online" if online else prefix
     loop.write_text(LOOP.format(prefix, entry if online else f"{prefix}_memory", entry))
@@ -178,7 +178,7 @@ def code_of(schedule: Schedule, precision: str = "double") -> FlightCode:
 def check_flyable(guarantee: str, limits: Sequence[float]) -> None:
     """Raise `ScenarioError` if a guarantee is not "proved", or a thrust limit is 0."""
     if guarantee != "proved":
-        rule = "must be 'proved' to fly: steps of black boxes rest on samples"
+        rule = "must be 'proved' to fly; steps of black boxes rest on samples"
         raise ScenarioError("guarantee", guarantee, rule)
     if not min(limits) > 0:
         raise ScenarioError("input_max", list(limits), "must be above 0 in every input to fly")
@@ -201,7 +201,7 @@ def tables_of(
     Raises `ScenarioError` if the reference is so far away that the code would take its states for errors.
     """
     if 2 * (largest := float(np.abs(states).max())) > FARTHEST:
-        rule = f"must keep within {FARTHEST / 2:g}, half of what code believes: use larger units"
+        rule = f"must keep within {FARTHEST / 2:g}, half of what the code accepts; use larger units"
         raise ScenarioError("reference", largest, rule)
     parts = [discretize(np.array(A), np.array(B), h * i) for i in range(q)]
     cells, steps = len(inputs), len(modes)

@@ -68,9 +68,7 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     if code is not None and code.online != bool(mode):
-        rule = (
-            "must be a controller where an online monitor in flight code decides, be left out with a schedule"
-        )
+        rule = "must name a controller if the flight code has an online monitor, and be left out otherwise"
         raise ScenarioError("simulation.mode", mode, rule)
     rng = np.random.default_rng(seed)
     flight = flies(schedule.safety.problem.system)(schedule, flown_modes(schedule, tail, mode), substeps)

@@ -272,7 +272,7 @@ class Drift:
         longest = max(float(np.ptp(agent.times)) for agent in trace.agents.values())
         self.system, self.horizon = system, drift_horizon(system, longest)
         if not self.horizon > 0:
-            raise ScenarioError("system", longest, "a trace that takes no time gives free drift no horizon")
+            raise ScenarioError("system", longest, "must have a trace of some duration")
 
     def entry_times(self, agent: AgentTrace, placed: Placed) -> tuple[NDArray[np.int64], Array]:
         """Samples chosen, evenly over the rows, and seconds from each until drift enters; inf if never."""

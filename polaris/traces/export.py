@@ -92,7 +92,7 @@ def _agent(
 ) -> AgentTrace:
     if not np.array_equal(system.position, np.eye(system.d, system.n)):
         shown = system.position.tolist()
-        raise ScenarioError("system.C", shown, "a trace's states must begin with the position")
+        raise ScenarioError("system.C", shown, "must choose the first states as position")
     given, count = np.asarray(modes), np.size(t)
     if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
         raise ScenarioError("modes", given.shape, "must be a list of whole numbers")

@@ -46,7 +46,7 @@ def find_dims(trace: Trace, dims: int | None) -> int | None:
 def _told(trace: Trace) -> int | None:
     axes = {name: item.d for name, item in trace.unsafe.items()}
     if len(set(axes.values())) > 1:
-        raise ScenarioError("unsafe", axes, "sets must have the same axes, or say which count (--dims)")
+        raise ScenarioError("unsafe", axes, "must have the same number of axes; or give --dims")
     if axes:
         return next(iter(axes.values()))
     counts = {name: agent.n for name, agent in trace.agents.items()}
@@ -54,7 +54,7 @@ def _told(trace: Trace) -> int | None:
         return next(iter(counts.values())) // 2
     if len(counts) == 1:
         return None
-    raise ScenarioError("agents", counts, "do not tell how many of the states are the position; say --dims")
+    raise ScenarioError("agents", counts, "leave the number of position axes open; give --dims")
 
 
 def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tuple[Array | None, str]:
@@ -121,7 +121,7 @@ def parse_velocity(velocity: str | None, heading: str | None, speed: int | None)
     if heading is None and speed is None:
         return velocity if velocity in (None, "differences") else _entries("--velocity", velocity)
     if velocity is not None or speed is None:
-        raise ScenarioError("--heading", heading, "goes with --speed, and neither goes with --velocity")
+        raise ScenarioError("--heading", heading, "must be given with --speed, and without --velocity")
     return Heading(speed, () if heading is None else tuple(_entries("--heading", heading)))
 
 

@@ -48,7 +48,7 @@ class Mode:
         if len(self.system.U) > 1:
             raise ReachError(f"mode {self.name!r} needs one set of inputs, it has {len(self.system.U)}")
         if self.system.nominal is not None:
-            raise ReachError(f"mode {self.name!r} takes no nominal input: it would be left out of the tube")
+            raise ReachError(f"mode {self.name!r} must have no nominal input, which the tube would leave out")
         if self.invariant is not None:
             require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 

@@ -75,7 +75,7 @@ def read_onnx(path: str | Path, precision: str = "real") -> Network:
 def _require_known(model: Any) -> None:
     """Refuse other operators before shapes are inferred: that is cheap for the known ones only."""
     if model.functions:
-        raise ReachError("operators that the file defines itself are not understood")
+        raise ReachError("operators defined in the file are not supported")
     for node in model.graph.node:
         if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
             raise ReachError(f"the operator {f'{node.domain}.{node.op_type}'.lstrip('.')} is not understood")
@@ -193,7 +193,7 @@ def _weights(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Array,
     if len(inputs) < 2 or inputs[0] is not None or inputs[1] is None or inputs[1].ndim != 2:
         raise ReachError(f"{kind} must multiply by weights from the right")
     if more.get("transA", 0):
-        raise ReachError("Gemm with a transposed input is not understood")
+        raise ReachError("Gemm with a transposed input is not supported")
     b = inputs[2] if len(inputs) > 2 and inputs[2] is not None else np.zeros(1)
     return inputs[1] if more.get("transB", 0) else inputs[1].T, more.get("beta", 1.0) * b
 

@@ -30,7 +30,7 @@ def outline(X: Any) -> Array:
 
 def _require_planar(X: Any) -> None:
     if X.dim != 2:
-        raise ReachError(f"an outline asks a planar set, got dimension {X.dim}")
+        raise ReachError(f"an outline needs a planar set, got dimension {X.dim}")
 
 
 def vertices_2d(X: Any) -> Array:

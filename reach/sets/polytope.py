@@ -204,7 +204,7 @@ class HPolytope(SetOperators):
     def _furthest(self, D: Array) -> Array:
         points = self._answers(D)[1]
         if np.any(np.isnan(points)):
-            raise ReachError("the polytope is unbounded in a direction asked for")
+            raise ReachError("the polytope is unbounded in a requested direction")
         return points
 
     def interval_hull(self) -> Interval:
@@ -267,7 +267,7 @@ class HPolytope(SetOperators):
         if self.dim == 1:
             return np.stack([hull.lo, hull.hi])
         if not self._ball[1] > FLATNESS:
-            raise ReachError("the polytope is flat: its vertices are not offered")
+            raise ReachError("the vertices of a flat polytope are not supported")
         scale = hull.half_widths
         rows, room = self.A * scale, self.b - self.A @ self.center
         norms = np.linalg.norm(rows, axis=1)

@@ -74,7 +74,7 @@ class Effort:
         """Take numbers from what is left; `Unresolved` once there is none."""
         self.left -= numbers
         if self.left < 0:
-            raise Unresolved("the effort allowed (max_effort) is spent: allow more, or a coarser tolerance")
+            raise Unresolved("max_effort is exhausted; raise it, or the tolerance")
 
 
 def collect(

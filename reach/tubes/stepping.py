@@ -128,7 +128,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
 
     run = collect(adjoint, D, horizon, blocks(), steps.keep, parts, known)
     if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
-        raise Unresolved(f"the step {step:g} is too long: nothing useful is known between two nodes")
+        raise Unresolved(f"the step {step:g} is too long: its intersample bound is useless; shorten it")
     return run
 
 

@@ -190,7 +190,7 @@ def verify_never(motions: Motions, region: HPolytope) -> Verdict:
                 share /= SHARPER
     except Unresolved as exc:
         return verdict("unknown", np.nan, f"neither proven nor violated: {exc}")
-    reason = "found no directions that separate, and no trajectory that enters beyond rounding"
+    reason = "no separating directions, and no trajectory that enters beyond rounding, were found"
     return verdict("unknown", np.nan, reason)
 
 

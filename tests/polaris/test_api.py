@@ -172,7 +172,7 @@ def test_state_space_position_is_what_c_says():
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
     schedule = synthesize(safety, experimental=[])
     assert (
-        "position: C x = (x0, x2), states counted from 0; the unsafe sets lie there" in schedule.assumptions
+        "position: C x = (x0, x2), states counted from 0; unsafe sets are sets of it" in schedule.assumptions
     )
 
 

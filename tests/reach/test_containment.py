@@ -217,7 +217,7 @@ def test_an_answer_is_true_only_if_proved():
         (lambda: contains(UNIT, Interval([0], [1])), "dimensions 2 and 1"),
         (lambda: contains(Interval([[0, 0]], [[1, 1]]), UNIT), "a single set"),
         (lambda: contains(UNIT, Interval([[0, 0]], [[1, 1]])), "a single set"),
-        (lambda: contains(UNIT + Ellipsoid.ball([0, 0], 1), UNIT), "MinkowskiSum is not offered"),
+        (lambda: contains(UNIT + Ellipsoid.ball([0, 0], 1), UNIT), "MinkowskiSum is not supported"),
         (lambda: contains(Ellipsoid([0, 0], [[1, 0], [0, 0]]), UNIT), "flat ellipsoid"),
         (
             lambda: contains(Zonotope(np.zeros(6), np.ones((6, 30))), Zonotope.point(np.zeros(6)), "exact"),

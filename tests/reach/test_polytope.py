@@ -61,7 +61,7 @@ def test_unbounded_polytopes_say_so():
     ):
         with pytest.raises(ReachError, match="unbounded"):
             ask()
-    with pytest.raises(ReachError, match="unbounded in a direction"):
+    with pytest.raises(ReachError, match="unbounded in a requested direction"):
         STRIP.support_vector([0, 1])
     with pytest.raises(ReachError, match="balls of every size"):
         _ = HPolytope([[1, 0]], [1]).center

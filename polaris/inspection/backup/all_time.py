@@ -41,7 +41,7 @@ class AllTime:
         self.without = tuple(without)
         q = self.inspection
         if q.constraints:
-            rule = "are not proven for all time: only barrier filters keep constraints of one's own"
+            rule = "must be empty: custom constraints need a barrier filter (centralized or decentralized)"
             raise ScenarioError("constraints", [one.label for one in q.constraints], rule)
         self.approach = ClosestApproach(q.mean_motion, q.passive_time)
         self._circle = circle_map(q.mean_motion)

@@ -72,7 +72,7 @@ class Brake:
         self.gain, self.available = self.tube.gain, q.thrust_max - self.tube.feedback
         self.holding = float(length(self._still).max())  # N per axis and metre
         if self.available <= 2 * self.holding * q.distance_max:
-            rule = f"too weak: {self.tube.feedback:.3g} N go to what is not known exactly"
+            rule = f"must be larger: errors and disturbance already take {self.tube.feedback:.3g} N"
             raise ScenarioError("thrust_max", q.thrust_max, rule)
         self.drifting = self._free_flight()
 

@@ -23,13 +23,13 @@ class Decay:
     def __init__(self, M: Array, C: Array, weight: Array) -> None:
         radius = float(np.abs(np.linalg.eigvals(M)).max())
         if radius >= 1:
-            rule = "too long for the gains: the sampled loop is unstable"
+            rule = "is too long for the gains: the sampled loop is unstable"
             raise ScenarioError("period", f"spectral radius {radius:.4g}", rule)
         scaled = M * weight / weight[:, None]
         count, power = 1, scaled
         while (shrunk := float(np.linalg.norm(power, 2))) > SHRUNK:
             if count >= LONGEST:
-                raise ScenarioError("period", f"spectral radius {radius:.6g}", "the loop settles too slowly")
+                raise ScenarioError("period", f"spectral radius {radius:.6g}", "must be shorter")
             power, count = power @ power, 2 * count
         self.powers = outputs = np.empty((count, *C.shape))
         outputs[0] = C

@@ -134,7 +134,7 @@ class Constraint(ABC):
                 rule = "must evaluate states of shape (2, 3, 6) in arrays of numbers"
                 raise ScenarioError(where, f"{type(error).__name__}: {error}", rule) from error
             if not good:
-                raise ScenarioError(where, type(form).__name__, "must evaluate each state by itself")
+                raise ScenarioError(where, type(form).__name__, "must evaluate each state separately")
 
 
 def _evaluated(form: Constraint, z: Array) -> dict[str, Array]:

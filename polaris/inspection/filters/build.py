@@ -97,7 +97,7 @@ def build_filter(
     of_kind("uncertainty", uncertainty, Uncertainty | None)
     for name, value in (("period", period), ("uncertainty", uncertainty)):
         if brake is not None and value is not None:
-            raise ScenarioError(name, value, "must not be given beside a brake, which has its own")
+            raise ScenarioError(name, value, "must be left out with brake, which has its own")
     if brake is not None and brake.inspection != inspection:
         raise ScenarioError("brake", brake.inspection, "must be for the problem of the filter")
     known = brake.uncertainty if brake else uncertainty or Uncertainty()
@@ -110,7 +110,7 @@ def build_filter(
     filtering = make_filter(Families(inspection, strengthening, without, tightened), chosen)
     if kind in KINDS[:2]:
         if mixed:
-            raise ScenarioError("mixed", mixed, f"must be false: {kind!r} has no plans")
+            raise ScenarioError("mixed", mixed, f"must be false, as {kind!r} has no plans")
         return ActiveSetFilter(filtering, sun_start=sun_start, **options)
     planner = Planner(AllTime(brake or Brake(inspection, length, known), sun_start, without), mixed)
     if kind == "explicit":

@@ -64,15 +64,15 @@ class Member:
 
     def __init__(self, me: int, rule: Explicit | Implicit, t: float, x: Array) -> None:
         if not isinstance(rule, Explicit | Implicit):
-            raise ScenarioError("rule", type(rule).__name__, "must answer the same to the same messages")
+            raise ScenarioError("rule", type(rule).__name__, "must give equal answers to equal messages")
         if not rule.planner.mixed:
-            raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
+            raise ScenarioError("rule", type(rule).__name__, "needs a planner with mixed=True")
         self.me, self.rule, self.brake = me, rule, rule.brake
         proven = rule.planner.find(t, shaped("x", x, (rule.inspection.deputies, 6)))
         if not proven.good:
             worst = int(proven.margins.argmin())
             detail = f"{rule.check.labels[worst]} would be {proven.margins[worst]:.3g}"
-            raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {detail}")
+            raise ScenarioError("x", x.tolist(), f"must have a proven plan: {detail}")
         self._none = np.zeros(len(rule.check.labels))
         self._due, self._flown = t, self._part(proven)
         self._next = np.array(x[me], dtype=float)  # the state that follows from the last known one
@@ -92,7 +92,7 @@ class Member:
         """
         own, D = told[self.me], self.brake.period
         if own is None:
-            raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
+            raise ScenarioError("told", self.me, "must be the number of another deputy")
         sent = [message for message in told if message is not None]
         alike = [message for message in sent if message.rule == self.rule.settings]
         heard = [message for message in alike if abs(message.t - t) <= 1e-6 * D]

@@ -58,7 +58,7 @@ class InitialConditions:
                 if self.drawn >= PATIENCE and len(self.x) * PATIENCE < self.drawn:
                     rule = f"none or hardly any of {self.drawn} samples satisfied every constraint"
                     raise ScenarioError(
-                        "count", count, f"{rule}; fewer deputies, a slower or smaller cube have room"
+                        "count", count, f"{rule}; use fewer deputies, or a smaller or slower cube"
                     )
                 self._draw()
             return self.x[:count], self.sun[:count]

@@ -67,7 +67,7 @@ class Filtering:
             if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
                 return loop, last, count
             if count >= LONGEST or not np.all(np.isfinite(last)):
-                rule = "leave errors of the estimate that no filter forgets"
+                rule = "must make all errors of the estimate decay; measure more of the state"
                 raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
             count *= 2
 
@@ -144,7 +144,7 @@ class Filtering:
 
     def _refuse(self) -> NoReturn:
         missed = len(self.observer.after)
-        raise ScenarioError("timing.missed_periods", missed, "leave errors that no observer forgets")
+        raise ScenarioError("timing.missed_periods", missed, "must be fewer for errors to decay")
 
     def after(self, first: Array, periods: int, come: list[Array]) -> Array:
         """Bound errors so many periods after they were within `first` (n,), shape (periods + 1, n).
@@ -319,7 +319,7 @@ def _made(
         P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
         steady = Observer(measures, noise, _kalman(P, measures, covariance))
     except (np.linalg.LinAlgError, ValueError) as error:
-        rule = f"must see every motion that does not decay: there is no steady gain ({error})"
+        rule = f"must observe every mode that does not decay: there is no steady Kalman gain ({error})"
         raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
     if not missed:
         return steady

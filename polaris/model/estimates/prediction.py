@@ -88,7 +88,7 @@ def _spreading(system: Craft, h: float) -> Array:
     once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
     moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
     if np.linalg.matrix_rank(moments) < n:
-        rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
+        rule = "must be 'held', as the inputs are fewer than half the states, or do not move all states"
         raise ScenarioError("thrusters.pulse", system.timing.placed or "centred", rule)
     return np.linalg.pinv(moments)
 
@@ -136,7 +136,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         errors = [[prediction_error(still, each, least, age) for each in known] for age in ages.tolist()]
         unseen = unseen_by(system, ages[-1])
     except ReachError as error:
-        rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
+        rule = f"must be shorter: a prediction of this system over {ages[-1]:g} s has no bound ({error})"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
     layers = [(hidden, unseen)] * (hidden > 0) + [(hidden + age, added) for age, added in older]
     bounds = np.max(errors, axis=0) + sum(added @ full for _, added in layers)

@@ -59,7 +59,7 @@ class Obstacle(ABC):
     def blurred(self, clock: float, moved: float) -> Self:
         """The set at every time within `clock` [s] of the one that is asked for, grown by `moved` [m]."""
         if clock > 0:
-            rule = f"must be 0: where {self.path} is at another time is not bounded"
+            rule = f"must be 0 with {self.path}, whose place at other times is not bounded"
             raise ScenarioError("timing.clock_error_s", clock, rule)
         return self._grown(moved) if moved > 0 else self
 

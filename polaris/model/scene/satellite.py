@@ -200,7 +200,7 @@ class SatelliteObstacle(Obstacle):
         self, t: ArrayLike, system: LinearSystem | None, state: ArrayLike | None
     ) -> tuple[Array, LinearSystem]:
         if system is None:
-            raise ScenarioError(f"{self.path}.system", None, "is needed to say where another satellite is")
+            raise ScenarioError(f"{self.path}.system", None, "must be given to propagate another satellite")
         if state is None:
             return self.nominal(t, system), system
         known = np.asarray(state, dtype=float)

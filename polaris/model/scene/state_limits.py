@@ -111,7 +111,7 @@ class StateLimit(Obstacle):
     ) -> Array:
         """Return the slack [m] of states p (..., n) at times t; inf while it does not hold."""
         if system is None or np.shape(p)[-1] != system.n:
-            raise ScenarioError("p", np.shape(p), f"must be states, and the system known, for {self.path}")
+            raise ScenarioError("p", np.shape(p), f"must be states of a known system for {self.path}")
         t, slack = np.asarray(t), self.slack(np.asarray(p, dtype=float), system)
         holds = (self.begins <= t) & (t < (np.inf if self.ends is None else self.ends))
         return np.asarray(np.where(holds, slack, np.inf))

@@ -67,7 +67,7 @@ class TurningKeepIn(StateLimit):
         super().__post_init__()
         if H.shape[1] not in (2, 3) or (H.shape[1] == 3) == (self.axis is None):
             raise ScenarioError(
-                f"{self.path}.axis", self.axis, "must be given in space, and in the plane not"
+                f"{self.path}.axis", self.axis, "must be given in space, and left out in the plane"
             )
         if self.axis is not None and not np.any(self.axis):
             raise ScenarioError(f"{self.path}.axis", self.axis, "must not be zero")

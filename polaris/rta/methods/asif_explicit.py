@@ -64,10 +64,10 @@ class ExplicitASIF(Method):
         self.push, self.kick, self.drift = rate @ system.B, rate @ system.D, rate @ A
         self.off = system.thrusters.error(system.u_max)
         if not np.any(self.push):
-            rule = "the input moves the position only by its third derivative"
+            rule = "needs inputs that accelerate the position, not only its third derivative"
             raise ScenarioError("method", self.key, rule)
         if states := [u.name for u in grid.unsafe if u.of_state]:
-            rule = f"brakes before sets of positions: {states[0]} limits the whole state"
+            rule = f"needs sets of positions only, and {states[0]} limits the whole state"
             raise ScenarioError("method", self.key, rule)
         self.balls = [o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)]
         span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
@@ -90,7 +90,7 @@ class ExplicitASIF(Method):
         braking = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
         braking -= np.linalg.norm(normals @ self.kick, axis=1) * system.unbiased.w_max
         if np.any(braking <= 0) and not self.direct:
-            raise ScenarioError("method", self.key, f"full thrust cannot brake before every side of {name}")
+            raise ScenarioError("method", self.key, f"full thrust must brake before every side of {name}")
         return np.asarray(braking)
 
     @property

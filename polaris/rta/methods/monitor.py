@@ -40,7 +40,7 @@ def _reentry(field: str, value: object) -> float:
     """Check the share of the room that U must leave to take over from S."""
     share = non_negative(field, value, "")
     if share >= 1:
-        raise ScenarioError(field, value, "must be a share of the room, less than 1")
+        raise ScenarioError(field, value, "must be a share of the margin, at least 0 and below 1")
     return share
 
 
@@ -98,7 +98,7 @@ class Monitor(Method):
         super().__init__(grid)
         late = bool(grid.system.transients)  # then U may act on worse estimates until the answer takes effect
         if trust == "declared" and late and grid.nodes + grid.delay > 1:
-            rule = "must be 'thrust_limits' where faults are isolated late, unless decisions are made every"
+            rule = "must be 'thrust_limits' with faults isolated late, unless decisions are made every"
             raise ScenarioError("trust", trust, f"{rule} control period, without latency")
         self.trust = trust
         self.dwell = _dwell("dwell", dwell)

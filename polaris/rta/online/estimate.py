@@ -78,7 +78,7 @@ class BoxMotion:
         lead = one / rate if one else 1.0
         farthest = FARTHEST_MOTION - log(lead)
         if not rate * longest <= farthest:
-            rule = f"must be at most {farthest / rate:.3g} s, the motion is too fast for more"
+            rule = f"must be at most {farthest / rate:.3g} s for the fastest mode of the system"
             raise ScenarioError("memory", longest, rule)
         terms = [np.eye(system.n)]
         while len(terms) < 100 and np.abs(terms[-1]).max() * longest ** len(terms) > 1e-30:

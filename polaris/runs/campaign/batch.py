@@ -124,8 +124,8 @@ class Kind(ABC):
 def fly_batch(task: Task) -> Batch:
     """Fly one batch, in whatever process; `PolarisError` if that has another version of the package."""
     if task.version != version():
-        rule = f"a worker has version {version()} of this package, the campaign {task.version}"
-        raise PolarisError(f"{rule}; install the same everywhere")
+        rule = f"a worker has Polaris {version()}, the campaign {task.version}"
+        raise PolarisError(f"{rule}; install the same version everywhere")
     try:
         parts = [task.kind.fly(task, mode) for mode in task.kind.modes]
     except NoAnswer:

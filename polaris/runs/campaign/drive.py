@@ -139,7 +139,7 @@ def find_worst(
     """Case, batch and run that came `rank`-th closest to an unsafe set; `ScenarioError` if there is none."""
     ranking = folder.plan.kind.ranking
     if not ranking:
-        raise ScenarioError("--worst", rank, "runs of this kind are not ranked; give --case, --batch, --run")
+        raise ScenarioError("--worst", rank, "must be left out: these runs are not ranked")
     mode = mode or folder.plan.kind.modes[0]
     failed = folder.failures()
     cases = [case] if case is not None else [c for c in range(len(folder.plan.cases)) if c not in failed]
@@ -149,7 +149,7 @@ def find_worst(
         try:
             table = folder.read(number, ["batch", "run", "mode", ranking])
         except OSError as error:
-            rule = "is not finished; run it again first"
+            rule = "must be finished; run the same command again first"
             raise ScenarioError("campaign", str(folder.path), rule) from error
         flown = table["mode"] == mode
         least, batches, runs = (table[name][flown] for name in (ranking, "batch", "run"))
@@ -185,24 +185,24 @@ def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: st
         raise ScenarioError("--run", run, f"must be from 0 to {task.runs - 1}")
     known = folder.check(task)
     if known is None:
-        rule = f"the part {folder.part(task).name} is missing or damaged; run the campaign again"
+        rule = f"its part {folder.part(task).name} is missing or damaged; run the campaign again"
         raise ScenarioError("campaign", str(folder.path), rule)
     flown = folder.plan.kind.fly(task, mode, run)
     if flown.schedule != known:
-        raise PolarisError("this case gives another schedule here than it gave then (other versions?)")
+        raise PolarisError("this case gives another schedule than in the campaign; are versions the same?")
     row = folder.row(task, mode, run)
     for name, values in flown.columns.items():
         here, there = values[run].item(), row[name]
         if here != there and (here == here or there == there):  # the same, or both nan
             given = f"{name} is {here!r} here and {there!r} in the table"
-            raise PolarisError(f"the run comes out differently on this machine: {given}")
+            raise PolarisError(f"the repeated run differs on this machine: {given}")
     assert flown.trajectory is not None
     return replace(flown.trajectory, row=row)
 
 
 def _check(folder: CampaignFolder, task: Task, mode: str) -> None:
     if mode not in folder.plan.kind.modes:
-        rule = f"was not flown; must be one of {', '.join(folder.plan.kind.modes)}"
+        rule = f"must be a mode that was flown, one of {', '.join(folder.plan.kind.modes)}"
         raise ScenarioError("--mode", mode, rule)
     failure = folder.failures().get(task.case)
     if failure is not None:

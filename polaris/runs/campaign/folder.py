@@ -138,7 +138,7 @@ def check_place(out: str | Path, fresh: bool) -> tuple[Path, bool]:
     path = Path(out).resolve()
     listed = (read_list(path) if path.is_dir() else None) or {}
     if listed and MANIFEST not in listed:
-        raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
+        raise ScenarioError("--out", str(out), "must not be a run folder, but one of its own")
     if fresh or not listed:
         check_target(out, (MANIFEST, "summary.json"), campaign=True)
     return path, fresh or not listed
@@ -166,7 +166,7 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         differs = "other " + ", ".join(names) if names else "its manifest was changed"
         raise ScenarioError("--out", str(out), f"holds another campaign ({differs}); --fresh replaces it")
     if known["runs"] > plan.runs:
-        rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
+        rule = f"must be at least {known['runs']}, as flown in {path}; or use --fresh"
         raise ScenarioError("--runs", plan.runs, rule)
     folder = CampaignFolder(path, plan, usable([known.get("table", table)]))
     if known["runs"] < plan.runs:
@@ -219,5 +219,5 @@ def _manifest_text(plan: CampaignPlan, table: str) -> str:
 def _manifest(folder: Path) -> dict[str, Any]:
     known = read_json(folder / MANIFEST)
     if not isinstance(known.get("runs"), int):
-        raise ScenarioError("campaign", str(folder), "its manifest is damaged (no number of runs)")
+        raise ScenarioError("campaign", str(folder), "has no number of runs; use --fresh")
     return known

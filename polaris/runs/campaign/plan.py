@@ -182,7 +182,7 @@ def make_cases(
         if not isinstance(given, Sequence) or isinstance(given, str):
             raise ScenarioError(f"--grid {key}", given, "must be a list of values, even of one")
         if any(parse_assignment(text)[0] == key for text in overrides):
-            raise ScenarioError("--grid", key, "must not be given to --set too")
+            raise ScenarioError("--grid", key, "must be left out of --set")
         if not given or any(item in given[:i] for i, item in enumerate(given)):
             raise ScenarioError(f"--grid {key}", list(given), "must have at least one value, each once")
     cases: list[Case] = []
@@ -209,7 +209,7 @@ def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
         if not equals or not key or not rest.strip():
             raise ScenarioError("--grid", text, "must be key=value,value,...")
         if key in grid:
-            raise ScenarioError("--grid", key, "is given twice")
+            raise ScenarioError("--grid", key, "must be given once")
         grid[key] = [parse_assignment(f"{key}={part}")[1] for part in _split(rest)]
     return grid
 

@@ -84,7 +84,7 @@ class Boxes:
     busy: threading.Lock = field(default_factory=threading.Lock)
 
     def __reduce__(self) -> Any:
-        raise ScenarioError("executor", "other processes", "must be left out: this process asks black boxes")
+        raise ScenarioError("executor", "other processes", "must be left out with black boxes")
 
 
 @lru_cache(KEPT)
@@ -101,7 +101,7 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
         return SynthesisInfeasible(f"the numbers of this case defeat the linear algebra: {error}")
     if schedule.safety.cut_by_clock:
         cut = ", ".join(schedule.safety.cut_by_clock)
-        rule = f"the wall clock ended the planner's search early ({cut}), and a campaign must be repeatable"
+        rule = f"planner.time_limit_s ended the search early ({cut}), but a campaign must be repeatable"
         return OutOfTime(f"{rule}: raise planner.time_limit_s")
     return replace(schedule, library=()), digest(schedule)  # other references fly nowhere here
 

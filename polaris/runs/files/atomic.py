@@ -42,7 +42,7 @@ class CannotWrite(ScenarioError):
     def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
         cause = " ".join((error.strerror or str(error)).split())
         rule = f"cannot be written: {cause}"
-        rule += "; what was there before is unchanged" if before else "; nothing is left there"
+        rule += "; the previous content is unchanged" if before else "; nothing was written"
         if error.errno in (*FULL, None):
             rule += ". Free some space, or give another place, and run the same command again"
         super().__init__(field, str(target), rule)
@@ -82,9 +82,9 @@ def check_file(
         if endings and target.suffix.lower() not in endings and not target.is_dir():
             raise ScenarioError(field, str(out), f"must end with {' or '.join(endings)}")
         if target.is_dir():
-            raise ScenarioError(field, str(out), "is a folder; must be a file")
+            raise ScenarioError(field, str(out), "must be a file, but is a folder")
         if not target.parent.is_dir():
-            raise ScenarioError(field, str(out), f"there is no folder {target.parent}")
+            raise ScenarioError(field, str(out), f"must be in an existing folder, {target.parent} is missing")
         _check_taken(target, field, force)
         tidy(target.parent, target.name)
         try_writing(target.parent, target.name, out, field)
@@ -97,10 +97,10 @@ def _check_taken(target: Path, field: str, force: bool) -> None:
     folder = target.parent.resolve()
     holder = list_holder(folder)
     if (folder.relative_to(holder) / target.name).as_posix() in (read_list(holder) or {}):
-        rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
+        rule = f"is part of the results in {target.parent}; give another name"
         raise ScenarioError(field, str(target), rule)
     if os.path.lexists(target) and not force:
-        rule = "is there already; give another name, or --force to replace it"
+        rule = "exists already; give another name, or --force to replace it"
         raise ScenarioError(field, str(target), rule)
 
 

@@ -50,7 +50,7 @@ def export_oem(folder: str | Path) -> list[Path]:
     scenario: ScheduleScenario = run.scenario
     orbit = scenario.model.orbit
     if orbit is None or orbit.elements is None:
-        rule = "is required: an inertial frame needs the target's orbit and its epoch (see Real orbits)"
+        rule = "must be given: inertial frames need the target's orbit and its epoch (see Real orbits)"
         raise ScenarioError("orbit.elements", None, rule, str(run.path))
     env, elements = Environment.of(scenario), orbit.elements
     with readable(run.path):

@@ -83,7 +83,7 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
         if node is None:
             raise SynthesisInfeasible(f"{where}: {missing(go, schedule)}")
         if not np.all(go.half_widths > 0):
-            raise SynthesisInfeasible(f"{where}: errors of estimates are larger than the GO box")
+            raise SynthesisInfeasible(f"{where}: the errors of estimates must be smaller than the GO box")
         joints.append(go)
         leaves.append(T + node * h)
     with stages.stage("mission"):
@@ -98,12 +98,10 @@ def _check_craft(systems: Sequence[Mapping[str, Any]]) -> None:
     for i, (one, two) in enumerate(pairwise(systems), 1):
         for key in sorted({*one, *two}) if remembers else PLANT:
             if one.get(key) != two.get(key):
-                rule = f"must have the system of the leg before it: {key} is another"
+                rule = f"must have the system of the leg before it, but {key} differs"
                 raise ScenarioError(f"legs[{i}]", key, rule + ", and its loop remembers" * (key not in PLANT))
         if any("initial" in each.get("observer", {}) for each in (one, two)):
-            rule = (
-                "must not be given in a mission: errors of a first estimate are those of the first leg alone"
-            )
+            rule = "must not be given in a mission: it applies to the first leg only"
             raise ScenarioError(f"legs[{i}].navigation.measurement.initial", "a table", rule)
 
 
@@ -193,6 +191,6 @@ def missing(found: Joint, schedule: Schedule) -> str:
     """Say which coordinate needs most of the next leg's start set at the node that comes nearest."""
     share, row, node = found.nearest
     names = schedule.safety.problem.system.state_names
-    name, when = names[row % len(names)], f"at its best, {node} periods after the horizon"
-    detail = f"{when}, {name} needs {share:.0%} of the half-width: widen it, or let S fly on (stay_s)"
+    name, when = names[row % len(names)], f"at the best node, {node} periods after the horizon"
+    detail = f"{when}, {name} needs {share:.0%} of the half-width; widen it, or raise stay_s"
     return f"S is not proven to be in the next leg's start set at any node of GO; {detail}"

@@ -92,7 +92,7 @@ class Thrusters(ScenarioPart):
             return made
         longest, rounded = (x / min(strengths(faults)) for x in layout.in_turn(period))
         if not rounded < 0.5:
-            rule = f"must leave half of a period of {period:g} s to more than the bits of staggered pulses"
+            rule = f"must let rounding of staggered pulses take less than half of the period of {period:g} s"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         return replace(made, u_max=made.u_max * min(1.0, (1 - rounded) / longest * (1 - 1e-6)))
 
@@ -153,9 +153,9 @@ def timed(
         fired, carried = layout.fired, layout.left
     edges = made.rise_s + made.fall_s
     if edges and not fired:
-        raise ScenarioError("thrusters.rise_s, fall_s", edges, "need pulses (thrusters.pulse)")
+        raise ScenarioError("thrusters.rise_s, fall_s", edges, "must be 0 without pulses (thrusters.pulse)")
     if timing.jitter + edges > period / 2:
-        rule = f"must be at most half of the period of {period:g} s, times of rise and fall included"
+        rule = f"must be at most half of the period of {period:g} s, with rise_s and fall_s added"
         raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
     placed = made.pulse if made.pulse in ("start", "staggered") else ""
     fine = made.resolution == "continuous" and made.impulse_bit_N_s > 0
@@ -172,10 +172,8 @@ def _require_whole(thrusters: Thrusters, limits: Array, period: float, faults: S
         return
     for whole in np.outer(strengths(faults), limits).ravel() * period:
         if np.floor(whole / bit + 0.5 + 1e-9) * bit > whole * (1 + 1e-9):
-            rule = (
-                f"must not round {whole:.6g} N s, which full thrust makes in a period, up to more than that: "
-            )
-            rule += "a whole number of bits serves, or a rest that is carried (thrusters.remainder)"
+            rule = f"must not round up the impulse of full thrust in a period, {whole:.6g} N s: choose a bit"
+            rule += " that divides it, or thrusters.remainder = 'carried'"
             raise ScenarioError("thrusters.impulse_bit_N_s", bit, rule)
 
 
@@ -184,7 +182,7 @@ def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
     directions, limits = (given.directions, given.thrust_max_N) if given else (None, None)
     if (directions is None) != (limits is None):
-        rule = "must be given both or neither"
+        rule = "must be given together"
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
         if given is not None and given.allocation != MIXES:
@@ -263,11 +261,11 @@ class Abort(ScenarioPart):
         if self.orbit is None:
             given = self.within_s or self.delta_v_max_m_s
             if given is not None:
-                raise ScenarioError("abort", given, "must name an orbit with within_s or delta_v_max_m_s")
+                raise ScenarioError("abort", given, "must have an orbit with within_s or delta_v_max_m_s")
             return None
         own = None if isinstance(self.orbit, GoalOrbit) else self.orbit
         if own is not None and self.within_s is None:
-            raise ScenarioError("abort.within_s", None, "must be given with an orbit of its own")
+            raise ScenarioError("abort.within_s", None, "must be given unless the orbit is the goal")
         asked = PoweredAbort(None, None, self.within_s, self.delta_v_max_m_s, self.required)
         if own is None:
             return asked
@@ -280,7 +278,7 @@ class Abort(ScenarioPart):
             return None
         if (self.drift_orbits is None) == (self.drift_s is None):
             given = self.drift_orbits, self.drift_s
-            raise ScenarioError("abort", given, "must give either drift_orbits or drift_s, or an orbit")
+            raise ScenarioError("abort", given, "must have one of drift_orbits and drift_s, or an orbit")
         horizon = self.drift_s
         if self.drift_orbits is not None:
             if system.mean_motion is None:

@@ -34,7 +34,7 @@ class GoalTable(Described):
     def build(self, system: LinearSystem) -> goals.Goal:
         """Return the goal."""
         if self.tolerance_m is None and self.velocity_tolerance_m_s is not None:
-            raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
+            raise ScenarioError("goal.tolerance_m", None, "must be given with velocity_tolerance_m_s")
         if issubclass(self.MAKES, goals.HillGoal):
             rate = {"mean_motion": hill_rate(system, "goal.kind", self.kind)}
         else:
@@ -44,7 +44,7 @@ class GoalTable(Described):
             state, A = goal.center, system.A
             drift, size = (float(np.abs(x).max()) for x in (A @ state, state))
             if drift > 1e-9 * max(1.0, size) * max(1.0, float(np.abs(A).max())):
-                rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
+                rule = f"must be at rest without input (A x = 0, here {drift:.3g}); otherwise use kind 'box'"
                 raise ScenarioError("goal.state", state.tolist(), rule)
         return goal
 

@@ -36,7 +36,7 @@ class Estimate(ScenarioPart):
             check_length(f"{path}.state_error", given, system.n)
             return np.array(given)
         if self.state_error is not None:
-            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
+            rule = "must be left out in Hill's frame; give position_error_m and velocity_error_m_s"
             raise ScenarioError(f"{path}.state_error", self.state_error, rule)
         named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
         return np.concatenate([per_axis(f"{path}.{name}", value, 3) for name, value in named])
@@ -102,7 +102,7 @@ class Measurement(Sight):
         for name in (*own, "matrix", "error"):
             value, here = getattr(self, name), (name in own) == hill
             if value is not None and not here:
-                raise ScenarioError(f"{path}.{name}", value, f"has no meaning {where}")
+                raise ScenarioError(f"{path}.{name}", value, f"must be left out {where}")
             if value is None and here and name != own[1] and not np.any(turned):
                 raise ScenarioError(f"{path}.{name}", value, f"must be given {where}")
         if self.matrix is not None and self.error is not None:
@@ -131,7 +131,7 @@ class Measurement(Sight):
         if self.constant_share > 0:
             fixed = self.error if system.mean_motion is None else self._fixed()
             if not np.any(fixed):
-                rule = "must be 0 where only range and bearing have errors: these turn with the line of sight"
+                rule = "must be 0 where only range and bearing have errors, which turn with the line of sight"
                 raise ScenarioError(f"{PATH}.constant_share", self.constant_share, rule)
             observer = replace(observer, constant=np.asarray(fixed) * self.constant_share)
         first = np.zeros(system.n)
@@ -162,14 +162,14 @@ class Navigation(Estimate, Sight):
         declared, sights = self.build(system), [self.sight(system, "navigation")]
         if self.measurement is not None:
             if np.any(declared) or self.within_m or self.phases:
-                rule = "must be left out where an observer's estimates are declared"
+                rule = "must be left out with bounds of estimates, within_m or phases in [navigation]"
                 raise ScenarioError("navigation.measurement", None, rule)
             return self.measurement.known(system, horizon, period, timing, late)
         if not self.phases:
             return replace(system, estimate_error=_seen(declared, sights[0]), sights=np.array(sights))
         begin = [0.0, *(phase.from_s for phase in self.phases)]
         if np.any(np.diff(begin) <= 0):
-            raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
+            raise ScenarioError("navigation.phases", begin[1:], "must have increasing from_s")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         sights += [phase.sight(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         bounds, (steps, step) = np.array(list(map(_seen, [declared, *later], sights))), horizon

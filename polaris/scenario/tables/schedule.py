@@ -124,7 +124,7 @@ class InitialBall(_Initial):
         """Return a zonotope around the product of the balls."""
         C = system.position
         if not (np.all((C == 0) | (C == 1)) and np.all(C.sum(axis=1) == 1) and np.all(C.sum(axis=0) <= 1)):
-            rule = "a ball needs a position that is a choice of states; use a box or a zonotope"
+            rule = "must be 'box' or 'zonotope', as the position is not a choice of states"
             raise ScenarioError("initial_set.kind", self.kind, rule)
         place = C.argmax(axis=1).tolist()
         rest = [i for i in range(system.n) if i not in place]

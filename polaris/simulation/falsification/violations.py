@@ -55,9 +55,9 @@ class Failure:
         )
         what = {
             "unsafe set": f"{self.limit} is entered",
-            "saturation": f"S asks for more {self.limit} than there is",
+            "saturation": f"S demands more {self.limit} than the limit",
             "margin": f"the margin to {self.limit} is below the proven one",
-            "velocity change": f"the velocity change exceeds {self.limit}",
+            "velocity change": f"the delta-v exceeds {self.limit}",
             "abort": f"an aborted flight exceeds its {self.limit}",
             "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
         }[self.kind]

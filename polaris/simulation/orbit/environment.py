@@ -91,7 +91,7 @@ class Environment:
         """
         table, eta = scenario.model.orbit, scenario.system().mean_motion
         if table is None or eta is None:
-            rule = "is required: it says what the linear model leaves out (see the scenario reference)"
+            rule = "must be given to bound the model error (see the scenario reference)"
             raise ScenarioError("orbit", None, rule, scenario.source)
         made: Environment = table.make("orbit", mean_motion=eta)
         return made

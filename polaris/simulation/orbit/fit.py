@@ -42,7 +42,7 @@ def fit_ellipses(states: Array, env: Environment, motion: float | None) -> tuple
             near = replace(near, eccentricity=largest, rate_deviation=share)
             ranked.append((float(residual_bound(near, 1.0, 1.0, 2 * eta).total), eta, largest, share))
     if not ranked and motion is not None:
-        rule = f"is not that of the orbit, which is near {math.sqrt(MU / axis**3):.8g} rad/s; leave it out"
+        rule = f"must be that of the orbit, near {math.sqrt(MU / axis**3):.8g} rad/s; leave it out"
         raise ScenarioError("system.mean_motion_rad_s", motion, rule)
     if not ranked:
         raise ScenarioError("orbit", f"eccentricity {largest:g}", "must have an eccentricity of at most 0.1")

@@ -72,7 +72,7 @@ def propagate(env: Environment, state: Array, times: Array) -> Array:
     def rate(_: float, x: Array) -> Array:
         if next(count) > MOST_RATES:
             raise NotCertified(
-                "the target's orbit cannot be integrated: is its drag that of a real atmosphere?"
+                "the target's orbit cannot be integrated; check density_kg_m3 and ballistic_coefficient_m2_kg"
             )
         pull = env.gravity(x[:3], AXIS) + env.drag(x[:3], x[3:], env.ballistic)
         return np.concatenate([x[3:], pull])

@@ -162,7 +162,7 @@ def justify(scenario: Any) -> ModelError:
         error = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
         if error.covered:
             return error
-    rule = f"no bound covers the model error after {MOST_ROUNDS} rounds: tubes grow as fast as it does"
+    rule = f"has no value that covers the model error in {MOST_ROUNDS} rounds, as tubes grow with it"
     raise ScenarioError("system.disturbance_max_m_s2", error.declared, rule)
 
 

@@ -101,7 +101,7 @@ class Ephemeris:
     def _at(self, epoch: int) -> Array:
         if not self.epochs[0] <= epoch <= self.epochs[-1]:
             rule = f"covers {epoch_text(self.epochs[0])} to {epoch_text(self.epochs[-1])} alone"
-            raise ScenarioError("ephemeris", epoch_text(epoch), f"{rule}: choose an epoch in it", self.source)
+            raise ScenarioError("ephemeris", epoch_text(epoch), f"{rule}; choose another epoch", self.source)
         after = bisect_left(self.epochs, epoch)
         if self.epochs[after] == epoch:
             return np.asarray(self.states[after])
@@ -109,7 +109,7 @@ class Ephemeris:
         part = bisect_right(edges, after) - 1
         first, end = edges[part], edges[part + 1]
         if after == first:
-            rule = "lies between two segments of the file, across which nothing is interpolated"
+            rule = "lies between two segments of the file; choose an epoch within one"
             raise ScenarioError("ephemeris", epoch_text(epoch), rule, self.source)
         low = max(first, min(after - NODES // 2, end - NODES))
         near = range(low, min(low + NODES, end))

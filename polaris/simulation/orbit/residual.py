@@ -54,7 +54,7 @@ def residual_bound(env: Environment, radial: ArrayLike, distance: ArrayLike, spe
     x, r, v = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (radial, distance, speed)))
     near = env.distances[0]
     if not np.all(near - r > 0.5 * env.radius):
-        rule = "reaches half-way to the Earth's centre: Hill's equations mean nothing there"
+        rule = "must be smaller: it reaches half-way to the Earth's centre"
         raise ScenarioError("orbit.radius_deviation_max_m", env.radius_deviation, rule)
     closest = near - r  # of any point on the line between the two craft
     turns = _turning(env)

@@ -119,7 +119,7 @@ class BlackBox:
         except PolarisError:
             raise
         except Exception as error:  # whatever it is
-            rule = "must answer; it raised an error"
+            rule = "must return commands, but raised an error"
             raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
         cause = None
         try:
@@ -127,7 +127,7 @@ class BlackBox:
         except Exception as error:  # whatever it is: a tensor that is part of a graph, rows of other lengths
             commands, cause = np.zeros(0), error
         if commands.shape != shape or commands.dtype.kind not in "fiu" or not np.all(np.isfinite(commands)):
-            rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
+            rule = f"must return finite numbers, one row of {shape[1]} for each of {shape[0]} states"
             raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule) from cause
         return commands.astype(float).reshape(*x.shape[:-1], self.system.m)
 

@@ -101,10 +101,10 @@ class Policy:
         """Refuse, with the fields of a scenario's table `field`, what does not fit a system."""
         read, outputs = sum(senses.sizes[name] for name in self.inputs), senses.system.m
         if self.network.inputs != read:
-            rule = f"must be {self.network.inputs} numbers, as the network reads; these are {read}"
+            rule = f"must give the {self.network.inputs} inputs of the network, but give {read}"
             raise ScenarioError(f"{field}.inputs", list(self.inputs), rule)
         if self.network.outputs != outputs:
-            rule = f"must be a network of {outputs} outputs, one per input; has {self.network.outputs}"
+            rule = f"must be a network of {outputs} outputs, one per input, but has {self.network.outputs}"
             raise ScenarioError(f"{field}.path", None, rule)
         for name, given, size in (
             ("input_scale", self.input_scale, read),

@@ -207,7 +207,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
             late = errors_alone(tracking, int(axis), replace(system, transients=()))
             share += f" ({late:.4g} of that for a fault until it is isolated)"
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
+            f"the tracking feedback may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
             f"disturbance{share}.",
             float(-limit[k, axis]),
@@ -245,8 +245,8 @@ def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
         if not asked.unsafe or size > 100 * SOLVER_BOOK_M:
             raise
         hint = (
-            f"another unit of length: this scene is {size:.2g} m wide, and the planner keeps "
-            f"{SOLVER_BOOK_M:g} m more clearance than needed, whatever the size of the scene."
+            f"another unit of length: this scene is {size:.2g} m wide, and the planner adds "
+            f"{SOLVER_BOOK_M:g} m to every clearance, whatever the size of the scene."
         )
         if isinstance(error, SynthesisInfeasible):
             relax = f"{error.relax.rstrip('.')}, or {hint}" if error.relax else hint

@@ -32,7 +32,7 @@ class BallSets(RecoverableSet):
         """Need of every row per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
         bounds, tracking, limits = self.bounds, self.clearance.tracking, self.clearance.limits
         if states := [body.name for body in self.clearance.unsafe if body.of_state]:
-            rule = f"must be 'polytope': balls bound errors of positions, {states[0]} limits whole states"
+            rule = f"must be 'polytope', as {states[0]} limits velocities, which balls do not bound"
             raise ScenarioError("recoverable.kind", "ball", rule)
         rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)

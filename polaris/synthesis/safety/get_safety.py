@@ -185,9 +185,9 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
 
     faults, free = problem.system.transients, under()
     if free is None:
-        text = f"{error.condition} No safe reference is found without faults isolated late, either."
+        text = f"{error.condition} Without faults that are isolated late no safe reference is found, either."
         return SynthesisInfeasible(text, error.shortfall, error.relax)
-    text = f"{error.condition} Without faults that are isolated late there is a safe reference."
+    text = f"{error.condition} A safe reference exists without faults that are isolated late."
     for fault in faults:
         sets, start = free.under((fault,)), free.start
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
@@ -197,7 +197,7 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         text += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None
-        text += f" {'none is' if alone is None else 'one is'} found with this fault alone."
+        text += f" with this fault alone {'none' if alone is None else 'one'} is found."
     return SynthesisInfeasible(text, error.shortfall, f"{error.relax} Or isolate faults sooner.")
 
 

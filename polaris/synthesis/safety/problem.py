@@ -158,7 +158,7 @@ class Problem:
         if self.goal_velocity_tolerance is not None:
             positive("goal.velocity_tolerance_m_s", self.goal_velocity_tolerance, "m/s")
             if self.goal_tolerance is None:
-                raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
+                raise ScenarioError("goal.tolerance_m", None, "must be given with velocity_tolerance_m_s")
             require_velocities(self.system, self.goal, "goal", self.goal_velocity_tolerance)
         if self.powered is not None and self.powered.velocity_tolerance is not None:
             orbit = self.powered.goal or self.goal
@@ -191,10 +191,10 @@ def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: fl
     """Raise a ScenarioError unless a tolerance of velocities bounds some of every coordinate's."""
     rates, asked = velocities(system.A, system.position), goal.of(system).conditions
     if not rates.any(axis=1).all():
-        rule = "needs states that are velocities: a coordinate of the position has none among C A x"
+        rule = "must be left out, as a coordinate of the position has no velocity among the states (C A x)"
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
     if not np.vstack([asked.E, asked.G])[:, rates.any(axis=0)].any():
-        rule = "needs a goal with conditions on velocities: all of them may take any value"
+        rule = "must be left out, as the goal sets no condition on velocities"
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
 
 
@@ -221,7 +221,7 @@ def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, A
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
     if not isinstance(asked, LinearSystem):
         if short := [name for name in ("u_max", "C") if name not in known]:
-            rule = "C is the position, in which unsafe sets lie: one row per axis"
+            rule = "C maps the state to the position, one row per axis"
             raise TypeError(f"get_safety(control.StateSpace, ...) also needs {', '.join(short)}; {rule}")
         extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
         asked = LinearSystem.from_statespace(asked, **extra)

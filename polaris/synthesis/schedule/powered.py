@@ -56,7 +56,7 @@ class PoweredSafety:
         if not (self.asked.required and lost):
             return
         k, way = max(lost, key=lambda each: (not each[1].budget, each[1].short))
-        message = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
+        message = f"the required powered abort is not proven in {len(lost)} of {len(self.ways)} steps"
         message += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
         if way.budget:
             raise NotCertified(f"{message}; raise {way.budget} by {way.short:.4g}")

@@ -39,7 +39,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
         kind, share = safety.recoverable.kind, safety.problem.thrust_share
         made = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
     except SynthesisInfeasible as error:
-        rule = "must hold the initial set at the start"
+        rule = "must contain the initial set at the start"
         raise ScenarioError("safety.recoverable", str(error), rule) from error
     _same_parts("safety", safety, made)
 
@@ -60,7 +60,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     reference = getattr(controller, "reference", safety.reference)
     tracking = getattr(controller, "tracking", safety.tracking)
     if reference is not safety.reference or tracking is not safety.tracking:
-        rule = "was built on the reference of another Safety; build it on this one's"
+        rule = "must be built on the reference of this Safety, not of another one"
         raise ScenarioError("experimental", name, rule)
     system, own = getattr(controller, "system", problem.system), getattr(controller, "own", reference)
     _same_parts(f"{name}.system", Craft.of(system), problem.system)
@@ -70,7 +70,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
             within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
         anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.asked)
         if not within and not anything:
-            rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
+            rule = f"must be any thrust or a law known to the problem, as {fault.name} is isolated late"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     _same_parts(f"{name}.own.system", Craft.of(own.system), problem.system)
     _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")

@@ -198,7 +198,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
             break
     library = tuple(one for one in others if as_good(one, best, search.rules))
     if late:
-        text = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
+        text = "planner.time_limit_s ended the search for a reference along U's path early"
         warnings.warn(
             f"{text}: another machine, or another run, may find another", ClockWarning, stacklevel=3
         )
@@ -236,7 +236,7 @@ class Reflown(Sequence[Step]):
         search = replace(self.search, rules=SwitchingRules(), progress=None, intended=self.modes)
         steps = switching_logic(search).steps
         if tuple(step.mode for step in steps) != self.modes:
-            raise NotCertified("the schedule is not proven again in its own modes")
+            raise NotCertified("a second proof in its modes does not confirm the schedule")
         return steps
 
 
@@ -282,8 +282,8 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
     if not kept:
         need = directed(least * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
-            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least budget"
-            f" that one is proven to keep is {need} m/s; raise the budget, or give more time or a wider goal"
+            f"no schedule within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the smallest proven"
+            f" delta-v is {need} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
 
@@ -291,7 +291,7 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
 def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
     """Build the error raised when passive safety is required but not proven."""
     return SynthesisInfeasible(
-        f"passive safety is required, but under S alone, if all thrust stops {in_words(witness)}.",
+        f"passive safety is required, but not proven under S alone: if all thrust stops {in_words(witness)}.",
         -witness["distance_m"],
         "shorten abort.drift_orbits (drift_s), raise planner.extra_margin_m, or lower the disturbance bound.",
     )
@@ -300,9 +300,9 @@ def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
 def in_words(witness: Mapping[str, Any]) -> str:
     """Describe a drift that is not clear: its step, the unsafe set, time and distance."""
     enters = witness["middle_m"] <= 0
-    does = "enters what is perceived of" if enters else "is not shown to stay clear of"
+    does = "enters the perceived set of" if enters else "is not proven to stay clear of"
     left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
     return (
-        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']} by"
-        f" {witness['after_s']:.6g} s later ({left} m are left)"
+        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']}"
+        f" within {witness['after_s']:.6g} s (distance {left} m)"
     )

@@ -92,16 +92,16 @@ class Branch:
             return Way(None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room)
         cell, off = self._reached(taken, asked.within)
         if cell is None:
-            why = f"{off:.4g} m off at best, {self.goal.tolerance:.4g} m allowed"
+            why = f"it ends within {off:.4g} m of the orbit, the tolerance is {self.goal.tolerance:.4g} m"
             return Way(None, why=f"the orbit is not reached in time: {why}", short=off - self.goal.tolerance)
         spent = self._spent(taken, cell)
         if asked.budget is not None and spent > asked.budget:
-            why = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
+            why = f"S may need {directed(spent, '.4g', up=True)} m/s, the budget is {asked.budget:g} m/s"
             return Way(None, why=why, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
         tank = self.safety.problem.tank
         if tank is not None and taken.spent + spent > tank:
             parts = (directed(x, ".4g", up=True) for x in (taken.spent, spent))
-            why = "up to {} m/s are spent and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
+            why = "up to {} m/s are used and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
             return Way(None, why=why, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
         return Way(place, cell, spent)
 

@@ -56,9 +56,7 @@ class Contraction:
         except ReachError as error:
             raise ScenarioError("feedback.period_s", flow.h, f"must give a stable loop: {error}") from error
         if not np.all(np.isfinite(flow.growth)):
-            rule = (
-                "is too long for the fastest motion of the system: what happens within it cannot be bounded"
-            )
+            rule = "must be shorter: the motion within a step is too fast to be bounded"
             raise ScenarioError("horizon.step_s", self.delta, rule)
         return flow
 

@@ -54,7 +54,7 @@ class Tightening:
                 N = int(below[0])
                 return stack[: N + 2], v, float(left[N]) * (1 + ROUNDING)
             if count > LONGEST:
-                rule = f"must let errors fade within {LONGEST} periods"
+                rule = f"must let errors decay within {LONGEST} periods"
                 raise ScenarioError("feedback.period_s", self.closed.loop.h, rule)
             count *= 2
 
@@ -195,7 +195,7 @@ class Tightening:
             if np.any(more > 1e6 * self.u_max):
                 break
             P = more * (1 + 1e-6)
-        raise ScenarioError("thrusters", P.tolist(), "errors that grow with the commands feed on themselves")
+        raise ScenarioError("thrusters", P.tolist(), "must be smaller: they amplify themselves")
 
     def between(self, rows: Array, bound: Array | None = None) -> tuple[Array, Array]:
         """Return intersample bounds of rows of the plant's error (docs/theory.md, Proposition 9 (d)).

@@ -197,7 +197,7 @@ class Tracking(Contraction):
                         differences.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:
             faults = [(fault.name, fault.lasts) for fault in system.transients]
-            raise ScenarioError("faults", faults, "isolated so late are bounded by nothing") from error
+            raise ScenarioError("faults", faults, "must be isolated sooner to be bounded") from error
         return differences
 
     def _unmade(self, count: int) -> Difference:

@@ -70,7 +70,7 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         if isinstance(outer, kind):
             return answer(outer, inner, method, limit)
     given = type(outer).__name__
-    raise ReachError(f"containment in a {given} is not offered: enclose or convert it first")
+    raise ReachError(f"containment in a {given} is not supported; enclose or convert it first")
 
 
 @checked

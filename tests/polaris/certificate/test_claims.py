@@ -242,10 +242,10 @@ MIXED = {
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
-        ({"system": MIXED}, "needs states that are velocities"),
+        ({"system": MIXED}, "has no velocity among the states"),
         pytest.param(
             {"goal": {"kind": "box", "center": [8.0, 6.0, 0.0, 0.0], "half_widths": ANY}},
-            "needs a goal with",
+            "sets no condition on velocities",
             marks=pytest.mark.slow,
         ),
     ],
@@ -270,7 +270,7 @@ def test_a_tolerance_of_velocities_without_effect_is_refused(change, rule, tmp_p
 
 
 def test_a_tolerance_of_velocities_needs_one_of_lengths():
-    with pytest.raises(ScenarioError, match="required with velocity_tolerance"):
+    with pytest.raises(ScenarioError, match="must be given with velocity_tolerance"):
         load_scenario(TINY).with_assignments(["goal.velocity_tolerance_m_s=0.1"])
 
 

@@ -164,7 +164,7 @@ def test_check_takes_overrides(invoke, name):
         ("horizon={ duration_s = 540000, step_s = 30 }", "18000 steps"),
         ("system.mean_motion_rad_s=0.0066", "faster than any orbit"),
         ("system.disturbance_max_m_s2=3", "in one step, and full thrust"),
-        ("system.disturbance_max_m_s2=0", "obeys the model exactly"),
+        ("system.disturbance_max_m_s2=0", "obey the model exactly"),
         ("system.thrust_max_N=10", "m, not km"),
     ],
 )
@@ -230,7 +230,7 @@ def test_no_bundled_scenario_looks_like_a_slip():
 def test_a_run_notes_slips_on_standard_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     slip = [str(TINY), "--set", "system.disturbance_max=0", "--set", QUARTER, "--no-figures"]
-    assert "note: disturbance: none" in CliRunner().invoke(cli.app, ["run", *slip, "--json"]).stderr
+    assert "note: disturbance: zero" in CliRunner().invoke(cli.app, ["run", *slip, "--json"]).stderr
     assert CliRunner().invoke(cli.app, ["run", *slip, "--quiet"]).stderr == ""
 
 
@@ -386,7 +386,7 @@ def test_wrong_options_are_exit_code_2(invoke):
     [
         (ScenarioError("field", 1, "rule"), 2),
         (SynthesisInfeasible("the goal is out of reach.", 1.0, "a longer horizon."), 3),
-        (NotCertified("none found in the time given"), 4),
+        (NotCertified("no plan within planner.time_limit_s"), 4),
         (RuntimeError("broken\nin two lines"), 1),
         (MemoryError(), 1),
         (KeyboardInterrupt(), 130),

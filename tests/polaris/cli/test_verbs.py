@@ -107,7 +107,7 @@ WRONG = {
         ("campaign", TINY, "--out", ".", "--scheduler", "tcp://nowhere:1"),
         "--out",
     ),
-    "a run to replay": (("campaign-replay", "nowhere"), "needs --case"),
+    "a run to replay": (("campaign-replay", "nowhere"), "must have --case"),
     "a folder of a run": (("run", TINY, "--out", ".", "--solver", "gurobi"), "--out"),
     "a method": (("compare", TINY, "--methods", "magic"), "'magic'"),
     "an option of a method": (("compare", TINY, "--tune", "monitor.gain=2"), "monitor.gain"),

@@ -172,7 +172,7 @@ def test_the_online_monitor_in_the_code_lets_u_fly_safely(tmp_path, precision):
     assert code.online and not runs.metrics().collided.any()
     assert {(mode, fault & ~CLIPPED) for mode, fault in code.answers} == {(0, REFUSED), (1, 0)}
     assert not any(fault & CLIPPED for mode, fault in code.answers if not mode)
-    with pytest.raises(ScenarioError, match="must be a controller"):
+    with pytest.raises(ScenarioError, match="must name a controller"):
         simulate(schedule, 1, code=code)
 
 
@@ -238,7 +238,7 @@ def test_what_is_not_proved_is_not_flown_as_code(monkeypatch):
         patch.setattr(type(schedule), "guarantee", "statistical")
         refused = compare_methods(schedule, 1, 0, methods=("safety", "code")).refused
     assert "must be 'proved' to fly" in refused["code"]
-    with pytest.raises(ScenarioError, match="be left out with a schedule"):
+    with pytest.raises(ScenarioError, match="be left out otherwise"):
         simulate(schedule, 1, mode=1, code=code_of(schedule))
     with pytest.raises(ScenarioError, match="of another schedule"):
         simulate(schedule, 1, code=code_of(scheduled("outage")))

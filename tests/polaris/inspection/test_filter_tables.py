@@ -116,7 +116,7 @@ def test_nothing_is_claimed_where_no_plan_is_proven(tmp_path):
     words = [word for setting in (*table, start) for word in ("--set", setting)]
     assert invoke("run", "inspection", *words, "--out", tmp_path / "a", "--no-figures").exit_code == 0
     summary = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))
-    assert summary["guarantee"]["kind"] == "none" and "not from every state" in summary["guarantee"]["reason"]
+    assert summary["guarantee"]["kind"] == "none" and "no plan is known" in summary["guarantee"]["reason"]
     assert summary["guarantee"]["first_missed_s"] == 0.0 and summary["steps"]["unproven"] == 3
 
 

@@ -136,9 +136,9 @@ def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings
     table = summary(tmp_path / "a")
     assert done.exit_code == 0 and table["latched_at_s"] == 0
     assert table["guarantee"]["kind"] == "none"
-    assert ("fuel ended" if "fuel.spent_m_s=19" in settings else "took over at once") in table["guarantee"][
-        "reason"
-    ]
+    assert ("thrust was cut off" if "fuel.spent_m_s=19" in settings else "took over at the start") in table[
+        "guarantee"
+    ]["reason"]
 
 
 def test_campaign_folder_holds_what_was_flown(folders):

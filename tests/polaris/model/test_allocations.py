@@ -212,5 +212,5 @@ def test_pairs_that_do_not_push_every_way_once_one_is_broken_are_refused():
     assert Allocation.of(ways, np.ones(4), np.ones(2), [], PAIRS).mixes.max() == 1.0
     extra = np.vstack([ways, [[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]]])
     assert Allocation.of(extra, np.ones(8), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS).u_max.min() > 0.5
-    with pytest.raises(SynthesisInfeasible, match="do not push every way"):
+    with pytest.raises(SynthesisInfeasible, match="do not span every direction"):
         Allocation.of(ways, np.ones(4), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS)

@@ -513,9 +513,9 @@ REFUSED = {
     "directions that are none": (
         ["keep_in=[{kind='speed',name='s',max_m_s=2.0,per_distance_1_s=0.1,towards=[[0,0]]}]"], "row of zeros"
     ),
-    "a drift beside a set that turns": ([*TURNED, "abort={drift_s=5.0}"], "of drifts and aborts nothing"),
+    "a drift beside a set that turns": ([*TURNED, "abort={drift_s=5.0}"], "drifts and aborts are not proven"),
     "a set that turns too far": ([*TURNED, "keep_in.0.rate_rad_s=2.5"], "shorter steps"),
-    "an axis in the plane": ([*TURNED, "keep_in.0.axis=[0,1]"], "in the plane not"),
+    "an axis in the plane": ([*TURNED, "keep_in.0.axis=[0,1]"], "left out in the plane"),
     "balls": ([*LIMITED, "recoverable.kind=ball"], "must be 'polytope'"),
     "a row of zeros": (["keep_in=[{kind='states',name='s',rows=[[0,0,0,0]],bounds=[9]}]"], "row of zeros"),
     "an axis that there is not": (

@@ -454,7 +454,7 @@ def test_a_full_disk_names_the_path_and_the_way_on(tmp_path, size):
     lines = done.stderr.strip().splitlines()
     assert done.returncode == 2 and len(lines) == 1, done.stderr
     assert str(target) in lines[0] and "File too large" in lines[0]
-    assert "what was there before is unchanged" in lines[0] and "same command again" in lines[0]
+    assert "the previous content is unchanged" in lines[0] and "same command again" in lines[0]
     assert contents(target) == before and [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
@@ -472,7 +472,7 @@ def test_every_way_a_disk_refuses_is_one_message(tmp_path, error, said):
     with pytest.raises(CannotWrite) as refusal, replacing.replacing(tmp_path / "out") as beside:  # noqa: SIM117
         with replacing.replacing(beside / "run"):
             raise error
-    assert str(tmp_path / "out") in str(refusal.value) and "nothing is left there" in str(refusal.value)
+    assert str(tmp_path / "out") in str(refusal.value) and "nothing was written" in str(refusal.value)
     assert ("Free some space" in str(refusal.value)) == said and ".new-" not in str(refusal.value)
     assert list(tmp_path.iterdir()) == [] and not nested.exists()
     with pytest.raises(CannotWrite, match="nothing is left"), replacing.replacing_file(tmp_path / "x.csv"):

@@ -325,11 +325,11 @@ def test_overrides_that_are_its_own(text, tmp_path):
 def test_folders_of_others_are_left_alone(folder, copied, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes").write_text("mine", encoding="utf-8")
-    for place, word in ((copied / "price-0", "other results"), (tmp_path / "mine", "other contents")):
+    for place, word in ((copied / "price-0", "give another folder"), (tmp_path / "mine", "other contents")):
         with pytest.raises(ScenarioError, match=word):
             again(place)
     assert contents(copied) == contents(folder.path)
-    with pytest.raises(ScenarioError, match="is a trade-off"):
+    with pytest.raises(ScenarioError, match="of a trade-off"):
         polaris.write_report(copied)
 
 

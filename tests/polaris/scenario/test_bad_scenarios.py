@@ -138,7 +138,7 @@ BROKEN = {
     "start outside a cone": (
         {"keep_in": [{**CONE, "axis": [1, 0, 0]}]},
         "initial_set.center",
-        "must start inside",
+        "must be inside",
     ),
     "edge of the start outside a cone": (
         {"keep_in": [{**CONE, "half_angle_deg": 0.5}]},
@@ -175,7 +175,7 @@ BROKEN = {
     ),
     "Q of five numbers": ({"tracking.Q": [1, 1, 1, 1, 1]}, "tracking.Q", "6 numbers"),
     "Q indefinite": ({"tracking.Q": [1, 1, 1, 1, 1, -1]}, "tracking.Q", "semidefinite"),
-    "Q zero": ({"tracking.Q": [0, 0, 0, 0, 0, 0]}, "tracking.Q", "must weigh every mode"),
+    "Q zero": ({"tracking.Q": [0, 0, 0, 0, 0, 0]}, "tracking.Q", "must weight every mode"),
     "Q not symmetric": (
         {"tracking.Q": [[float(i == j) + (i < j) * 0.1 for j in range(6)] for i in range(6)]},
         "tracking.Q",
@@ -220,7 +220,7 @@ BROKEN = {
     "hold point that drifts": (
         {"goal": {"kind": "stationary", "state": [10, 60, 0, 0, 0, 0]}},
         "goal.state",
-        "must keep itself",
+        "must be at rest without input",
     ),
     "hold point in an obstacle": (
         {"goal": {"kind": "stationary", "state": [0, 60, 0, 0, 0, 0]}, "obstacles[0].center_m": [0, 60, 0]},
@@ -238,7 +238,7 @@ BROKEN = {
     "hold point outside the cone": (
         {"goal": {"kind": "stationary", "state": [0, -60, 0, 0, 0, 0]}, "keep_in": [CONE]},
         "goal.state",
-        "must lie inside keep_in[0]",
+        "must be inside keep_in[0]",
     ),
     "goal box negative": (
         {"goal": {"kind": "box", "center": [0] * 6, "half_widths": [1, 1, 1, 1, 1, -1]}},
@@ -317,7 +317,7 @@ BROKEN = {
         "at most 64",
     ),
     "no experimental controller": ({"experimental": []}, "experimental", "at least 1"),
-    "controller with R only": ({"experimental[0].Q": None}, "experimental[0].Q", "required"),
+    "controller with R only": ({"experimental[0].Q": None}, "experimental[0].Q", "must be given"),
     "controller with gain and Q": (
         {"experimental[0].gain": [[0.0] * 6] * 3},
         "experimental[0].gain",
@@ -384,13 +384,13 @@ BROKEN_LINEAR = {
     "a step too long for the dynamics": (
         {"system.A": [[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 500, 0], [0, 0, 0, 500]]},
         "horizon.step_s",
-        "too long for",
+        "for the fastest mode",
     ),
     "limits of three inputs": ({"system.input_max": [1, 1, 1]}, "system.input_max", "must have 2"),
     "position from state 4": ({"system.position_states": [0, 4]}, "system.position_states", "below 4"),
     "position twice the same": ({"system.position_states": [1, 1]}, "system.position_states", "different"),
     "position of four": ({"system.position_states": [0, 1, 2, 3]}, "system.position_states", "at most 3"),
-    "position by two means": ({"system.C": [[1, 0, 0, 0]]}, "system.C", "not both"),
+    "position by two means": ({"system.C": [[1, 0, 0, 0]]}, "system.C", "left out with position_states"),
     "C too narrow": ({"system.position_states": None, "system.C": [[1, 0]]}, "system.C", "4 numbers"),
     "C of one direction twice": (
         {"system.position_states": None, "system.C": [[1, 0, 0, 0], [2, 0, 0, 0]]},

@@ -336,7 +336,7 @@ def test_run_folder_is_attacked_if_nothing_in_it_was_changed(tmp_path):
     data = json.loads(file.read_text(encoding="utf-8"))
     data["modes"][0] = 1 - data["modes"][0]
     file.write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(ScenarioError, match="edited, or damaged"):
+    with pytest.raises(ScenarioError, match="edited or damaged"):
         load_target(str(folder))
     (folder / "certificate.json").unlink()
     with pytest.raises(ScenarioError, match="has no certificate.json"):

@@ -55,7 +55,7 @@ def test_malformed_grids_are_refused(grid, word):
         (([TINY], {"system.input_max": []}), "at least one value"),
         (([TINY], {"system.input_max": [-1.0]}), "input_max"),
         (([TINY], {"system.colour": ["red"]}), "colour"),
-        (([TINY], {"system.input_max": [1.0]}, ["system.input_max=2"]), "--set too"),
+        (([TINY], {"system.input_max": [1.0]}, ["system.input_max=2"]), "left out of --set"),
         (([TINY, TINY],), "different cases"),
         (([],), "different cases"),
         ((["nope"],), "nope"),

@@ -112,7 +112,7 @@ def test_the_worst_runs_are_found_in_their_order(flown):
         ((2, 0, 0), "polaris", "--case"),
         ((0, 5, 0), "polaris", "--batch"),
         ((0, 4, 2), "polaris", "--run"),
-        ((0, 0, 0), "safety", "was not flown"),
+        ((0, 0, 0), "safety", "must be a mode that was flown"),
     ],
 )
 def test_runs_that_are_not_there_are_refused(flown, place, mode, word):
@@ -126,7 +126,7 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
     (folder.path / "runs" / "case-0000-batch-00001.parquet").unlink()
     with pytest.raises(ScenarioError, match=r"case-0000-batch-00001\.parquet is missing or damaged"):
         replay_run(folder, 0, 1, 0)
-    with pytest.raises(ScenarioError, match="not finished"):
+    with pytest.raises(ScenarioError, match="must be finished"):
         find_worst(folder, 1)
     real = schedules.ScheduleRuns.fly
 
@@ -136,7 +136,7 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
         return made
 
     monkeypatch.setattr(schedules.ScheduleRuns, "fly", another)
-    with pytest.raises(PolarisError, match="differently on this machine: delta_v_m_s"):
+    with pytest.raises(PolarisError, match="differs on this machine: delta_v_m_s"):
         replay_run(folder, 0, 0, 0)
 
 
@@ -192,7 +192,7 @@ def test_a_campaign_without_any_schedule_ends_with_its_exit_code(tmp_path, monke
         (("campaign", TINY, "--grid", "x"), "key=value"),
         (("campaign", TINY, "--workers", 2, "--scheduler", "tcp://127.0.0.1:1"), "--workers"),
         (("campaign", TINY, "--initial", "anywhere"), "--initial"),
-        (("campaign", TINY, "inspection-monte-carlo"), "one campaign, one scenario"),
+        (("campaign", TINY, "inspection-monte-carlo"), "inspection scenario, which must be alone"),
         (("campaign", "inspection-monte-carlo", "--seed", 3), "--seed"),
         (("campaign", "inspection-monte-carlo", "--mode", "safety"), "--mode"),
         (("campaign", "inspection", "--workers", 1), "polaris run"),
@@ -210,7 +210,7 @@ def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argumen
 def test_replay_needs_to_know_which_run(flown):
     for arguments, word in (
         (("--case", 0), "--worst"),
-        (("--worst", 1, "--run", 2), "instead of"),
+        (("--worst", 1, "--run", 2), "left out with --batch"),
         (("--worst", 1, "--out", "a.txt"), ".csv or .npz"),
     ):
         done = invoke("campaign-replay", flown.path, *arguments)

@@ -415,7 +415,7 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
         run_campaign(more.asking(silent), folder.path)
     assert run_campaign(more.asking(boxes), folder.path).summary["flown"] == 18
     read = read_campaign(folder.path)
-    with pytest.raises(ScenarioError, match="must be given where it is run"):
+    with pytest.raises(ScenarioError, match="must be given with `polaris run"):
         replay_run(read, 0, 0, 1)
     again = replace(read, plan=read.plan.asking(boxes))
     assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
@@ -575,8 +575,8 @@ BAD = {
     "half a line, and waits": ("input(); print('{\"u\": [', end='', flush=True); input()", "within"),
     "after two answers": (f"input(); {ANSWER}; input(); {ANSWER}; raise SystemExit('worn out')", "worn out"),
     "no end": ("while True: print('x' * 65536, end='')", "wrote too much"),
-    "unasked": (f"while True: {ANSWER}", "it wrote more"),
-    "twice": (f"while input(): {ANSWER}; {ANSWER}", "it wrote more"),
+    "unasked": (f"while True: {ANSWER}", "but wrote more"),
+    "twice": (f"while input(): {ANSWER}; {ANSWER}", "but wrote more"),
     "complaints": ("import sys\nfor _ in range(3000): sys.stderr.write('no! ' * 250)\ninput()", "no!"),
     "never reads": ("import time; time.sleep(60)", "within"),
     "depth": ("input(); print('[' * 100000, flush=True); input()", "must answer"),
@@ -615,7 +615,7 @@ def test_what_a_program_has_started_ends_with_it():
     ],
 )
 def test_an_answer_that_is_no_command_is_one_error(answer):
-    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+    with pytest.raises(NoAnswer, match="must return finite numbers"):
         box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
 
 
@@ -640,7 +640,7 @@ class Refusing:
 def test_a_box_that_fails_elsewhere_is_one_error():
     with pytest.raises(NoAnswer, match="no memory left"):
         box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    with pytest.raises(NoAnswer, match="must answer finite numbers") as error:
+    with pytest.raises(NoAnswer, match="must return finite numbers") as error:
         box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
     assert str(error.value.__cause__) == "part of a graph"
 
@@ -681,9 +681,9 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
     assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
     for arguments, reason in (
         (["run", place[0], "--black-box", "box"], "NAME=COMMAND"),
-        (["run", place[0], "--black-box", "box='open"], "has no command"),
-        (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "asked by one process"),
-        (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "for switching schedules"),
+        (["run", place[0], "--black-box", "box='open"], "has an unreadable command"),
+        (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "one process asks"),
+        (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "left out for inspections"),
     ):
         refused = CliRunner().invoke(app, arguments)
         assert refused.exit_code == 2 and reason in " ".join(refused.output.split()), refused.output
@@ -727,7 +727,7 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     assert verdict.outcome == "STATISTICAL", verdict.text()
     unknown = replace(part.problem, system=replace(system, transients=(replace(known, asked=False),)))
     plain = polaris.get_safety(unknown)
-    with pytest.raises(ScenarioError, match="isolated late needs any thrust"):
+    with pytest.raises(ScenarioError, match="must be any thrust or a law"):
         polaris.synthesize(plain, experimental=[box(part=plain)])
 
 

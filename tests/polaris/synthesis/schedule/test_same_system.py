@@ -115,7 +115,7 @@ def grids():
 
 @pytest.mark.parametrize("law", [pytest.param(law, id=name) for name, law in grids()])
 def test_nothing_on_another_grid_or_reference_is_taken(law):
-    with pytest.raises(ScenarioError, match="must|another Safety"):
+    with pytest.raises(ScenarioError, match="must"):
         proof(law)
 
 
@@ -192,7 +192,7 @@ def assembled(safety, reference):
 
 @pytest.mark.parametrize("safety", [pytest.param(safety, id=name) for name, safety in altered()])
 def test_a_safety_changed_afterwards_is_refused(safety):
-    with pytest.raises(ScenarioError, match="must (be|move|hold)"):
+    with pytest.raises(ScenarioError, match="must (be|move|contain)"):
         proof(safety=safety)
 
 

@@ -57,7 +57,7 @@ def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp
     middles = lambda law, steps, *more: sum(np.abs(step.middle).sum() for step in steps)  # noqa: E731
     monkeypatch.setattr(spending, "together", middles)
     result = falsify(without, 700, seed=3)
-    assert result.failure.kind == "velocity change" and "velocity change" in str(result.failure)
+    assert result.failure.kind == "velocity change" and "delta-v" in str(result.failure)
     case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments(NOISY), result)
     assert str(replay(case)[0]) == str(result.failure)
     monkeypatch.undo()

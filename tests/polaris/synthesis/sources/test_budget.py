@@ -18,7 +18,7 @@ def under(scenario, budget):
         schedule = synthesize(scenario.with_assignments([f"schedule.delta_v_max_m_s={budget!r}"]))
     except NotCertified as error:
         assert error.exit_code == 4
-        return None, float(re.search(r"proven to keep is ([\d.e+-]+) m/s", str(error))[1])
+        return None, float(re.search(r"smallest proven delta-v is ([\d.e+-]+) m/s", str(error))[1])
     return schedule, schedule.spent
 
 

@@ -454,23 +454,23 @@ def test_what_nothing_bounds_is_refused_by_name(late):
     """Numbers go beyond floating point: of what a fault does until then, or of a prediction."""
     unstable = "system.A=[[0,0,1,0],[0,0,0,1],[0,0,0.2,0],[0,0,0,0.2]]"
     given = [*SOFT, f"faults=[{{{late}}}]", unstable]
-    with pytest.raises(ScenarioError, match="bounded by nothing"):
+    with pytest.raises(ScenarioError, match="must be isolated sooner"):
         synthesize(load_scenario(TINY).with_assignments(given))
 
 
 def test_what_cannot_be_survived_is_named():
     scenario = load_scenario(TINY).with_assignments(SOFT)
     faults = 'faults=[{kind="loss",share=0.3,isolation_s=0.8},{kind="navigation_lost",lasts_s=1.0}]'
-    short = r"loss \(0.8 s\) leaves input . [0-9.]+ short in step \d+ \(t = .* none is found with this fault"
+    short = r"loss \(0.8 s\) leaves input . [0-9.]+ short in step \d+ \(t = .* alone none is found"
     with pytest.raises(SynthesisInfeasible, match=short) as error:
         synthesize(scenario.with_assignments([faults]))
-    assert "navigation_lost (1 s) leaves enough; one is found" in str(error.value)
+    assert "navigation_lost (1 s) leaves enough; with this fault alone one is found" in str(error.value)
     longer = faults.replace("lasts_s=1.0", "lasts_s=30.0")  # its loop holds no delay line, others do
     with pytest.raises(SynthesisInfeasible, match=r"navigation_lost \(30 s\) leaves .* short in step"):
         synthesize(scenario.with_assignments([longer, "timing.delay_s=0.25"]))
     with pytest.raises(SynthesisInfeasible, match=short):  # the loop remembers a delay without faults alone
         synthesize(scenario.with_assignments([faults, "timing.delay_s=0.3", "system.disturbance_max=0.003"]))
-    with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
+    with pytest.raises(SynthesisInfeasible, match="Without faults that are isolated late no safe"):
         synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
 
 
