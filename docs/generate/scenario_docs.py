@@ -1,4 +1,4 @@
-"""Write the scenario formats' JSON Schemas, and the tables of their reference page, from the models.
+"""Write the scenario formats' JSON Schemas, and the lists of their reference page, from the models.
 
 The page is committed, and a test compares it with the models; the schemas are made when pages are built.
 """
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from functools import reduce
 from operator import or_
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -28,6 +29,7 @@ SCHEMA_FILE = "scenario.schema.json"
 INSPECTION_FILE = "inspection.schema.json"
 REFERENCE_FILE = "scenario-reference.md"
 
+WIDTH = 100  # columns of a line of Markdown
 DOCS = Path(__file__).resolve().parents[1]
 
 
@@ -186,12 +188,13 @@ def _choices(
 ) -> Iterator[str]:
     """Every table that a field may hold: its kind (none without a level), what it is, its fields."""
     if len(members) > 1 and node:
-        yield from ("", node["description"])
+        yield from ("", *_wrapped(node["description"]))
     for member in members:
         kinds = _kinds(member) if level else ""
         if kinds:
             yield from ("", f"{level} {kinds}")
-        yield from ("", member["description"])
+        for paragraph in member["description"].split("\n\n"):
+            yield from ("", *_wrapped(" ".join(paragraph.split())))
         if fields := list(_fields(member, tables, kinds or f"`{heading}`", rows)):
             yield from ("", *fields)
 
@@ -210,7 +213,7 @@ def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str,
 def _fields(
     table: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
 ) -> Iterator[str]:
-    """Yield a row for each field but a `kind` in the heading, and places of rows that `rows` has already."""
+    """Yield an item for each field but a `kind` in the heading, and the places of those in `rows` already."""
     rows = {} if rows is None else rows
     lines: list[str] = []
     elsewhere: dict[str, list[str]] = {}
@@ -218,25 +221,30 @@ def _fields(
         if key == "kind" and place and len(_words(node)) == 1:
             continue
         shown = _default(node) if key not in table.get("required", ()) else "required"
-        cells = (f"`{key}`", _value(node, tables), node["unit"], shown, node["description"])
-        row = "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+        kinds = _value(node, tables) + f" [{node['unit']}]" * (node["unit"] != "-")
+        row = f"- `{key}` ({', '.join(filter(None, (kinds, shown)))}): {node['description']}"
         if rows.setdefault(row, place) == place:
-            lines.append(row)
+            lines += _wrapped(row, "  ")
         else:
             elsewhere.setdefault(rows[row], []).append(f"`{key}`")
-    if lines:
-        yield from ("| Field | Value | Unit | Default | Meaning |", "|---|---|---|---|---|", *lines)
+    yield from lines
     if lines and elsewhere:
         yield ""
     if elsewhere:
-        yield "; ".join(f"{', '.join(keys)}: as in {home}" for home, keys in elsewhere.items()) + "."
+        yield from _wrapped(
+            "; ".join(f"{', '.join(keys)}: as in {at}" for at, keys in elsewhere.items()) + "."
+        )
+
+
+def _wrapped(text: str, indent: str = "") -> list[str]:
+    """Return the lines of a paragraph, or of an item with its `indent`."""
+    return wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _default(node: dict[str, Any]) -> str:
-    if "default" not in node or node["default"] is None:
-        return "none" if "default" in node else "see below"
-    default = node["default"]
-    return "none" if default in ("", []) else f"`{json.dumps(default)}`"
+    """Return the default of a field that may be left out, or nothing if the description says it."""
+    default = node.get("default")
+    return "" if default in (None, "", []) else f"default `{json.dumps(default)}`"
 
 
 def _words(node: dict[str, Any]) -> list[str]:
@@ -250,8 +258,11 @@ def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
     if any(_members(node, tables)):
         return "list of tables" if node.get("type") == "array" else "table"
     choices = [choice for choice in node.get("oneOf", node.get("anyOf", ())) if choice.get("type") != "null"]
-    if choices:
-        return " or ".join(_value(choice, tables) for choice in choices)
+    values = [_value(choice, tables) for choice in choices]
+    if len(values) == 2 and values[1] == "list of " + values[0].replace("number", "numbers", 1):
+        return values[0].replace("number", "number or list", 1)
+    if values:
+        return " or ".join(values)
     match node.get("type"):
         case "array":
             inner = _value(node["items"], tables)

@@ -42,9 +42,9 @@ class Inspection:
     chief_radius : float [m]
         Collision radius r_c of the chief.
     docking_speed : float [m/s]
-        Speed nu_0 allowed at the chief itself.
+        Speed limit nu_0 at the chief.
     speed_slope : float [1/s], optional
-        Rate nu_1 at which the allowed speed grows with distance; twice n without it.
+        Slope nu_1 of the speed limit over distance; by default 2 n.
     delta_v_max : float [m/s]
         Fuel limit.
     field_of_view : float [rad]
@@ -52,14 +52,14 @@ class Inspection:
     distance_max : float [m]
         Largest distance r_max from the chief.
     passive_time : float [s]
-        Time T for which free flight must stay clear; at most half an orbit.
+        Duration T of safe free flight; at most half an orbit.
     speed_max : float [m/s]
         Largest speed v_max along each axis.
     thrust_max : float [N]
         Thrust limit u_max per axis.
     smoothing : float [m]
-        Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
-        become a line; costs half of it in distance.
+        Depth of the boundary layer in which the square roots of eqs. 29, 30, 35 and 36 become linear; it
+        costs half as much distance.
     constraints : tuple of Constraint
         Of one's own, beside phi1 to phi11.
 

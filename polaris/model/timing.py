@@ -38,24 +38,20 @@ class Lead:
 class Timing:
     """Time between a measurement and the thrust that answers it.
 
-    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
-    takes effect. The commands in force until then are known, those before the start too.
+    Controllers act on a prediction by the model of the state at which their command takes effect. Commands in
+    force until then are known, also those before the start.
 
     Parameters
     ----------
     delay : float [s]
-        From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
-        effect; more than a period, too.
+        Time from a measurement until its command takes effect; may exceed a period.
     jitter : float [s]
-        Largest time by which it is early or late; at most half a period. Of inspections: by how much calls of
-        the filter may be.
+        Largest deviation of that time, or of the calls of an inspection's filter; at most half a period.
     missed : int
-        Periods in a row for which there may be no new measurement or command: commands for so many periods
-        ahead are sent each time. At most 20 with an observer, and none if faults of thrusters are isolated
-        late besides.
+        Most consecutive periods without a new measurement or command; commands are sent for as many periods
+        ahead. At most 20 with an observer, and 0 if thruster faults are isolated late as well.
     clock : float [s]
-        How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
-        obstacles of kind `satellite`.
+        Largest difference of the clocks of schedule and obstacles; 0 with obstacles of kind `satellite`.
 
     Notes
     -----

@@ -154,7 +154,7 @@ class Box(_StateGoal):
     center : array_like, shape (n,) [m, m/s]
         Centre, n numbers.
     half_widths : array_like, shape (n,) [m, m/s]
-        Half-width per state, n numbers >= 0; inf where any value will do.
+        Half-width per state; inf for no condition.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
@@ -166,13 +166,12 @@ class Box(_StateGoal):
 
 @dataclass(frozen=True, eq=False)
 class StationaryPoint(_StateGoal):
-    """End at rest, at a state that keeps itself without input (A x = 0).
+    """End at rest, in a state that needs no input (A x = 0).
 
     Parameters
     ----------
     state : array_like, shape (n,) [m, m/s]
-        State to end in, n numbers. In Hill's frame: on the along-track axis, at rest. For a point that needs
-        holding, use kind box.
+        State at rest, n numbers; in Hill's frame on the along-track axis. Use a box for other points.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
@@ -229,13 +228,13 @@ class EllipticalNMT(HillGoal):
     mean_motion : float
         eta [rad/s].
     inner_semi_minor : float [m]
-        Radial semi-axis of the inner ellipse; 0 for none.
+        Radial semi-axis of the inner ellipse, or 0.
     outer_semi_minor : float [m]
         Radial semi-axis of the outer ellipse.
     sides : int
-        Sides of the polygons that stand for the ellipses.
+        Sides of the polygons for the ellipses.
     cross_track_max : float [m], optional
-        Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.
+        Bound on |r_z| and |v_z|/eta at the end; by default both are 0.
     """
 
     mean_motion: float

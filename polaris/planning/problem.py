@@ -123,16 +123,14 @@ class PlannerOptions:
     Parameters
     ----------
     solver : {"facets", "highs", "gurobi"}
-        Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear
-        programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables (gurobi needs
-        the extra of that name).
+        `facets`: branch and bound of the planner, with linear programs by HiGHS. `highs`, `gurobi` (needs the
+        extra): the same problem as a mixed-integer program.
     max_linear_programs : int
-        Most linear programs that `facets` solves, in all stages.
+        Limit of linear programs of `facets`, over all stages.
     max_nodes : int
-        Most branch-and-bound nodes of `highs` or `gurobi`, in all stages.
+        Limit of branch-and-bound nodes of `highs` or `gurobi`, over all stages.
     time_limit : float [s], optional
-        Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
-        run says so.
+        Wall-time limit of each plan; by default none. A limit makes results depend on the machine.
     gap : float
         Relative optimality gap at which the search stops.
     threads : int or None

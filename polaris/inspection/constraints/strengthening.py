@@ -19,19 +19,18 @@ Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length
 class Strengthening:
     """One strengthening function, `c_1 s + c_2 |s| s + c_3 s^3` with `s = h - bias`.
 
-    Where `s < 0` the state is outside (or within the bias of the boundary) and the condition asks for
-    recovery: `recovery * alpha - push`.
+    Where `s < 0`, outside or within the bias, the condition demands recovery: `recovery * alpha - push`.
 
     Parameters
     ----------
     coefficients : tuple of 3 floats
-        c_1, c_2 and c_3, >= 0 and not all zero.
+        c_1, c_2 and c_3, not all zero.
     bias : float
-        Distance kept of the boundary h = 0.
+        Margin to the boundary h = 0.
     recovery : float
         Factor where s < 0.
     push : float
-        Least growth of h asked for where s < 0.
+        Least growth of h where s < 0.
 
     Raises
     ------

@@ -144,9 +144,9 @@ class KeepInPolytope(Faceted, KeepIn):
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     H : array_like, shape (F, d)
-        Outward facet normals, F rows of d numbers; any length but 0.
+        Outward facet normals, F rows of d numbers, of any length.
     b : array_like, shape (F,) [m]
         Offsets, F numbers.
     begins, ends : float
@@ -198,22 +198,22 @@ class KeepInPolytope(Faceted, KeepIn):
 
 @dataclass(frozen=True, eq=False)
 class KeepInCone(KeepIn):
-    """A line-of-sight cone to stay inside; planned with a polyhedral cone inside the true one.
+    """A line-of-sight cone to stay inside; the planner uses a polyhedral cone inside.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     apex : array_like, shape (d,), d = 2 or 3 [m]
         Apex, d numbers.
     axis : array_like, shape (d,)
-        Direction in which the cone opens, d numbers; any length but 0.
+        Direction in which the cone opens, of any length.
     half_angle_rad : float [rad]
         Angle between axis and surface.
     facets : int
-        Facets of the cone inside (in space; two in the plane).
+        Facets of the inner cone in space.
     length : float [m], optional
-        Height at which the cone is cut off; endless without it.
+        Height at which the cone ends; by default endless.
 
     Notes
     -----

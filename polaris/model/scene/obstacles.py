@@ -31,13 +31,13 @@ class BoxObstacle(RigidObstacle):
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     center : array_like, shape (d,) [m]
         Centre at t = 0, d numbers.
     half_widths : array_like, shape (d,) [m]
-        Half-width per axis, d numbers > 0.
+        Half-width per axis.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity, d numbers; at rest without it.
+        Constant velocity; by default at rest.
     """
 
     name: Annotated[str, NAME]
@@ -62,21 +62,20 @@ class BoxObstacle(RigidObstacle):
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
-    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope.
+    """A ball, at rest or moving straight; the planner uses a circumscribed polytope.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     center : array_like, shape (d,) [m]
         Centre at t = 0, d numbers.
     radius : float [m]
         Radius.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity, d numbers; at rest without it.
+        Constant velocity; by default at rest.
     facets : int, optional
-        Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
-        (default 12). More are tighter and cost the planner more.
+        Facets for the planner: 6, 14, 18 or 26 (default) in space, any number in the plane (default 12).
     """
 
     name: Annotated[str, NAME]
@@ -111,15 +110,15 @@ class PolytopeObstacle(Faceted, RigidObstacle):
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     H : array_like, shape (F, d)
-        Outward facet normals, F rows of d numbers; any length but 0.
+        Outward facet normals, F rows of d numbers, of any length.
     b : array_like, shape (F,) [m]
         Offsets at t = 0, F numbers.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity, d numbers; at rest without it.
+        Constant velocity; by default at rest.
     unbounded : bool
-        Must be true for a set without bounds (a wall), so that a forgotten row is noticed.
+        True allows an unbounded set, such as a wall.
 
     Notes
     -----

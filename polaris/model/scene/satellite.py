@@ -25,27 +25,24 @@ MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend o
 
 @dataclass(frozen=True, eq=False)
 class SatelliteObstacle(Obstacle):
-    """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust.
+    """Another spacecraft: an uncertain state propagated by the same dynamics, with or without thrust.
 
-    It obeys ``x' = A x + D w`` with the system's own A, D and bound on w; its own acceleration, if it has
-    any, is added to that of its position.
+    It obeys ``x' = A x + D w`` with A, D and the bound on w of the system, plus its own acceleration.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     state : array_like, shape (n,) [m, m/s]
         Estimated state at t = 0, n numbers.
     state_half_widths : array_like, shape (n,) [m, m/s]
-        Uncertainty of that state as a box, n numbers >= 0.
+        Half-width of the uncertainty of each state.
     radius : float [m]
-        Distance from its centre that counts as a collision.
+        Collision distance from its centre.
     thrust_accel_max : float [m/s^2]
-        2-norm of the acceleration it may apply; 0 for free motion. Needs a system whose position obeys an
-        equation of second order.
+        Bound on the 2-norm of its own acceleration. Needs a position that obeys a second-order equation.
     facets : int, optional
-        Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
-        (default 12). More are tighter and cost the planner more.
+        Facets for the planner: 6, 14, 18 or 26 (default) in space, any number in the plane (default 12).
 
     Notes
     -----

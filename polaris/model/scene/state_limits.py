@@ -50,9 +50,9 @@ class StateLimit(Obstacle):
     Parameters
     ----------
     begins : float [s]
-        Time from which it holds.
+        Start of the limit.
     ends : float [s], optional
-        Time until which it holds, at most the horizon; for ever without it.
+        End of the limit, at most the horizon; by default it holds for ever.
     """
 
     begins: float
@@ -147,11 +147,11 @@ class KeepInStates(StateLimit):
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     rows : array_like, shape (F, n)
-        One row of n numbers per limit, for the states in their order (m, m/s).
+        One row of n numbers per limit, in state order.
     bounds : array_like, shape (F,)
-        Bounds, F numbers, in the unit of the row times the state.
+        One bound per row, in the unit of row times state.
     """
 
     name: Annotated[str, NAME]
@@ -190,23 +190,22 @@ class StateObstacle(KeepInStates):
 
 @dataclass(frozen=True, eq=False)
 class SpeedLimit(StateLimit):
-    """A limit of speed, of the velocity's length or of each axis, that may grow with the distance.
+    """A speed limit, of the velocity's length or of each axis, that may grow with the distance.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     top : float or array_like, shape (d,) [m/s]
-        Largest speed: of the velocity's length, or d numbers, one for each axis of the velocity.
+        Largest speed, or one limit per axis.
     per_distance : float [1/s]
-        By how much more per metre of distance from the origin.
+        Increase of the limit per metre of distance from the origin.
     facets : int
-        Directions of velocities that stand for the length, as of a ball: 6, 14, 18 or 26 (default) in space,
-        any number in the plane (default 12). What is kept is by their covering cosine less: 58, 81, 82 and
-        89 % of the limit in space.
+        Directions that bound the length: 6, 14, 18 or 26 (default) in space, any number in the plane (default
+        12). In space the enforced limit is 58, 81, 82 or 89 % of the given one.
     towards : array_like, shape (k, d)
-        Directions d of which ``d r / |d|`` stands for the distance, k rows; those of velocities without it.
-        In each step one of them is chosen.
+        Directions d that measure the distance as ``d r / |d|``, one chosen per step; by default those of the
+        velocities.
     """
 
     name: Annotated[str, NAME]
@@ -247,18 +246,18 @@ class SpeedLimit(StateLimit):
 
 @dataclass(frozen=True, eq=False)
 class SpeedPolygon(StateLimit):
-    """A regular polygon of velocities in a plane to stay inside, an octagon without `sides`.
+    """A regular polygon of velocities in a plane to stay inside.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     top : float [m/s]
-        Distance of its sides from zero; the first side is across the first axis.
+        Distance of the sides from zero; the first is normal to the first axis.
     sides : int
         Number of sides.
     axes : array_like, shape (2,)
-        Axes of the velocity that span the plane, counted from 0.
+        Velocity axes of the plane, counted from 0.
     """
 
     name: Annotated[str, NAME]

@@ -24,26 +24,26 @@ CORNERS = 3  # rows that stand for a side in a step
 
 @dataclass(frozen=True, eq=False)
 class TurningKeepIn(StateLimit):
-    """A corridor, or a cone of flat sides, that turns about the origin at a constant rate; to stay inside.
+    """A corridor or polyhedral cone to stay inside that turns about the origin at a constant rate.
 
-    In each step a side of all directions within what it turns, and within the errors, is kept.
+    In each step one side is kept, in all directions that it takes, errors included.
 
     Parameters
     ----------
     name : str
-        Its name in messages and figures.
+        Name in messages and figures.
     H : array_like, shape (F, d), d = 2 or 3
-        Outward facet normals at t = 0, F rows of d numbers; any length but 0.
+        Outward facet normals at t = 0, F rows of d numbers.
     b : array_like, shape (F,) [m]
         Offsets, F numbers.
     rate : float [rad/s]
-        Rate at which it turns about the axis, in the frame of the scenario.
+        Rate about the axis, in the frame of the scenario.
     ends : float [s]
-        Time until which it holds, at most the horizon.
+        End of the limit, at most the horizon.
     axis : array_like, shape (3,)
-        Axis in space, 3 numbers of any length but 0; none in the plane.
+        Axis in space, of any length; none in the plane.
     rate_error : float [rad/s]
-        Largest error of the rate, at any time.
+        Largest error of the rate.
     angle_error_rad : float [rad]
         Largest error of the angle at t = 0.
     """

@@ -25,54 +25,47 @@ from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
 class Thrusters(ScenarioPart):
-    """Bounds on how far applied thrust is from what is commanded, at any time, in any direction that fits."""
+    """Bounds on the difference of applied and commanded thrust, at any time and in any direction."""
 
     magnitude_error: f.Real = unit(
-        "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
+        "-", "Largest relative error of the size of the thrust.", default=0.0, ge=0, lt=0.5
     )
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
-    """Angle by which the thrust as a whole may be turned; with `directions`, the angle of each nozzle. If
-    nozzles along the axes are misaligned one by one, 1.5 times their angle. Hill's frame only."""
+    """Largest angular error of the whole thrust; with `directions`, of each nozzle. For nozzles along the
+    axes, misaligned one by one, give 1.5 times their angle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
-    """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
+    """Largest relative error of `system.mass_kg`, spent propellant included."""
     varies: Literal["always", "never"] = unit("-", default="always")
-    """`never`: these three errors are constant in a flight, so that one matrix turns commands into thrust.
-    The velocity change then counts the worst matrix, unless there are `directions`, faults of thrusters,
-    jitter, or times to rise and fall. All else counts errors that change."""
+    """`never`: the three errors above are constant in a flight, which reduces the delta-v bound unless there
+    are `directions`, faults of thrusters, jitter, `rise_s` or `fall_s`."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
-    """Smallest impulse; a period makes the multiple of it nearest to the command. With `directions`, that of
-    each thruster."""
+    """Impulse bit, of each thruster with `directions`; impulses are rounded to the nearest multiple."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
-    """Rest that is no multiple of the bit: dropped, or carried to the next period, from none at the start.
-    The sum of command and carried rest is rounded towards zero, and never exceeds the limits."""
+    """Remainder of the rounding: dropped, or carried to the next period. With `carried`, the sum of command
+    and remainder is rounded towards zero within the limits; the first remainder is zero."""
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
-    """Impulses that are made: multiples of the bit, or any that is not smaller than the bit."""
+    """Possible impulses: multiples of the bit, or any of at least one bit."""
     pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")
-    """Form of a period's impulse: a held thrust, or one pulse of the full `system.thrust_max_N` (`input_max`;
-    with `directions`, of the thruster's own limit). Pulses lie in the middle of the period (`centred`), begin
-    with it (`start`), or follow one another without a gap from its start on, in the order of the inputs or
-    `directions`, so that one thruster at a time has power (`staggered`). Staggered pulses of inputs have as
-    many times the limit of their input as there are inputs; those of `directions` lower the limits of the
-    inputs to what fits into a period. Thruster errors are then constant in a period."""
+    """`held`: constant thrust in a period. Otherwise one pulse of full thrust per period, in its middle, at
+    its `start`, or `staggered`, one thruster after another from its start on, in their order. Staggered
+    pulses of m inputs have m times the input limit; with `directions`, input limits shrink to what fits into
+    a period. Thruster errors are constant in a period of pulses."""
     rise_s: f.NonNegative = unit("s", default=0.0)
-    """Longest time in which the thrust of a pulse rises, in any way. Impulses are as commanded."""
+    """Longest rise time of a pulse, of any shape; impulses are kept."""
     fall_s: f.NonNegative = unit("s", default=0.0)
-    """Longest time in which it falls."""
+    """Longest fall time of a pulse."""
     directions: f.Matrix | None = unit("-", default=None)
-    """Direction of each thruster, one number per input (in Hill's frame that of its thrust). Without it there
-    is one either way along every input."""
+    """Direction of each thruster, one number per input. By default a pair along every input."""
     thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
-    """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
-    inputs are then those of the largest box that the thrusters make, within the system's own and of its
-    shape."""
+    """Largest thrust of the thrusters; required with `directions`. Input limits then shrink in proportion to
+    the largest box that the thrusters can make."""
     allocation: Literal["least_thrust_mixes", "pseudo_inverse", "linear_program", "nearest"] = unit(
         "-", default="least_thrust_mixes"
     )
-    """Allocation of commands to the thrusters of `directions`. `least_thrust_mixes`: a fixed mix for every
-    input either way, of least thrust in all. `pseudo_inverse`: twice the positive part of the pseudo-inverse
-    times the command; every thruster needs an opposite one, and one that gives nothing takes that out, too.
-    `linear_program`: least sum of thrusts, each times the length of its direction; `nearest`: least 2-norm of
-    thrusts. Both are solved for each command within the thrusters' limits."""
+    """Allocation to `directions`. `least_thrust_mixes`: a fixed mix of least total thrust per input and sign.
+    `pseudo_inverse`: twice the positive part of pseudo-inverse times command, for opposite pairs; a failed
+    thruster disables its pair. `linear_program`, `nearest`: least sum of thrusts weighted by the length of
+    the direction, or least 2-norm, within the limits."""
 
     def nozzles(self, made: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""
@@ -216,7 +209,7 @@ def transients(
 
 
 class GoalOrbit(ScenarioPart):
-    """The goal of the schedule: S flies on along the reference, as it would anyway."""
+    """The goal of the schedule, along the reference."""
 
     kind: Literal["goal"] = unit("-", "The goal of the schedule.")
 
@@ -225,25 +218,21 @@ Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal
 
 
 class Abort(ScenarioPart):
-    """Aborts that must be possible at any instant until T: after all thrust stops, and with thrust.
-
-    Passive safety: the drift stays clear of the unsafe sets. Powered abort: S reaches an orbit, safely.
-    """
+    """Aborts at any instant until T: passive (the drift stays clear), or powered (S reaches an orbit)."""
 
     drift_orbits: f.Real | None = unit("-", default=None, gt=0, le=100)
-    """For how many orbits the drift is followed, the disturbance included. Hill's frame only."""
+    """Duration of the drift in orbits, with disturbance. Hill's frame only."""
     drift_s: f.Positive | None = unit("s", default=None)
-    """The same as a time, in any system. Give one of the two."""
+    """Duration of the drift as a time; give one of the two."""
     required: f.Flag = unit("-", default=False)
-    """Keep only schedules whose drift stays clear from all steps; exit code 3 where there is none. Otherwise
-    the run says from which steps it does. If an orbit is named, the schedule must also allow it from all
-    steps; exit code 4 where only the budget is exceeded."""
-    keep_in: f.Flag = unit("-", "Whether the drift must also stay inside the keep-in sets.", default=True)
+    """Accept only schedules with aborts from all steps; otherwise exit code 3, or 4 if only the budget is
+    exceeded. With `false` the run reports the steps."""
+    keep_in: f.Flag = unit("-", "The drift must also stay inside keep-in sets.", default=True)
     orbit: Orbit | None = unit("-", default=None)
-    """Where S must be able to fly, with thrust, from every instant: the goal, or an orbit of its own."""
+    """Target of powered aborts: the goal, or another orbit."""
     within_s: f.Positive | None = unit("s", default=None)
-    """How long that may take, from the step of the abort on. An orbit of its own needs it."""
-    delta_v_max_m_s: f.Positive | None = unit("m/s", "Budget of velocity change for it.", default=None)
+    """Longest time from the abort to the orbit; required for another orbit."""
+    delta_v_max_m_s: f.Positive | None = unit("m/s", "Delta-v budget of a powered abort.", default=None)
 
     def check(self, system: LinearSystem, step: float) -> None:
         """Refuse what takes too long, and what is not covered."""
@@ -290,18 +279,15 @@ class Abort(ScenarioPart):
 
 
 class Tank(ScenarioPart):
-    """Propellant: how long it lasts is told with the velocity change of the safety controller.
-
-    An abort with thrust is proven only where it is enough for what was spent before, and for that.
-    """
+    """Propellant, for which a run reports how long S can fly on; it limits powered aborts, too."""
 
     delta_v_m_s: f.Positive = unit("m/s")
-    """Velocity change that there is propellant for from the start on, the sum over the axes counted."""
+    """Available delta-v from the start on, summed over axes."""
 
 
 class Chaser(ScenarioPart):
-    """Size of what is controlled: it is added to every unsafe set."""
+    """Size of the chaser, added to every unsafe set."""
 
     radius_m: f.NonNegative = unit("m")
-    """Radius of a ball, about the point that is navigated, that contains all of the chaser in any attitude.
-    All distances that are reported are those of its surface. Facets of boxes and polytopes move out by it."""
+    """Radius of a ball about the navigated point that contains the chaser in any attitude. Reported distances
+    are from its surface; facets move out by it."""

@@ -8,12 +8,12 @@ from .fields import BY_KIND, ScenarioPart, unit
 
 
 class StuckOff(ScenarioPart):
-    """Any one thruster gives nothing, from any time on, and the others are allocated once that is known."""
+    """One thruster fails off at any time; commands are then allocated to the others."""
 
     kind: Literal["stuck_off"] = unit("-", "A thruster that does not open.")
     isolation_s: f.NonNegative = unit("s", default=0.0)
-    """After how long at the latest S flies, to the end, with the thrusters that are left. If it is 0 the
-    fault is known at once, and the schedule goes on."""
+    """Longest time until isolation, after which S flies with the other thrusters. With 0 the fault is known
+    at once, and the schedule continues."""
 
     def build(self) -> Failed:
         """Return what is left of the thruster."""
@@ -21,10 +21,10 @@ class StuckOff(ScenarioPart):
 
 
 class Loss(ScenarioPart):
-    """Any one thruster loses a share of its thrust, from any time on."""
+    """One thruster loses a share of its thrust at any time."""
 
     kind: Literal["loss"] = unit("-", "A thruster that is weaker than it was.")
-    share: f.Real = unit("-", "Share of its thrust that is lost.", gt=0, lt=1)
+    share: f.Real = unit("-", "Lost share of the thrust.", gt=0, lt=1)
     isolation_s: f.NonNegative = unit("s", "As with `stuck_off`.", default=0.0)
 
     def build(self) -> Failed:
@@ -33,10 +33,10 @@ class Loss(ScenarioPart):
 
 
 class StuckOn(ScenarioPart):
-    """Any one thruster pushes with up to all its thrust, from any time on, and then with nothing."""
+    """One thruster fails on at any time, with any thrust up to its limit, until its valve is shut."""
 
     kind: Literal["stuck_on"] = unit("-", "A thruster that does not close, until its valve is shut.")
-    isolation_s: f.Positive = unit("s", "Until its valve is shut and S flies, to the end, with the others.")
+    isolation_s: f.Positive = unit("s", "Longest time until isolation, after which S flies with the others.")
 
     def build(self) -> Failed:
         """Return what is left of the thruster."""
@@ -44,10 +44,10 @@ class StuckOn(ScenarioPart):
 
 
 class NavigationLost(ScenarioPart):
-    """There is no measurement for some time, once: S takes over at once, and flies on predictions."""
+    """One outage of measurements: S takes over at once and flies on predictions."""
 
     kind: Literal["navigation_lost"] = unit("-", "An outage of navigation.")
-    lasts_s: f.Real = unit("s", "For how long at most.", gt=0, le=1e4)
+    lasts_s: f.Real = unit("s", "Longest duration.", gt=0, le=1e4)
 
     def build(self) -> Failed:
         """Return a fault in which no thruster fails."""

@@ -166,6 +166,6 @@ class Head(ScenarioPart):
     """Head of every scenario file."""
 
     schema_version: f.VersionOne = unit("-", "Version of this format.")
-    name: f.Name = unit("-", "Short name; the run folder is called after it.")
+    name: f.Name = unit("-", "Short name, also of the run folder.")
     title: f.Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
     description: f.Text = unit("-", "What the scenario shows.", default="", max_length=5000)

@@ -37,18 +37,17 @@ class Alpha(Described, makes=Strengthening):
 
 def _alpha(name: str) -> Alpha | None:
     """Field of one family of constraints."""
-    field: Alpha | None = unit("-", f"For {name}; the preset's without it.", default=None)
+    field: Alpha | None = unit("-", f"For {name}; by default the preset's.", default=None)
     return field
 
 
 class StrengtheningTable(ScenarioPart):
-    """The functions alpha of eq. 7: a named set, and what replaces it for single kinds of constraint."""
+    """The functions alpha of eq. 7: a named set, with exceptions for kinds of constraint."""
 
     preset: f.Text = unit("-", default="polaris")
-    """Named set. `afrl-one`, `afrl-five`: those of the library the paper's authors published, in its code for
-    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `linear`: 0.3 h
-    throughout. `polaris`: `linear` where conditions hold between samples, else `afrl` with quicker velocity
-    limits."""
+    """Named set. `afrl-one`, `afrl-five`: from the authors' library, for one and five deputies. `afrl`:
+    `afrl-five` with the keep-in zone of `afrl-one`. `linear`: 0.3 h. `polaris`: `linear` for sampled-data
+    conditions, else `afrl` with faster velocity limits."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")
@@ -63,12 +62,11 @@ class StrengtheningTable(ScenarioPart):
 class BarrierFilter(ScenarioPart):
     """Options of all barrier filters."""
 
-    without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
+    without: tuple[Family, ...] = unit("-", "Kinds of constraint left out.", default=())
     sampled_data: f.Flag = unit("-", default=True)
-    """Tighten the conditions so that, where the program has a solution, they hold for the whole control
-    period and not only at its start."""
+    """Tighten conditions to hold in the whole control period, not only at its start."""
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
-    """Part of a constraint's value that may be lost in one period; less is calmer."""
+    """Share of a constraint's value that may be lost in a period; less is calmer."""
 
     def build(
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
@@ -87,19 +85,19 @@ class CentralizedFilter(BarrierFilter):
 
 
 class DecentralizedFilter(BarrierFilter):
-    """One quadratic program per deputy: it knows where the others are, not what they will do."""
+    """One quadratic program per deputy, which knows the others' states but not their plans."""
 
     kind: Literal["decentralized"] = unit("-", "A filter for each deputy.")
     sharing: Literal["coasting", "half", "consensus"] = unit("-", default="coasting")
-    """Who answers for a condition on a pair. `coasting`: each alone, as if the other did not thrust (the
-    paper's). `half`: each for half. `consensus`: each for its part of a solution all can compute."""
+    """Responsibility for conditions on pairs. `coasting`: each alone, as if the other coasts (the paper's).
+    `half`: half each. `consensus`: its part of a common solution."""
 
 
 class AssuredFilter(ScenarioPart):
     """A filter that applies nothing before a plan after it is proven safe for all time: brake, and hold."""
 
     kind: str
-    without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
+    without: tuple[Family, ...] = unit("-", "Kinds of constraint left out.", default=())
 
     def build(
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
@@ -124,13 +122,13 @@ class ExplicitFilter(AssuredFilter):
 
     kind: Literal["explicit"] = unit("-", "Barrier conditions, and a proven plan after every answer.")
     sharing: Literal["centralized", "consensus"] = unit("-", default="centralized")
-    """One quadratic program for all, or one for each deputy and its part of a solution all can compute."""
+    """One quadratic program for all, or one per deputy with its part of a common solution."""
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
-    """Part of a constraint's value that may be lost in one period; less is calmer."""
+    """Share of a constraint's value that may be lost in a period; less is calmer."""
 
 
 class ImplicitFilter(AssuredFilter):
-    """As much of what is wanted as a plan is proven for."""
+    """The share of the desired thrust after which a plan is proven."""
 
     kind: Literal["implicit"] = unit("-", "As near to what is wanted as a proven plan allows.")
 
@@ -139,18 +137,18 @@ class _Switching(AssuredFilter):
     """A filter that passes the desired thrust as it is, or hands a deputy over to its plan."""
 
     dwell_s: f.NonNegative = unit("s", default=30.0)
-    """For so long all must have been at its release before a deputy is handed back."""
+    """Time at the release values before a deputy is handed back."""
 
 
 class SimplexExplicitFilter(_Switching):
-    """Passes the desired thrust while every barrier stays at its margin, and a plan after it is proven."""
+    """Passes the desired thrust while all barriers keep the margin and a plan after it is proven."""
 
     kind: Literal["simplex_explicit"] = unit("-", "The desired thrust or the plan's, by the barriers.")
-    margin: f.NonNegative = unit("unit of h", "Least value of every barrier for passing.", default=0.0)
+    margin: f.NonNegative = unit("unit of h", "Least value of barriers for passing.", default=0.0)
     release: f.NonNegative = unit("unit of h", default=0.05)
-    """Least value of every barrier for handing back; at least the margin."""
+    """Least value of barriers for handing back; at least the margin."""
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
-    """Instants of the coming period at which the barriers are looked at."""
+    """Instants of the coming period at which barriers are evaluated."""
 
 
 class SimplexImplicitFilter(_Switching):
@@ -158,7 +156,7 @@ class SimplexImplicitFilter(_Switching):
 
     kind: Literal["simplex_implicit"] = unit("-", "The desired thrust or the plan's, by the proof.")
     release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
-    release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
+    release_speed_m_s: f.NonNegative = unit("m/s", "Least speed margins for handing back.", default=0.02)
 
 
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, *BY_KIND]

@@ -24,12 +24,11 @@ class GoalTable(Described):
     """Base of goals; the class has the names of the file without their units, and a rate [rad/s]."""
 
     tolerance_m: f.Positive | None = unit("m", default=None)
-    """Distance at which the goal is reached. A condition on velocities alone counts as the length that they
-    make in 1/eta (100 s without an orbit) or a quarter of the horizon, whichever is less. By default 5 % of
-    the goal's size, or what the safety controller needs to hold a goal, if that is more."""
+    """Distance at which the goal counts as reached; by default 5 % of its size, or what S needs to hold it
+    if more. Velocity errors count as the distance in the lesser of 1/eta (100 s without an orbit) and T/4."""
     velocity_tolerance_m_s: f.Positive | None = unit("m/s", default=None)
-    """Largest error of velocities, beside tolerance_m, which it needs: conditions on velocities alone, and
-    those that an orbit sets them at the place where the chaser is."""
+    """Additional tolerance of velocity conditions; needs tolerance_m. For orbits it applies to the velocities
+    of the orbit at the chaser's position."""
 
     def build(self, system: LinearSystem) -> goals.Goal:
         """Return the goal."""

@@ -29,15 +29,15 @@ class InitialStates(ScenarioPart):
     states: Annotated[tuple[f.Vector, ...], Field(min_length=1, max_length=50)] = unit("m, m/s")
     """One list `[r_x, r_y, r_z, v_x, v_y, v_z]` per deputy, in Hill's frame."""
     sun_angle_deg: f.Number = unit("deg", default=0.0)
-    """Angle of the sun from the x axis at the start; it turns at -n."""
+    """Initial angle of the sun from the x axis; it turns at -n."""
 
 
 class InitialSample(ScenarioPart):
-    """Drawn by Latin hypercube sampling, again until every constraint holds."""
+    """Latin hypercube samples that satisfy every constraint."""
 
     kind: Literal["latin_hypercube"] = unit("-", "Drawn states and sun angle.")
     deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
-    seed: f.Seed = unit("-", "The same seed gives the same states.", default=0)
+    seed: f.Seed = unit("-", "Seed; equal seeds give equal states.", default=0)
 
 
 Initial = Annotated[InitialStates | InitialSample, *BY_KIND]
@@ -49,44 +49,44 @@ class FlightTime(ScenarioPart):
     duration_s: f.Positive = unit("s", "Length of the flight.", default=3000.0)
     period_s: f.Positive = unit(
         "s",
-        f"Control period: the thrust is held for it. Must divide duration_s; at most {MOST_PERIODS} periods.",
+        f"Control period of held thrust. Must divide duration_s; at most {MOST_PERIODS} periods.",
         default=1.0,
     )
     between: f.Whole = unit("-", default=4, ge=0, le=99)
-    """Instants inside each period at which the constraints are evaluated, too."""
+    """Additional instants per period at which constraints are evaluated."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
     """Bound on the 2-norm of the disturbance acceleration."""
     errors_seed: f.Seed = unit("-", default=0)
-    """Errors of estimates and thrusters and the disturbance are drawn with it, at the edge of their bound."""
+    """Seed of estimate errors, thruster errors and disturbance, drawn at their bounds."""
 
 
 class NoThrust(ScenarioPart):
     """No thrust."""
 
     kind: Literal["none"] = unit("-", "No thrust.")
-    start_s: f.NonNegative = unit("s", "When it takes over.", default=0.0)
+    start_s: f.NonNegative = unit("s", "Start of this controller.", default=0.0)
 
 
 class _Regulator(ScenarioPart):
     """A linear-quadratic regulator; the larger its weight of position, the more aggressive."""
 
-    start_s: f.NonNegative = unit("s", "When it takes over.", default=0.0)
+    start_s: f.NonNegative = unit("s", "Start of this controller.", default=0.0)
     position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1.0)
     velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
     thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
 
 
 class ToChief(_Regulator):
-    """A linear-quadratic regulator that draws every deputy to the chief."""
+    """A linear-quadratic regulator to the chief."""
 
     kind: Literal["to_chief"] = unit("-", "To the chief.")
 
 
 class ToDistance(_Regulator):
-    """A linear-quadratic regulator that drives every deputy straight out (or in) to a distance."""
+    """A linear-quadratic regulator to a distance in the present direction."""
 
     kind: Literal["to_distance"] = unit("-", "To a distance from the chief, in the direction it is in.")
-    distance_m: f.Positive = unit("m", "That distance.")
+    distance_m: f.Positive = unit("m", "Distance from the chief.")
 
 
 Primary = Annotated[NoThrust | ToChief | ToDistance, *BY_KIND]
@@ -111,36 +111,36 @@ class InspectionModel(_Filtered):
     """Deputies about a chief, one flight under a barrier filter."""
 
     kind: Literal["inspection"] = unit("-", "One flight of N deputies under a filter.")
-    filter: FlightFilter = unit("-", "Who filters the primary controller's thrust.")
-    initial: Initial = unit("-", "Where it starts.")
+    filter: FlightFilter = unit("-", "Filter of the primary controller's thrust.")
+    initial: Initial = unit("-", "Initial states.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
     navigation: Estimate = unit("-", "Errors of the estimated states.", default_factory=Estimate)
     thrusters: Thrusters = unit("-", "Errors of the thrusters.", default_factory=Thrusters)
-    timing: Timing = unit("-", "Delay of the answers; nothing else of it.", default_factory=Timing)
+    timing: Timing = unit("-", "Delay and jitter of the filter.", default_factory=Timing)
     primary: Phases = unit("-", "Primary controllers, one after another.")
 
 
 class FuelTable(ScenarioPart):
-    """The latched switching filter of eq. 39, its backup (eqs. 40, 41); the limit is `delta_v_max_m_s`."""
+    """The latched switching filter of eq. 39 for `delta_v_max_m_s`, with its backup (eqs. 40, 41)."""
 
-    response_s: f.Positive = unit("s", "Time constant for which its weights are chosen.", default=20.0)
+    response_s: f.Positive = unit("s", "Time constant of the backup.", default=20.0)
     semi_minor_least_m: f.Positive | None = unit("m", default=None)
-    """Least semi-minor axis of a parking orbit; one and a half times r_d + r_c without it."""
+    """Least semi-minor axis of a parking orbit; by default 1.5 (r_d + r_c)."""
     semi_minor_largest_m: f.Positive | None = unit("m", default=None)
-    """Largest semi-minor axis; what keeps within the other limits without it."""
+    """Largest semi-minor axis; by default from the other limits."""
     cross_track_m: f.Positive | None = unit("m", default=None)
-    """Largest amplitude cross-track; what keeps within the other limits without it."""
+    """Largest cross-track amplitude; by default from the other limits."""
     keep_clear: f.Flag = unit("-", default=True)
-    """The predicted flight must keep clear of the chief, too; eq. 39 has fuel only."""
-    spent_m_s: f.NonNegative = unit("m/s", "Spent before the start.", default=0.0)
-    predictions: f.Whole = unit("-", "Backup flights that the figures show.", default=12, ge=0, le=200)
+    """The predicted flight must also keep clear of the chief (not in eq. 39)."""
+    spent_m_s: f.NonNegative = unit("m/s", "Delta-v used before the start.", default=0.0)
+    predictions: f.Whole = unit("-", "Number of backup flights in figures.", default=12, ge=0, le=200)
 
 
 class Wasteful(ScenarioPart):
-    """An aggressive regulator that flies outwards and back without end, to spend fuel."""
+    """An aggressive regulator that flies out and back to spend fuel."""
 
-    distance_m: f.Positive = unit("m", "Outer target; the inner is a quarter of it.", default=400.0)
-    swing_s: f.Real = unit("s", "Time between the changes of target.", default=400.0, ge=1, le=1e6)
+    distance_m: f.Positive = unit("m", "Outer distance; the inner is a quarter of it.", default=400.0)
+    swing_s: f.Real = unit("s", "Time between changes of the target.", default=400.0, ge=1, le=1e6)
     position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
     velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
     thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
@@ -166,7 +166,7 @@ class FuelLimitModel(_Scene):
 class Study(ScenarioPart):
     """One filter, flown from every initial condition."""
 
-    name: f.Name = unit("-", "Short name, each different.")
+    name: f.Name = unit("-", "Short, unique name.")
     filter: Filter = unit("-", "The filter.")
 
 
@@ -175,8 +175,8 @@ class Campaign(ScenarioPart):
 
     deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
     runs: f.Whole = unit("-", default=2000, ge=1, le=1_000_000)
-    """Initial conditions; every study flies all of them."""
-    seed: f.Seed = unit("-", "The same seed gives the same initial conditions.", default=0)
+    """Number of initial conditions, flown by every study."""
+    seed: f.Seed = unit("-", "Seed; equal seeds give equal initial conditions.", default=0)
     duration_s: f.Positive = unit("s", "Length of each flight.", default=500.0)
     period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
 
@@ -185,6 +185,6 @@ class MonteCarloModel(_Filtered):
     """Many flights from drawn initial conditions, for one or more filters (`polaris campaign`)."""
 
     kind: Literal["monte_carlo"] = unit("-", "Many flights.")
-    campaign: Campaign = unit("-", "How many runs, how long.", default_factory=Campaign)
+    campaign: Campaign = unit("-", "Number and length of runs.", default_factory=Campaign)
     studies: Annotated[tuple[Study, ...], Field(min_length=1, max_length=20)] = unit("-")
-    """What is compared on the same initial conditions."""
+    """Filters compared on equal initial conditions."""

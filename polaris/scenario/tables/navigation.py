@@ -20,11 +20,13 @@ MOST_MISSED = 20  # most periods without a measurement that an observer is desig
 
 
 class Estimate(ScenarioPart):
-    """Bounds on the errors of an estimate: in Hill's frame of position and velocity, else of states."""
+    """Bounds on estimate errors: of position and velocity in Hill's frame, else of states."""
 
     position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
     velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
-    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
+    state_error: f.WidthVector | None = unit(
+        "SI (state order)", "Bound for each of the n states.", default=None
+    )
 
     def build(self, system: LinearSystem, path: str = "navigation") -> Array:
         """Bounds on the error of every state, shape (n,)."""
@@ -45,14 +47,13 @@ class Estimate(ScenarioPart):
 class Sight(ScenarioPart):
     """Errors along and across the line of sight to the target, which turn with it and grow with the range."""
 
-    range_error_m: f.NonNegative = unit("m", "Of the distance from the target.", default=0.0)
+    range_error_m: f.NonNegative = unit("m", "Error of the distance to the target.", default=0.0)
     bearing_error_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
-    """Angle by which the direction from the target may be off, to any side. Range and bearing need Hill's
-    frame and `within_m`, whose box bounds what they make of the position; they add to `position_error_m`."""
+    """Angular error of the line of sight. Range and bearing errors need Hill's frame and `within_m`, and add
+    to `position_error_m`."""
     within_m: f.PositivePerAxis | None = unit("m", default=None)
-    """Half-widths of a box about the target in which these bounds hold, per axis, or one number for all. The
-    chaser, its size included, is kept in it while they count, as in a keep-in set. It was inside before the
-    start, too, for as long as estimates remember."""
+    """Half-widths of a box about the target in which the bounds hold. The chaser, size included, is kept
+    inside while they apply, and was inside before the start as long as estimates remember."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
@@ -71,28 +72,27 @@ class Sight(ScenarioPart):
 
 
 class Phase(Estimate, Sight):
-    """Bounds that hold from an instant on, by the schedule's clock, until the next phase begins."""
+    """Bounds from an instant of the schedule's clock until the next phase."""
 
-    from_s: f.Positive = unit("s", "When it begins, later than the phase before.")
+    from_s: f.Positive = unit("s", "Start, later than that of the phase before.")
 
 
 class Measurement(Sight):
-    """Measurements of an observer once a control period: the errors of its estimates are worked out.
+    """Measurements of an observer with a steady Kalman gain, from which estimate errors are derived.
 
-    Its gain is the steady Kalman gain; after missed periods it has another. In Hill's frame it measures the
-    position, and the velocity if that has a bound.
+    It measures once a period: in Hill's frame the position, and the velocity if it has a bound. Missed
+    periods have another gain.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
-    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
-    matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
-    error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
+    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured by default.", default=None)
+    matrix: f.Matrix | None = unit("-", "Measured rows in other systems, n numbers each.", default=None)
+    error: f.LimitVector | None = unit("SI", "Error bound of each row.", default=None)
     constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
-    """Share of these errors that is constant in a flight though unknown, as by the mounting of a camera.
-    Errors of range and bearing turn with the line of sight: they have none."""
+    """Share of these errors that is an unknown constant of the flight, such as a camera's mounting. Range and
+    bearing errors have none."""
     initial: Estimate | None = unit("-", default=None)
-    """Bounds on the errors of its first estimate, on which the first command rests. Without them it has long
-    been at work when the flight starts."""
+    """Error bounds of the first estimate; by default the observer has run long before the start."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """Return the rows that are measured, shape (r, n), and bounds on their errors, shape (r,)."""
@@ -144,16 +144,15 @@ class Measurement(Sight):
 
 
 class Navigation(Estimate, Sight):
-    """Bounds on the errors of the estimate of the state that every controller acts on.
+    """Bounds on the errors of the state estimate of every controller, arbitrary in time.
 
-    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
-    in other systems states. Where there are phases, these hold until the first. For networks, and for what
-    run-time methods know of states, the largest bounds of all phases count throughout.
+    Bounds are of position and velocity in Hill's frame, of states elsewhere, and hold until the first phase.
+    Networks and run-time methods use the largest bounds of all phases.
     """
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)
     measurement: Measurement | None = unit("-", default=None)
-    """What an observer measures, in the place of bounds on what it estimates."""
+    """Measurements of an observer, instead of bounds on estimates."""
 
     def known(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool

@@ -15,15 +15,15 @@ Turn = Annotated[f.Real, Field(ge=-360, le=360)]
 
 
 class Elements(ScenarioPart):
-    """Kepler's elements of the target at the time 0 of the scenario, osculating, about the Earth."""
+    """Osculating Kepler elements of the target at time 0, about the Earth."""
 
-    epoch: f.Text = unit("-", "Time 0, as in 2026-01-31T12:00:00.0.", min_length=1, max_length=40)
-    semi_major_axis_m: f.Positive = unit("m", "Half the major axis.")
+    epoch: f.Text = unit("-", "Time 0, such as 2026-01-31T12:00:00.0.", min_length=1, max_length=40)
+    semi_major_axis_m: f.Positive = unit("m", "Semi-major axis.")
     eccentricity: Below = unit("-", "Eccentricity.")
-    inclination_deg: Annotated[f.Real, Field(ge=0, le=180)] = unit("deg", "Angle to the equator's plane.")
+    inclination_deg: Annotated[f.Real, Field(ge=0, le=180)] = unit("deg", "Inclination to the equator.")
     ascending_node_deg: Turn = unit("deg", "Right ascension of the ascending node.")
     perigee_deg: Turn = unit("deg", "Argument of perigee.")
-    true_anomaly_deg: Turn = unit("deg", "Angle from perigee to the target.")
+    true_anomaly_deg: Turn = unit("deg", "True anomaly.")
     frame: Frame = unit("-", "Inertial frame of the elements.", default="EME2000")
     time_system: TimeSystem = unit("-", "Time system of the epoch.", default="UTC")
 
@@ -43,7 +43,7 @@ class Orbit(Described, makes=Environment):
     """See `Environment`."""
 
     elements: Elements | None = unit("-", default=None)
-    """State of the target in inertial axes, for `polaris export oem`."""
+    """Inertial state of the target, for `polaris export oem`."""
 
 
 class OrbitSource(ScenarioPart):

@@ -91,13 +91,13 @@ class NMTReference(ScenarioPart):
 
     kind: Literal["nmt"] = unit("-", "Follow an elliptical natural motion trajectory.")
     semi_minor_m: f.NonNegative = unit("m", "Radial semi-axis.")
-    phase_rad: f.Number = unit("rad", "Phase at t = 0; 0 is ahead on the along-track axis.", default=0.0)
+    phase_rad: f.Number = unit("rad", "Phase at t = 0; at 0 ahead on the along-track axis.", default=0.0)
     cross_track_m: f.NonNegative = unit("m", "Cross-track amplitude.", default=0.0)
     cross_phase_rad: f.Number = unit("rad", "Cross-track phase relative to phase_rad.", default=0.0)
 
 
 class UnawareReference(ScenarioPart):
-    """A fuel-optimal plan to the same goal that knows nothing of obstacles and keep-in sets."""
+    """A fuel-optimal plan to the goal that ignores obstacles and keep-in sets."""
 
     kind: Literal["unaware"] = unit("-", "Fuel-optimal plan that ignores obstacles.")
 
@@ -111,73 +111,67 @@ class Affine(ScenarioPart):
     """State feedback ``u = mu + K (ref - x)``, clipped at the thrust limits or not."""
 
     kind: Literal["affine", "saturated_affine"] = unit("-")
-    """`affine`: never clipped, so it is used only where it provably stays within the thrust limits.
-    `saturated_affine`: clipped per axis, as a real thruster does."""
-    name: f.Name = unit("-", "Its name in tables and figures.")
+    """`affine`: unclipped, used only where it provably keeps the thrust limits. `saturated_affine`: clipped
+    per axis."""
+    name: f.Name = unit("-", "Name in tables and figures.")
     Q: f.DiagonalOrMatrix | None = unit("1/unit of the state^2", "LQR state weight, with R.", default=None)
     R: f.DiagonalOrMatrix | None = unit("1/unit of the input^2", "LQR input weight, with Q.", default=None)
     gain: f.Matrix | None = unit("input/state", default=None)
-    """The gain K itself, m rows of n, instead of Q and R."""
+    """Gain K, m rows of n, instead of Q and R."""
     reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
-    """What it follows; the safety controller's reference without it."""
-    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+    """Followed trajectory; by default the safety controller's reference."""
+    weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
 class AnyThrust(ScenarioPart):
-    """Anything within the thrust limits: covers a black box, a learned policy, a pilot."""
+    """Any thrust within the limits: covers black boxes, learned policies, pilots."""
 
     kind: Literal["any_thrust"] = unit("-", "Unknown controller within the thrust limits.")
-    name: f.Name = unit("-", "Its name in tables and figures.")
-    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+    name: f.Name = unit("-", "Name in tables and figures.")
+    weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
 class Neural(ScenarioPart):
-    """A feed-forward network that is evaluated once a control period, clipped at the thrust limits.
+    """A feed-forward network, evaluated at the start of every control period and clipped at the limits.
 
-    Each number that it reads is multiplied by its entry of `input_scale`, its outputs by `output_scale_N`;
-    what it reads is taken at the start of the period, the time at that of the step. Of an obstacle it is told
-    any state that the declared motion allows then, relative to its own estimate.
+    An obstacle's state may be any that its declared motion allows, relative to the chaser's estimate.
     """
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
-    name: f.Name = unit("-", "Its name in tables and figures.")
+    name: f.Name = unit("-", "Name in tables and figures.")
     path: f.Text = unit("-", min_length=6, max_length=1000, pattern=r"\.onnx$")
-    """The ONNX file, from the folder of the scenario; a run folder holds a copy, beside its scenario."""
+    """ONNX file, relative to the scenario; run folders hold a copy."""
     inputs: tuple[f.Input, ...] = unit("-", default=("error",), min_length=1, max_length=100)
-    """What it reads, in this order: `error` (reference - x, n numbers), `state` (n), `time` (start of the
-    step [s], 1), `reference_input` (m); of an obstacle NAME `position:NAME` (d [m]) and
-    `velocity:NAME` (d [m/s]), and `relative_position:NAME` and `relative_velocity:NAME`, the same less the
-    chaser's own."""
+    """Inputs in order: `error` (n numbers, reference minus x), `state` (n), `time` (start of the step [s]),
+    `reference_input` (m); of an obstacle `position:NAME`, `velocity:NAME`, or relative to the chaser
+    `relative_position:NAME`, `relative_velocity:NAME` (d each)."""
     input_scale: f.Vector | None = unit("-", default=None)
-    """What each number that it reads is multiplied by; 1 without it."""
-    output_scale_N: f.PositivePerAxis = unit(
-        "N (unit of the input)", "Thrust at an output of 1; one number or m."
-    )
+    """Factor of each input; by default 1."""
+    output_scale_N: f.PositivePerAxis = unit("N (unit of the input)", "Thrust at an output of 1.")
     precision: Literal["real", "float32", "float64"] = unit("-", default="real")
-    """Arithmetic in which it is evaluated on board. `real`: rounding on board is not covered. `float32`,
-    `float64`: its sets hold what any runtime computes in it, whatever the order of summation."""
+    """Arithmetic on board. `real`: its rounding is not covered. `float32`, `float64`: any runtime is covered,
+    in any order of summation."""
     reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
-    """What `error` and `reference_input` are about; the safety controller's reference without it."""
-    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+    """Reference of `error` and `reference_input`; by default the safety controller's."""
+    weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
 class BlackBox(ScenarioPart):
-    """A controller that is asked for its commands once a control period: its sets come from samples.
+    """A program that is asked for commands once a control period; its sets rest on samples.
 
-    To be given when it is run: `polaris run --black-box NAME=COMMAND`, or a callable from Python.
-    Where it flies the guarantee is `statistical`.
+    Give it with `polaris run --black-box NAME=COMMAND`, or as a callable. The guarantee is `statistical`.
     """
 
     kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")
-    name: f.Name = unit("-", "Its name in tables and figures.")
+    name: f.Name = unit("-", "Name in tables and figures.")
     probability: f.Real = unit("-", default=0.01, ge=1e-5, le=0.5)
-    """With which a flight may leave the bands of all black boxes; the least one given counts."""
+    """Largest probability that a flight leaves the bands of the black boxes; the least given counts."""
     confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)
-    """Of the statement that it is no more; the highest one given counts."""
+    """Confidence of that statement; the highest given counts."""
     memory: bool = unit("-", default=False)
-    """Whether its answers depend on what it was asked earlier in a flight. A question at time 0 begins new
-    flights, one for each row; a callable with a `reset` is taken to have memory."""
-    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+    """True if answers depend on earlier questions of a flight. A question at time 0 begins new flights, one
+    per row; callables with a `reset` have memory."""
+    weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
 Experimental = Annotated[Affine | AnyThrust | Neural | BlackBox, *BY_KIND]

@@ -35,15 +35,15 @@ class ClohessyWiltshire(ScenarioPart):
 
     kind: Literal["clohessy_wiltshire"] = unit("-", "Clohessy-Wiltshire dynamics, six states.")
     mean_motion_rad_s: f.Real = unit("rad/s", gt=0, le=0.01)
-    """Orbital rate eta of the target; 0.00113 on a circle 405 km up."""
+    """Orbital rate eta of the target; 0.00113 at 405 km altitude."""
     mass_kg: f.Real = unit("kg", "Mass of the chaser.", ge=1e-3, le=1e7)
     thrust_max_N: f.PositivePerAxis = unit("N")
-    """Thrust limit, one number for all axes or one each for x, y and z: |u_i| <= thrust_max_N[i]."""
+    """Thrust limit of x, y and z: |u_i| <= thrust_max_N[i]."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on the 2-norm of the disturbance acceleration, which may change at any time in any way."""
+    """Bound on the 2-norm of the disturbance acceleration, which is arbitrary in time."""
     bias_max_m_s2: f.WidthVector | None = unit("m/s^2", default=None, min_length=3, max_length=3)
-    """Bounds along x, y and z on an unknown acceleration that adds to the disturbance and is constant in a
-    flight, as differential drag along y may be."""
+    """Bounds along x, y and z on an additional acceleration, constant in a flight, such as differential drag
+    along y."""
 
     def build(self) -> LinearSystem:
         """Return the controlled system."""
@@ -60,18 +60,17 @@ class Linear(ScenarioPart):
     B: f.Matrix = unit("SI", "Input matrix, n rows of m numbers.")
     D: f.Matrix = unit("SI", "Disturbance matrix, n rows of p numbers.")
     input_max: f.PositivePerAxis = unit("unit of the input")
-    """Input limit, one number for all inputs or one each: |u_i| <= input_max[i]."""
+    """Input limits: |u_i| <= input_max[i]."""
     disturbance_max: f.NonNegative = unit("unit of the disturbance", default=0.0)
     """Bound on the 2-norm of the disturbance w."""
     bias_max: f.WidthVector | None = unit("unit of the disturbance", default=None)
-    """Bounds on a constant that adds to w in a whole flight, one for every column of D."""
+    """Bounds on a constant of the flight added to w, one per column of D."""
     position_states: tuple[f.Index, ...] | None = unit("-", default=None, min_length=1, max_length=3)
-    """Which states (counted from 0) are the position [m], one to three of them. Without it and without C: the
-    first half of the states."""
+    """One to three states, counted from 0, that are the position [m]; by default the first half of them."""
     C: f.Matrix | None = unit("-", default=None)
-    """Position as a matrix, d rows of n numbers, where it is not a choice of states."""
+    """Position matrix, d rows of n numbers, instead of position_states."""
     mass_kg: f.Real = unit("kg", default=1.0, ge=1e-3, le=1e7)
-    """Mass that turns the integral of |u| into a velocity change; 1 where the input is an acceleration."""
+    """Mass that turns the integral of |u| into delta-v; 1 for inputs that are accelerations."""
 
     def build(self) -> LinearSystem:
         """Return the controlled system."""
@@ -91,7 +90,7 @@ class _Initial(ScenarioPart):
     """Base of initial sets."""
 
     kind: str
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers; the reference starts here.")
+    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers, where the reference starts.")
 
     @abstractmethod
     def build(self, system: LinearSystem) -> Zonotope:
@@ -102,7 +101,7 @@ class InitialBox(_Initial):
     """An axis-aligned box of states."""
 
     kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    half_widths: f.WidthVector = unit("m, m/s (state order)", "Half-width per state, n numbers >= 0.")
+    half_widths: f.WidthVector = unit("m, m/s (state order)", "Half-width per state.")
 
     def build(self, system: LinearSystem) -> Zonotope:
         """Return the box."""
@@ -110,15 +109,12 @@ class InitialBox(_Initial):
 
 
 class InitialBall(_Initial):
-    """Positions in one ball, the other states in another: no norm mixes m and m/s.
-
-    It is used through an enclosing zonotope, so what is proven holds for a slightly larger set.
-    """
+    """A ball of positions and a ball of the other states, used through an enclosing zonotope."""
 
     kind: Literal["ball"] = unit("-", "Product of a ball of positions and a ball of velocities.")
-    position_radius_m: f.NonNegative = unit("m", "2-norm radius of the position about its centre.")
+    position_radius_m: f.NonNegative = unit("m", "Radius (2-norm) of the positions.")
     velocity_radius_m_s: f.NonNegative = unit("m/s")
-    """2-norm radius of all other states (the velocity, in a mechanical system)."""
+    """Radius (2-norm) of the other states, usually velocities."""
 
     def build(self, system: LinearSystem) -> Zonotope:
         """Return a zonotope around the product of the balls."""
@@ -150,27 +146,27 @@ InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *BY_KIND]
 class Horizon(ScenarioPart):
     """Length of the schedule, and its steps."""
 
-    duration_s: f.Positive = unit("s", "Time T covered by the reference and the schedule.")
+    duration_s: f.Positive = unit("s", "Time T of reference and schedule.")
     step_s: f.Positive = unit(
-        "s", f"Step delta of the plan and of the schedule. Must divide duration_s; at most {MAX_STEPS} steps."
+        "s", f"Step delta of plan and schedule. Must divide duration_s; at most {MAX_STEPS} steps."
     )
 
 
 class Feedback(ScenarioPart):
-    """The flight computer's clock: once per control period the state is read and the input set and held."""
+    """Clock of the flight computer: every period the state is read, and the input set and held."""
 
     GONE = {"kind": "is gone, as all feedback is sampled: write period_s alone, or leave out the table"}
 
     period_s: f.Positive | None = unit("s", default=None)
-    """Control period. Must divide step_s. Without it a quarter of the fastest closed-loop time constant,
-    rounded down to a whole part of step_s: at least 2 parts, at most 200."""
+    """Control period. Must divide step_s; by default a quarter of the fastest closed-loop time constant,
+    rounded down to a whole part of step_s (2 to 200 parts)."""
 
 
 class Simulation(ScenarioPart):
-    """Closed-loop runs behind the metrics and figures. They illustrate; they prove nothing."""
+    """Simulated closed-loop runs of metrics and figures. They prove nothing."""
 
     runs: f.Whole = unit("-", "Runs per controller.", default=100, ge=1, le=1_000_000)
-    seed: f.Seed = unit("-", "Seed; the same seed and scenario give the same results.", default=0)
+    seed: f.Seed = unit("-", "Seed; equal seeds and scenarios give equal results.", default=0)
 
 
 class ScenarioModel(Head):
@@ -178,30 +174,28 @@ class ScenarioModel(Head):
 
     system: System = unit("-", "The controlled system.")
     orbit: Orbit | None = unit("-", default=None)
-    """Sources of what the linear model of a spacecraft leaves out; needed by `polaris model-error`. Its
-    numbers and the mean motion may follow from elements or files ([real orbits](orbits.md))."""
-    navigation: Navigation | None = unit(
-        "-", "How well it knows its state; exactly without it.", default=None
-    )
-    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
-    timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
+    """Sources of the model error, for `polaris model-error`. Elements or files may give its numbers and the
+    mean motion ([real orbits](orbits.md))."""
+    navigation: Navigation | None = unit("-", "Errors of the state estimate; none by default.", default=None)
+    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none by default.", default=None)
+    timing: Timing | None = unit("-", "Delay of commands; none by default.", default=None)
     faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
-    chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
-    tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
-    abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)
+    chaser: Chaser | None = unit("-", "Size of the chaser; a point by default.", default=None)
+    tank: Tank | None = unit("-", "Propellant; not counted by default.", default=None)
+    abort: Abort | None = unit("-", "Passive and powered aborts.", default=None)
     initial_set: InitialSet = unit("-")
-    """All states it may start in (Theta). It may follow from two ephemerides ([real orbits](orbits.md))."""
+    """All possible initial states (Theta); two ephemerides may give them ([real orbits](orbits.md))."""
     horizon: Horizon = unit("-", "Time covered and its steps.")
-    feedback: Feedback = unit("-", "When the controllers act.", default_factory=Feedback)
-    tracking: Tracking = unit("-", "The safety controller's tracking part.")
-    recoverable: Recoverable = unit("-", "Which recoverable sets.", default_factory=Recoverable)
-    planner: Planner = unit("-", "How the reference is planned.", default_factory=Planner)
-    goal: Goal = unit("-", "Where the reference must end.")
+    feedback: Feedback = unit("-", "Control period.", default_factory=Feedback)
+    tracking: Tracking = unit("-", "Tracking feedback of the safety controller.")
+    recoverable: Recoverable = unit("-", "Recoverable sets.", default_factory=Recoverable)
+    planner: Planner = unit("-", "Planner of the reference.", default_factory=Planner)
+    goal: Goal = unit("-", "Goal of the reference.")
     obstacles: tuple[Obstacle, ...] = unit("-", "Sets to stay out of.", default=(), max_length=64)
     keep_in: tuple[KeepIn, ...] = unit("-", "Sets to stay inside.", default=(), max_length=16)
     experimental: tuple[Experimental, ...] = unit("-", min_length=1, max_length=8)
     """Experimental controllers in order of preference."""
-    schedule: Schedule = unit("-", "How the switching schedule is chosen.", default_factory=Schedule)
+    schedule: Schedule = unit("-", "Choice of the switching schedule.", default_factory=Schedule)
     simulation: Simulation = unit("-", "Closed-loop runs.", default_factory=Simulation)
 
     def scene_parts(self) -> list[tuple[str, Obstacle | KeepIn]]:

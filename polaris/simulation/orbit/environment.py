@@ -26,36 +26,32 @@ Right, Tenth = Annotated[Real, Field(ge=0, le=90)], Annotated[Real, Field(ge=0, 
 class Environment:
     """The target's real orbit: near an ellipse of the system's mean motion, perturbed by J2 and drag.
 
-    What is declared here bounds the difference between Hill's linear equations and the nonlinear motion;
-    `polaris model-error` works it out, and the system's disturbance bound must cover it. For as long as a
-    guarantee is to hold the target must be, at all times, within the deviations from some place on some
-    ellipse of that mean motion and of no more than the eccentricity; a circle without it.
+    These values bound the difference of Hill's linear equations from the nonlinear motion (`polaris
+    model-error`), which the disturbance bound must cover. While the guarantee holds, the target must stay
+    within the deviations of some point on some ellipse of that mean motion and of at most the eccentricity.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s] of Hill's linear equations.
     inclination_max : float [rad]
-        Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
-        counts from its own side. 90 degrees cover every orbit.
+        Largest inclination to the equator, or 180 degrees minus it if retrograde; 90 covers every orbit.
     radius_deviation : float [m]
-        How far the target's distance from the Earth's centre may be off that of the ellipse.
+        Largest deviation of the target's distance from the Earth's centre.
     radial_rate : float [m/s]
-        How far the rate at which that distance changes may be off that on the ellipse, 0 on a circle.
+        Largest deviation of the rate of that distance.
     rate_deviation : float
-        How far the frame's rate about the orbit normal may be off that on the ellipse, as a share of the mean
-        motion.
+        Largest deviation of the frame's rate about the orbit normal, relative to the mean motion.
     density : float [kg/m^3]
-        Density of the air at the radius of the circle, or half the ellipse's major axis; 0 for none.
+        Air density at the radius of the circle, or the semi-major axis.
     scale_height : float [m]
-        Height over which the density falls by a factor of e, the smallest that may occur.
+        Smallest scale height of the density.
     ballistic : float [m^2/kg]
         Drag coefficient times area over mass of the target.
     ballistic_difference : float [m^2/kg]
-        How far any other craft's may be off the target's.
+        Largest difference of another craft's coefficient.
     other : float [m/s^2]
-        Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
-        radiation pressure, plumes, higher harmonics.
+        Bound on all other relative accelerations: thrust errors, radiation pressure, plumes, harmonics.
     eccentricity : float
         Largest eccentricity of the ellipses.
     j2 : bool

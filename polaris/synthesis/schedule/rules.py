@@ -39,28 +39,24 @@ class SwitchingRules:
     Parameters
     ----------
     strategy : {"greedy", "look_ahead"}
-        `greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
-        over the whole horizon, by weight; never less than `greedy`, nor than itself under stricter rules
-        (fewest steps above 8: those of `polaris.synthesis.schedule.look_ahead.rungs`).
+        `greedy`: Algorithm 2, U whenever it is safe now. `look_ahead`: most use of U over the horizon, by
+        weight; never less than `greedy`.
     min_dwell : int
-        Fewest steps between two switches.
+        Least number of steps between switches.
     max_switches : int, optional
-        Most switches in the run; no cap without it. One is always held back for the return to the safety
-        controller, so a cap of 0 leaves that alone, and the last one may stay unused.
+        Largest number of switches; by default no limit. One is reserved for the return to S, and 0 leaves S
+        alone.
     weights : tuple of float
         Worth of one step under each experimental controller, in their order of preference.
     beam : int
-        Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
-        better ones, in as much more time.
+        Schedules that `look_ahead` keeps per step, number of switches and controller; time grows with it.
     delta_v_price : float
-        Share of the horizon under an experimental controller that is given up for a velocity change as large
-        as the safety controller's alone.
+        Share of U given up to save the delta-v of S alone.
     switch_price : float
-        Share of the horizon under an experimental controller that is given up for one switch less.
+        Share of U given up to save one switch.
     delta_v_max : float [m/s], optional
-        Budget of velocity change until the goal, or until the end if the goal is not proven reached.
-        What is returned is proven to keep it, with 1 % left; where no such schedule is found, exit code 4,
-        and how little was. None without it.
+        Delta-v budget until the goal, or the end if the goal is not proven. Schedules provably keep it, with
+        1 % spare; otherwise exit code 4. By default none.
     """
 
     strategy: Annotated[str, Key("strategy", "-", Literal["greedy", "look_ahead"])] = "greedy"

@@ -142,13 +142,15 @@ def test_reference_names_every_field_of_every_table():
     text = reference_text()
     for table, node in _tables():
         for name in node["properties"]:
-            assert f"| `{name}` |" in text, f"{table}.{name}"
+            assert f"\n- `{name}` (" in text, f"{table}.{name}"
 
 
-def test_reference_table_rows_have_five_cells():
-    for line in reference_text().splitlines():
-        if line.startswith("|"):
-            assert len(re.findall(r"(?<!\\)\|", line)) == 6, line
+def test_items_of_the_reference_are_keys_and_its_lines_fit():
+    names = {name for _, node in _tables() for name in node["properties"]}
+    for part in re.findall(r"-->\n\n(.*?)\n\n<!-- end -->", reference_text(), re.S):
+        assert max(map(len, part.splitlines())) <= 100
+        for line in re.findall(r"^ *(?:[-+*]|\d+\.) .*", part, re.M):
+            assert re.match(r"- `(\w+)` \(", line)[1] in names, line
 
 
 def test_schema_is_json():
