@@ -70,7 +70,7 @@ def verify(path: str | Path, code: str | Path | None = None) -> Verdict:
         data = untrusted(file)
         if data.get("format") == MISSION:
             if flown is not None:
-                raise Rejected("code", "is of one leg: check it with the run folder of that leg")
+                raise Rejected("code", "must be checked with the run folder of its leg")
             return check_mission(data, file.parent, record, _check_leg)
         return _check(Document(data), file.parent, record, whole, code=flown)
 
@@ -116,7 +116,7 @@ def _check(
 ) -> list[str]:
     """Check everything; returns what is trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
-    record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
+    record.holds("digest", f"unchanged, {document.scenario}, {document.steps} steps of {document.delta:g} s")
     trusted, stated = list(document.assumptions), None
     if folder is None or not (whole or has_artefacts(document, folder)):
         trusted.append("the certificate was made from the scenario it names: no other file lies beside it")

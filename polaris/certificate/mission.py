@@ -77,7 +77,7 @@ def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run:
     stated = conform(data, KEYS, "format", "certificate")
     for name in (SCENARIO, "trace.npz"):
         if stated["artefacts"].get(name) != sha256(folder / name):
-            raise Rejected("artefacts", f"{name} has not the hash that the certificate has")
+            raise Rejected("artefacts", f"the hash of {name} differs from the certificate")
     mission = _toml(folder / SCENARIO)
     legs = _legs(mission, stated, folder)
     if len(stated["joints"]) != len(legs) - 1:
@@ -95,7 +95,7 @@ def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run:
         except Failed as error:
             raise type(error)(error.claim, f"leg {leg.name}: {error.witness}", error.excess) from error
         if joints[i:] and "joint" not in dict(own.checked):
-            raise Rejected("joint", f"nothing was derived of where leg {leg.name} ends")
+            raise Rejected("joint", f"the end of leg {leg.name} was not derived")
         if own.sampled or leg.document.guarantee != "proved":
             raise Rejected("guarantee", f"leg {leg.name} is not proved")
         record.checked += [(f"{leg.name}: {claim}", statement) for claim, statement in own.checked]
@@ -120,12 +120,12 @@ def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -
     shared = {key: value for key, value in mission.items() if key not in OWN}
     for i, (spec, known) in enumerate(zip(specs, stated["legs"], strict=True)):
         if not isinstance(spec, dict) or spec.get("name") != known["name"]:
-            raise Rejected("legs", f"leg {i + 1} is {known['name']}, and another in the mission")
+            raise Rejected("legs", f"leg {i + 1} is {known['name']}, but another one in the mission")
         own = folder / f"{i + 1}-{known['name']}"
         data = untrusted(own / CERTIFICATE)
         document = Document(data)
         if data["digest"] != known["digest"]:
-            reason = f"the run of leg {known['name']} is not the one that the mission was made of"
+            reason = f"the run of leg {known['name']} differs from that of the mission"
             raise Rejected("legs", reason)
         heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
         scenario = {**shared, **heading, **spec}
@@ -202,9 +202,9 @@ def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
     if any(map(_moves, legs[i + 1 :])):
         node = leg.stay / leg.period
         if abs(node - round(node)) > PLACED * (1 + node):
-            raise Rejected("joint", f"{where}: GO is planned between two nodes, but later sets move")
+            raise Rejected("joint", f"{where}: GO must be planned at a node, as later sets move")
         if stated["later"] or stated["first"] != [[round(node)] * 2]:
-            raise Rejected("joint", f"{where}: later sets move, so GO is given as planned or never")
+            raise Rejected("joint", f"{where}: GO must be given as planned or never, as later sets move")
     if any(_satellite(each) for each in legs[i + 1 :]):
         raise Rejected("joint", f"{where}: another satellite in a later leg")
     given = stated["half_widths"], stated["first"], stated["later"], stated["assured"]
@@ -224,7 +224,7 @@ def _same_craft(one: Document, two: Document, where: str) -> None:
     remembers = any(each.timing or each.observer for each in (one, two))
     for key in {*one.system, *two.system} if remembers else PLANT:
         if one.system.get(key) != two.system.get(key):
-            raise Rejected("joint", f"{where}: {key} of the system is another")
+            raise Rejected("joint", f"{where}: {key} of the system differs")
 
 
 def _spent(leg: Leg, leaves: float) -> arb | None:
@@ -249,7 +249,7 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
         ):
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, which is no node from GO on")
         if i < len(stated["joints"]) and not _within(stated["joints"][i], round(node), leg):
-            raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, when GO is not given")
+            raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, but GO is not given then")
         spent = _spent(leg, leaves)
         if spent is not None and i:  # impulses that the leg before leaves behind
             spent += owed(plant_of(doc)) / doc.mass
@@ -258,7 +258,7 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
         rate = None if leg.claim["upkeep"] is None else arb(leg.claim["upkeep"]["rate_m_s2"])
         _no_less(f"velocity change per second of leg {leg.name}", known["waiting_m_s2"], rate)
         if known["safe_until_s"] != doc.until:
-            raise Rejected("end", f"leg {leg.name} is claimed to be safe until another instant than it is")
+            raise Rejected("end", f"leg {leg.name} is safe until another instant in its run")
         drift, clear = doc.drift, 0.0
         if drift is not None and all(part is not None for part in drift.steps):
             clear = drift.horizon

@@ -66,7 +66,7 @@ class Argument:
             self.record.holds("samples", check_statement(self.document.statement))
             self.record.sampled = True
             boxes = sum(fit is not None for fit in self.document.fits)
-            text = f"statistical: {boxes} steps of black boxes rest on samples, all else is proven"
+            text = f"statistical: {boxes} steps of black boxes rest on samples, the others are proven"
             self.record.holds("guarantee", text)
             return
         self.record.holds("guarantee", "proved")
@@ -114,8 +114,10 @@ class Argument:
             limit = JUMP_SLACK * max(1.0, *size)
             require("reference", limit - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
-        self.record.holds("thrust", "the reference's; S's commands are among the limits that are recoverable")
-        self.record.holds("reference", f"{doc.cells} steps, jump at T at most {float(largest(jump)):.3g}")
+        self.record.holds("thrust", "the reference keeps the limits; those of S are part of recoverable")
+        self.record.holds(
+            "reference", f"{doc.cells} steps obey the dynamics, jump at T {float(largest(jump)):.3g}"
+        )
         return path
 
     def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[Flown]]:
@@ -130,7 +132,7 @@ class Argument:
             flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
-        self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
+        self.record.holds("separation", f"{self.K} steps, {share:.1%} of them U's, stay clear")
         return sets, flown
 
     def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[Flown]) -> None:
@@ -146,10 +148,10 @@ class Argument:
             within = flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = flight.keeps(reached, claimed)
-        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, tightest share {least:.3g}"
-        self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
+        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, least margin {least:.3g}"
+        self.record.holds("recoverable", f"S can take over at {len(reached)} instants, {ahead}")
         claims = sum(margin > 0 for margin in claimed.values())
-        self.record.holds("margins", f"{claims} instants next to experimental steps")
+        self.record.holds("margins", f"derived at {claims} instants next to steps under U")
         if self.code is not None:
             _, tables, precision, _ = read_code(self.code)
             if tables.rows:
@@ -170,6 +172,6 @@ def check_statement(said: dict[str, Any]) -> str:
     for j in range(outside):
         term = term * (flights - j) / (j + 1) * p / (1 - p)
         chance += term
-    text = f"{outside} of {flights} flights outside have a probability of {float(chance):.4g} at that bound"
+    text = f"{outside} of {flights} flights outside have probability {float(chance):.4g} at that bound"
     require("samples", doubt * (1 + SAMPLES_SLACK) - chance, text)
     return f"{outside} of {flights} flights outside: at most {said['probability']:.4g}, attempt {attempts}"

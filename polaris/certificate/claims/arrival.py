@@ -71,13 +71,13 @@ class Arrival:
         """
         reached, by = claim["reached"] is True, claim["by_s"]
         if reached == (by is None):
-            raise Rejected("goal", "an instant belongs to a goal that is claimed to be reached, to no other")
+            raise Rejected("goal", "by_s must be given exactly where the goal is claimed to be reached")
         rows = Weighted.of(spec, self.soon, self.document)
         needs = Needs(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
         self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(needs))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
-            raise Rejected("goal", "velocities count as a length exactly where the goal asks for some")
+            raise Rejected("goal", "velocity_time_s belongs to goals with velocity conditions")
         if rows.seconds is not None:
             off = rows.seconds * SAME - abs(rows.seconds - seconds)
             reason = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
@@ -140,7 +140,7 @@ class Arrival:
             node = min(max(round((by - T) / doc.delta * doc.q), 0), self._last)
             if abs((doc.steps + arb(node) / doc.q) * doc.delta - by) <= 1e-9 * by:
                 return node
-        raise Rejected("goal", f"{by:.6g} s is no instant of the tail")
+        raise Rejected("goal", f"by_s = {by:.6g} s is no node of the tail")
 
     @property
     def _first(self) -> int:

@@ -40,7 +40,7 @@ def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, lis
         chosen.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])
     last = arcs[-1].nodes[-1]
     if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
-        raise Imprecise("recoverable", "precision is lost before the loop has forgotten what it was at T")
+        raise Imprecise("recoverable", "precision is lost before errors at T have decayed")
     return replace(path, arcs=arcs), chosen
 
 
@@ -58,7 +58,7 @@ def check_end(document: Document, path: Path) -> str:
     if doc.horizon == "infinite":
         _closes(doc, path, tail)
     elif doc.horizon == "one_period" and not tail:
-        raise Rejected("end", "one period is claimed, but the reference ends at T")
+        raise Rejected("end", "safety for one more period is claimed, but the reference ends at T")
     return doc.horizon if doc.until is None else f"{doc.horizon}, until {doc.until:.6g} s"
 
 
@@ -66,9 +66,9 @@ def _closes(doc: Document, path: Path, tail: int) -> None:
     """Check that the coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
     moving = [item.name for item in doc.unsafe if doc.moves(item)]
     if moving:
-        raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+        raise Rejected("end", f"safety for all time is claimed, but unsafe sets move: {', '.join(moving)}")
     if any(any(u) for u in doc.inputs[doc.steps :]):
-        raise Rejected("end", "the tail does not coast")
+        raise Rejected("end", "the tail must coast, but has thrust")
     if doc.system_kind == "clohessy_wiltshire":
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
         require("end", arb(tail) * doc.delta - turn, f"the tail has {tail} steps, less than one turn")

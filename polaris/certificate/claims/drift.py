@@ -119,7 +119,7 @@ class Drifts:
         parts = max((sum(length for length, _ in run) for run in runs), default=0)
         cells = -(-parts // drift.parts)
         if parts > MOST_PARTS:
-            raise Undecided("passive", f"a drift over more than {MOST_PARTS} parts of steps is not followed")
+            raise Undecided("passive", f"the drift has more than {MOST_PARTS} parts of steps")
         if runs:
             spare = (cells - 1) * arb(doc.delta) - arb(drift.horizon) * (1 - SLACK)
             require("passive", spare, f"the drift is followed for {cells} steps")

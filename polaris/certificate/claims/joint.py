@@ -69,7 +69,7 @@ class _Check:
         for half, go, off in zip(spec.half_widths, spec.go, self.off, strict=False):
             require("joint", arb(half) - off - go, "the GO box and errors of estimates exceed the start set")
             if not go > 0:
-                raise Rejected("joint", "no estimate shows that the state is in the next leg's start set")
+                raise Rejected("joint", "the next leg's start set is too small for the estimate errors")
         for first, final in [*spec.first, *spec.later]:
             if not 0 <= first <= final <= self.last:
                 raise Rejected("joint", f"nodes {first} to {final} are not in the tail")
@@ -78,7 +78,7 @@ class _Check:
                 self.inside(node, self.arrival.at(self.needs, node), f"{node} periods after T")
         if spec.later:
             if doc.horizon != "infinite":
-                raise Rejected("joint", "GO in later turns needs safety for ever")
+                raise Rejected("joint", "GO in later revolutions needs safety for all time")
             begin = doc.steps * doc.q + max(self.last, flight.tracker.memory.periods + 2) + 1
             settled = sums(flight.need(self.needs, self.arrival.held, begin), self.bent * 2)
             for first, final in spec.later:
@@ -103,5 +103,5 @@ class _Check:
 def check_joint(arrival: Arrival, joint: Joint) -> str:
     """Refuse a joint that does not follow from the sets of the leg; return what was confirmed."""
     if not (joint.first or joint.later):
-        raise Rejected("joint", "GO is given at no node")
+        raise Rejected("joint", "GO must be given at some node")
     return _Check(arrival, joint).run()

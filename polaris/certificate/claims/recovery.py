@@ -127,7 +127,7 @@ class Recovery:
         if not room - need >= (share - TOLD_SLACK) * whole:
             left = float(((room - need) / whole).mid()) if room > 0 else 0.0
             text = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
-            raise Rejected("margins", f"{text}: needs {plain(need)} of {plain(room)}", share - left)
+            raise Rejected("margins", f"{text}: needs {plain(need)}, available {plain(room)}", share - left)
 
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
@@ -145,7 +145,7 @@ class Recovery:
                     need = reach + bows.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
-                require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
+                require("recoverable", room - need, f"{where}: needs {plain(need)}, available {plain(room)}")
                 if target.whole > 0:
                     worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
                 self._leaves(of, target, need, where)
@@ -161,5 +161,5 @@ class Recovery:
                         continue
                     at = self.time(cell * self.document.q + i)
                     where = f"errors forgotten by the loop, {t.name} at t = {at}"
-                    text = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
+                    text = f"{where}: needs {plain(need[t.row])}, available {plain(t.room)}"
                     require("recoverable", t.room - need[t.row], text)

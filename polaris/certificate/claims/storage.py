@@ -50,7 +50,7 @@ class Storage:
         """Return the storage before a period, in whose middle a command is given (m, 1)."""
         spare, N = period.spare(self.P), self.P.nrows()
         if pivots(spare) is None:
-            raise Undecided("goal", "weights of what enters the loop are too small to bound what is spent")
+            raise Undecided("goal", "weights are too small to bound the delta-v")
         held = scaled(period.C, middle)
         crossed = period.enter.transpose() * self.P * period.F - period.met
         entered = period.enter.transpose() * self.p + period.own.transpose() * held
@@ -96,7 +96,7 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     more = [GROWN * float(P[i, i].mid()) + x or TINY for i, x in enumerate(unsure)]  # of no storage too
     exact, middle = (P + diagonal(more)).mid(), p.mid()
     if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
-        raise Undecided("goal", "a storage is not bounded by rounded numbers")
+        raise Undecided("goal", "the storage function is not bounded at this rounding")
     off = zip((p - middle).entries(), more, strict=True)
     return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in off), arb(0)))
 
@@ -104,7 +104,7 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
 def _periods(step: Flown, weights: Vector, count: int) -> list[tuple[Period, arb_mat]]:
     """Return the first periods of a step as those of its loop about the middle, with middles of commands."""
     if step.pilot.law.kind not in ("safety", "affine", "saturated_affine"):
-        raise Rejected("goal", "weights belong to steps of affine laws")
+        raise Rejected("goal", "weights must be left out in steps without an affine law")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
     periods, known = list[tuple[Period, arb_mat]](), dict[Any, MeanCommands]()
@@ -126,7 +126,7 @@ def _columns(loop: MeanCommands, weights: Vector) -> list[float]:
     made = loop.enter.ncols() - loop.held
     if len(weights) != len(loop.groups) + made:
         raise Rejected(
-            "goal", f"{len(weights)} weights of what enters the loop, of {len(loop.groups) + made}"
+            "goal", f"{len(weights)} weights are given for {len(loop.groups) + made} inputs of the loop"
         )
     known = [weights[g] for g, group in enumerate(loop.groups) for _ in group]
     return [*known, *weights[len(loop.groups) :]]

@@ -35,7 +35,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     doc, plant = arrival.document, arrival.flight.tracker.craft.plant
     node = arrival.node_at(claim["settled_s"])
     if any(any(u) for u in doc.inputs[doc.steps :]):
-        raise Rejected("upkeep", "the tail does not coast")
+        raise Rejected("upkeep", "the tail must coast, but has thrust")
     later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
     tops = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
     for top, x in zip(plant.u_max, tops, strict=True):
@@ -61,7 +61,7 @@ def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> 
         checked.append(("while others fly", claimed, maxima(*needs), craft.plant.u_max))
     if (claimed := claim["settled"]) is not None:
         if stated.upkeep is None:
-            raise Rejected("goal", "errors of estimates once S has settled belong to an upkeep")
+            raise Rejected("goal", "settled estimate errors must be given exactly with an upkeep")
         first, T = arrival.node_at(stated.upkeep["settled_s"]), doc.steps * doc.q
         along, later = Needs(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
         needs = [arrival.flight.need(along, arrival.boxes, T + node) for node in later]
@@ -110,12 +110,12 @@ def _check(
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
     if orbit is not None:
         if doc.system_kind != "clohessy_wiltshire":
-            raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
+            raise Rejected("upkeep", "per_orbit_m_s needs Hill's frame")
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
         before = owed(plant) / doc.mass  # what an orbit may find left
         arrival.no_less("velocity change per orbit", orbit, rate * turn + ahead + before)
     if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
-        raise Rejected("upkeep", "the tank is not that of the scenario")
+        raise Rejected("upkeep", "the tank differs from that of the scenario")
     if tank is not None:
         _lasts(arrival, claim, tank, until, rate)
 
@@ -125,7 +125,7 @@ def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rat
     T, lasts = arrival.document.steps * arrival.document.delta, claim["lasts_s"]
     beyond = math.inf if lasts is None else lasts
     if T < beyond < claim["settled_s"]:
-        raise Rejected("upkeep", f"the tank until {beyond:.6g} s, when S has not settled")
+        raise Rejected("upkeep", f"the tank is claimed to last until {beyond:.6g} s, before S has settled")
     spent = arrival.spent if beyond <= T else until
     if lasts is None:
         require("upkeep", -rate, "the tank is claimed to last for ever")

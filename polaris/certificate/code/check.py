@@ -28,10 +28,10 @@ MATRICES = 64  # roundings by which transitions may be off, relative to the larg
 def check_code(document: Document, folder: Path, record: Record) -> list[str]:
     """Compare the flight code in a folder with the certificate; returns what is trusted besides."""
     if document.guarantee != "proved":
-        raise Rejected("code", f"the guarantee is {document.guarantee}, only what is proved may fly")
+        raise Rejected("code", f"the guarantee is {document.guarantee}, but must be proved to fly")
     prefix, tables, precision, digest = read_code(folder)
     if digest != document.digest:
-        raise Rejected("code", f"was made from another certificate: {digest}")
+        raise Rejected("code", f"the code is of another certificate, {digest}")
     plant = plant_of(document)
     _check_tables(document, plant, tables, precision)
     record.holds("code", f"{prefix}: text, tables and self-test in {precision} are the certificate's")

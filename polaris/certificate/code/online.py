@@ -163,7 +163,7 @@ class Decision:
             best = min(near, key=lambda one: float(largest(one[2].entries())), default=None)
             allowed = NEAR * UNIT[self.precision] * float(largest(absolute(exact).entries()))
             if best is None or not float(largest(best[2].entries())) <= allowed:
-                raise Rejected(CLAIM, f"no row of the tables is that of limit {i}")
+                raise Rejected(CLAIM, f"the tables have no row for limit {i}")
             nearest.append(best)
         return nearest
 
@@ -217,13 +217,13 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     """Check the tables of an online monitor against the limits of a flight."""
     doc = flight.document
     if doc.transients or doc.fired or doc.late or doc.carried or any(doc.displaced):
-        raise Rejected(CLAIM, "is for thrust without pulses, jitter and faults that are isolated late")
+        raise Rejected(CLAIM, "the monitor needs thrust without pulses, jitter and faults isolated late")
     flight = _with_largest_errors(flight)
     last = doc.steps * doc.q + len(tables.booked) - 2
     if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
-        raise Rejected(CLAIM, f"looks {len(tables.booked)} nodes ahead")
+        raise Rejected(CLAIM, f"the tables look {len(tables.booked)} nodes ahead, which is not supported")
     if len(tables.room) <= last // doc.q:
-        raise Rejected(CLAIM, f"has limits for {len(tables.room)} steps, and looks at {last // doc.q + 1}")
+        raise Rejected(CLAIM, f"the tables have {len(tables.room)} steps, but use {last // doc.q + 1}")
     decision = Decision(flight, tables, precision)
     check_plausible(flight, [decision.start(1), decision.end(1)])
     confirmed = decision.check()

@@ -51,7 +51,7 @@ def check_hashes(document: Document, folder: Path, record: Record) -> None:
     for name in NEEDED:
         if name not in document.artefacts:
             raise Rejected("artefacts", f"no hash of {name}")
-    record.holds("artefacts", f"{len(document.artefacts)} files")
+    record.holds("artefacts", f"hashes of {len(document.artefacts)} files agree")
 
 
 def check_networks(document: Document, scenario: dict[str, Any], folder: Path, record: Record) -> None:
@@ -108,7 +108,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
         claimed, margins = check_schedule(document, scenario, folder)
         check_reference(document, folder / "reference.csv")
         check_gains(document, folder / "gains.json")
-        record.holds("schedule", "modes, margins, reference and gains are those of the other files")
+        record.holds("schedule", "modes, margins, reference and gains agree with the other files")
         if found(folder / SUMMARY):
             summary = check_summary(document, scenario, claimed, folder / SUMMARY)
             start = summary["synthesis"]["start_margin"]
@@ -135,14 +135,14 @@ def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> lis
     """Return what a run folder says besides, and no check confirms."""
     specs = scenario["experimental"]
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
-    cheapest = f"the plans that {plans} follows are the cheapest (start, dynamics, limits, goal hold)"
+    cheapest = f"the plans of {plans} are fuel-optimal (start, dynamics, limits and goal are checked)"
     flown = "statistics of simulated runs in summary.json, which prove nothing"
-    bound = "the bound on the share of experimental control in summary.json, over all schedules"
-    asked = "the share proven without black boxes, and the worst found with them, in summary.json"
+    bound = "the bound on U's share over all schedules in summary.json"
+    asked = "the share proven without black boxes, and attacks on them, in summary.json"
     boxes = any(item["kind"] == "black_box" for item in specs)
-    reasons = "reasons in schedule.json for margins, drifts that hit, missing aborts, steps lost to faults"
+    reasons = "reasons in schedule.json for margins, colliding drifts, missing aborts, lost steps"
     lines = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
-    others = "choices in certificate.json: whoever reads a schedule by them proves it again"
+    others = "choices in certificate.json, which readers of a schedule prove again"
     return [*[cheapest] * bool(plans), reasons, *lines, *[others] * bool(document.choices)]
 
 
@@ -184,7 +184,7 @@ def check_summary(
         expected[key] = {"controller": name, "runs": runs, "switches": switches(modes)}
     same("summary", "summary.json", expected, stored)
     if synthesis["start_limit"] not in limit_names(document):
-        raise Rejected("summary", "what limits the initial set is no limit of the scene")
+        raise Rejected("summary", "start_limit is no limit of the scene")
     # How the plan was found is no claim of safety; its velocity change is that of the reference.
     spent = math.fsum(abs(x) for u in document.inputs[:K] for x in u) * document.delta / document.mass
     _close("velocity change of the plan", spent, synthesis["planner"]["delta_v_m_s"])
@@ -241,7 +241,7 @@ def _check_flown(document: Document, key: str, modes: list[int], stored: dict[st
     proved = document.guarantee == "proved" and not key.startswith("experimental")
     apart = [stored[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
     if [x is None for x in apart] != [all(item.of_state for item in document.unsafe)] * 3:
-        raise Rejected("summary", f"{key}: distances in summary.json are null where no set is in position")
+        raise Rejected("summary", f"{key}: distances must be null where no set is in position")
     apart = [math.inf if x is None else x for x in apart]
     (least, mean, all_times), straight = apart, stored["min_ttc_s"]
     drift = stored["min_ttc_free_drift_s"]

@@ -62,22 +62,22 @@ CHECKED = {
 """By claim the keys that are compared with the run under it, or that it is derived from."""
 
 UNCHECKED = {
-    "the clearance and the thrust that the plan leaves beyond what errors need": {
+    "clearance and thrust of the plan beyond the tightening by errors": {
         "planner": "extra_margin_m thrust_reserve",
         "tracking": "thrust_share",
     },
-    "that no plan is better": {"planner": "objective gap"},
-    "that no schedule is worth more": {
+    "optimality of the plan": {"planner": "objective gap"},
+    "optimality of the schedule": {
         "schedule": "strategy delta_v_price switch_price",
         "experimental": "weight",
     },
-    "that the disturbance bound covers what the linear model leaves out (polaris model-error)": {
+    "that the disturbance bound covers the model error (polaris model-error)": {
         "orbit": "inclination_max_deg radius_deviation_max_m radial_rate_max_m_s rate_deviation_max"
         " density_kg_m3 scale_height_m ballistic_coefficient_m2_kg ballistic_difference_max_m2_kg"
         " other_acceleration_max_m_s2 eccentricity_max"
     },
-    "how many runs are simulated": {"simulation": "runs"},
-    "that the box was asked as one with memory": {"experimental": "memory"},
+    "number of simulated runs": {"simulation": "runs"},
+    "that the black box was sampled with memory": {"experimental": "memory"},
 }
 """Demands of a scenario that are not checked, each with its keys."""
 

@@ -35,21 +35,21 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_thrusters(document, scenario)
         check_timing(document, scenario, measured_errors(document, scenario))
         check_transients(document, scenario)
-        record.holds("system", "matrices, limits and errors of estimates of the scenario")
+        record.holds("system", "matrices, limits and estimate errors are the scenario's")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
         _check_sampling(document, scenario)
-        record.holds("sampling", "steps of the scenario, and its control period if it gives one")
+        record.holds("sampling", "steps are the scenario's, and its control period if given")
         count = check_unsafe(document, scenario)
         moving = [spec["name"] for spec in scenario.get("obstacles", ()) if _moves(spec)]
         branches = [] if document.powered is None else document.powered.branches
         if moving and "infinite" in (document.horizon, *(branch.horizon for branch in branches)):
-            raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+            raise Rejected("end", f"safe for all time is claimed, but unsafe sets move: {', '.join(moving)}")
         _check_abort(document, scenario.get("abort"))
         _check_orbit(document, scenario.get("abort", {}))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
-        text = "gains are the stabilising ones of their weights, references the scenario's"
+        text = "gains follow from their weights and stabilise, references are the scenario's"
         record.holds("controllers", f"{len(document.laws) - 1} experimental, {text}")
         record.holds("schedule", _check_switching(document, scenario))
         kind = scenario.get("recoverable", {}).get("kind", "polytope")
@@ -66,11 +66,11 @@ def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
     drift = document.drift
     asks = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
     if asks != (drift is not None):
-        raise Rejected("passive", "certificate and scenario do not both speak of the drift")
+        raise Rejected("passive", "only one of certificate and scenario has a drift")
     if spec is None or drift is None:
         return
     if "drift_s" in spec and "drift_orbits" in spec:
-        raise Rejected("passive", "the scenario must give the drift either in orbits or as a time")
+        raise Rejected("passive", "the scenario must give one of drift_orbits and drift_s")
     asked = (
         arb(spec["drift_s"])
         if "drift_s" in spec
@@ -78,28 +78,26 @@ def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
     )
     require("passive", drift.horizon - asked * (1 - ROUNDED), f"{drift.horizon:.6g} s are too short")
     if not drift.keep_in and spec.get("keep_in", True):
-        raise Rejected("passive", "the scenario asks for keep-in sets, too")
+        raise Rejected("passive", "keep-in sets are required by the scenario, but not covered")
     if None in drift.steps and spec.get("required", False):
-        raise Rejected("passive", f"step {drift.steps.index(None)} is not clear, as is required")
+        raise Rejected("passive", f"step {drift.steps.index(None)} is not clear, but all steps are required")
 
 
 def _check_orbit(document: Document, spec: dict[str, Any]) -> None:
     """Check that claims of aborts with thrust are those that the scenario asks for."""
     powered = document.powered
     if ("orbit" in spec) != (powered is not None):
-        raise Rejected("powered_abort", "certificate and scenario do not both speak of an abort with thrust")
+        raise Rejected("powered_abort", "only one of certificate and scenario has a powered abort")
     if powered is None:
         drift, limits = {"drift_s", "drift_orbits"} & set(spec), {"within_s", "delta_v_max_m_s"} & set(spec)
         if spec and (limits or not drift):
-            raise Rejected(
-                "powered_abort", "the scenario asks for an abort, but names neither an orbit nor a drift"
-            )
+            raise Rejected("powered_abort", "the scenario has [abort] without an orbit or a drift")
         return
     given = spec.get("within_s"), spec.get("delta_v_max_m_s")
     if (powered.within, powered.budget) != given:
         raise Rejected("powered_abort", "time and budget are not those of the scenario")
     if None in powered.steps and spec.get("required", False):
-        raise Rejected("powered_abort", f"step {powered.steps.index(None)} has none, as is required")
+        raise Rejected("powered_abort", f"step {powered.steps.index(None)} has none, but all must")
 
 
 def _moves(spec: dict[str, Any]) -> bool:
@@ -286,7 +284,7 @@ def _check_switching(document: Document, scenario: dict[str, Any]) -> str:
     for i, steps in enumerate(held[:-1]):
         if steps < rules["min_dwell"]:
             at = sum(held[:i])
-            text = f"mode {document.modes[at]} is left {steps} steps after step {at}"
+            text = f"mode {document.modes[at]} of step {at} ends after {steps} steps"
             raise Rejected("schedule", f"{text}; the scenario's dwell is {rules['min_dwell']} steps")
     count, cap = switches(document.modes), rules["max_switches"]
     if cap is not None and count > cap:

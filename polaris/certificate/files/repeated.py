@@ -35,7 +35,7 @@ REASONS = {
     r"|unsafe sets that move \((?P<moving>.*)\) are covered until (?P<until>\S+) s only"
     r"|one period is shorter than the loop's settling horizon",
     "none": r"not proven after T = (?P<until>\S+) s: "
-    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER} of {_NUMBER}",
+    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER}, available {_NUMBER}",
 }
 """Words for why a claim about the time after T reaches as far as it does."""
 
@@ -140,17 +140,17 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
         elif parts is not None:
             spans.append([k * document.delta, (k + 1) * document.delta])
     if (None in drift.steps) == (stored["witness"] is None):
-        raise Rejected("passive", "a witness belongs to a drift that is not clear from all steps")
+        raise Rejected("passive", "a witness belongs to drifts that are not clear from all steps")
     if (witness := stored["witness"]) is not None:
         step, after, delta = witness["step"], witness["after_s"], document.delta
         last = (math.ceil(drift.horizon / delta * (1 - ROUNDED)) + 1) * delta  # whole steps are followed
         there = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
         if not (there and witness["t_s"] == step * document.delta and 0 < after <= last * (1 + ROUNDED)):
-            raise Rejected("passive", "the witness is not of a step from which the drift is not clear")
+            raise Rejected("passive", "the witness must be of a step whose drift is not clear")
         if witness["unsafe_set"] not in {item.name for item in document.unsafe}:
             raise Rejected("passive", f"{shown(witness['unsafe_set'])} of the witness is no unsafe set")
     if (stored["least_m"] is None) == bool(spans and document.unsafe):
-        raise Rejected("passive", "a least distance belongs to a drift that is clear from some step")
+        raise Rejected("passive", "least_m must be given exactly where the drift is clear from some step")
     return stored | {"drift_s": drift.horizon, "keep_in": drift.keep_in, "clear_s": spans}
 
 
@@ -163,12 +163,13 @@ def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any
     for k, (way, row) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
         values = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
         if (way is None) == (row["why"] is None):
-            raise Rejected("powered_abort", f"a reason belongs to a step without an abort, unlike {k}")
+            raise Rejected("powered_abort", f"step {k} must have a reason exactly if it has no abort")
         if way is not None:
             branch, by, spent = powered.branches[way.branch], way.cell * document.delta, row["delta_v_m_s"]
             if spent is None or (powered.budget is not None and not spent <= powered.budget):
                 raise Rejected(
-                    "powered_abort", f"the abort in step {k} takes {spent} m/s of {powered.budget}"
+                    "powered_abort",
+                    f"the abort in step {k} takes {spent} m/s, the budget is {powered.budget} m/s",
                 )
             values = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
             values["safe_until_s"] = branch.until(document.delta)
@@ -194,10 +195,10 @@ def share(modes: list[int]) -> float:
 def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
     """Check that a step's limit is one of the scene, within the flight; need and room give its margin."""
     if step["limit"] not in limit_names(document):
-        raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which there is not")
+        raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which does not exist")
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
-        raise Rejected("schedule", f"step {k} is limited at {when} s, of {last} s")
+        raise Rejected("schedule", f"step {k} is limited at {when} s, beyond 0 to {last} s")
     need, room, margin = step["need"], step["room"], _margin(step)
     if margin != -math.inf and None in (when, need, room):
         raise Rejected("margins", f"step {k} has a margin of {margin}, but no time, need and room of a limit")
@@ -293,6 +294,4 @@ def check_gains(document: Document, path: Path) -> None:
     same("controllers", "gains.json", {"law": LAW, **document.repeated}, stored)
     for key, said in document.repeated.items():
         if canonical(said) != canonical(stored[key]):
-            raise Rejected(
-                CLAIMS[key], f"gains.json, {key}: more, or written otherwise than in the certificate"
-            )
+            raise Rejected(CLAIMS[key], f"gains.json, {key}: differs from the certificate")

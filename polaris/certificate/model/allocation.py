@@ -37,7 +37,7 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     faults = [fault for fault in every if fault["kind"] != "navigation_lost"]
     made, m, layout = document.allocation, len(document.u_max), "directions" in spec
     if (made is not None) != (layout or bool(faults)) or layout != ("thrust_max_N" in spec):
-        raise Rejected("system", "certificate and scenario do not both speak of the thrusters")
+        raise Rejected("system", "only one of certificate and scenario has a layout of thrusters")
     if made is None:
         return
     hill = scenario["system"]["kind"] == "clohessy_wiltshire"

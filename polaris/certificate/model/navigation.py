@@ -33,10 +33,10 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
             raise Rejected("system", f"error of estimates: {stored} is not the scenario's")
         return rows
     if any(declared) or spec.get("phases") or "within_m" in spec:
-        raise Rejected("system", "an observer's estimates are declared as well")
+        raise Rejected("system", "bounds of estimates must be left out with an observer")
     pushing = any(fault.get("pushes") for fault in document.transients)
     if pushing and timing.get("missed_periods", 0):  # as the scenario has them
-        raise Rejected("system", "an observer that may miss periods, with faults of thrusters isolated late")
+        raise Rejected("system", "missed periods and late thruster faults are not covered together")
     initial = _declared(document, asked.get("initial", {}))
     return _observed(document, asked, initial if any(initial) else [], timing.get("delay_s", 0.0))
 
@@ -46,12 +46,12 @@ def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
     n, hill = len(document.A), document.mean_motion is not None
     wrong = ("state_error",) if hill else ("position_error_m", "velocity_error_m_s")
     if any(key in spec and spec[key] != 0.0 for key in wrong):
-        raise Rejected("system", "errors of estimates are given for another kind of system")
+        raise Rejected("system", "estimate errors are of another kind of system")
     errors: list[float] = _per_axis([spec.get(k, 0.0) for k in ("position_error_m", "velocity_error_m_s")])
     if not hill:
         errors = spec.get("state_error", [0.0] * n)
     if len(errors) != n:
-        raise Rejected("system", "errors of estimates are not one for every state")
+        raise Rejected("system", "estimate errors must be one number per state")
     turned = [float(x.upper()) for x in turned_by(document, spec)] + [0.0] * (n - 3)
     return [a + b if b else a for a, b in zip(errors, turned, strict=True)] if any(turned) else errors
 
@@ -65,7 +65,7 @@ def turned_by(document: Document, spec: dict[str, Any]) -> list[arb]:
     if off == 0 and angle == 0:
         return [arb(0)] * 3
     if document.mean_motion is None or not angle < 90:
-        raise Rejected("system", "errors of range and bearing are given for another kind of system")
+        raise Rejected("system", "range and bearing errors are of another kind of system")
     angle, half = angle * arb.pi() / 180, list(map(arb, per_axis(spec["within_m"], 3)))
     across = [sum((x * x for j, x in enumerate(half) if j != i), arb(0)).sqrt() for i in range(3)]
     return [off + (1 - angle.cos()) * x + angle.sin() * y for x, y in zip(half, across, strict=True)]
@@ -89,7 +89,7 @@ def _phased(
         return [declared]
     begin = [0.0, *(phase["from_s"] for phase in phases)]
     if any(a >= b for a, b in pairwise(begin)):
-        raise Rejected("system", "phases of the navigation must begin one after the other")
+        raise Rejected("system", "phases of the navigation must have increasing from_s")
     bounds = [declared, *(_declared(document, phase) for phase in phases)]
     oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * arb(document.delta) / document.q
     ends, rows = [*begin[1:], inf], []

@@ -136,7 +136,7 @@ def _layers(kind: str, values: list[Any], more: dict[str, Any], width: int) -> l
         for i, value in enumerate(values[1:3]):
             (ends[i],) = [ends[i]] if value is None else value[1]
         if not ends[0] <= ends[1]:
-            raise ValueError("Clip with limits upside down")
+            raise ValueError("Clip with its least limit above its largest")
         return [Layer("clip", low=ends[0], high=ends[1])]
     if kind in ("Gemm", "MatMul"):
         return _product(kind, values, more, width)
@@ -159,7 +159,7 @@ def _layers(kind: str, values: list[Any], more: dict[str, Any], width: int) -> l
         return [_diagonal(scale, value, width)]
     if kind == "Mul" or first:
         return [_diagonal(value if kind == "Mul" else [1 / x for x in value], [0.0], width)]
-    raise ValueError("Div by what is computed")
+    raise ValueError("Div by a computed value")
 
 
 def _product(kind: str, values: list[Any], more: dict[str, Any], width: int) -> list[Layer]:

@@ -46,7 +46,7 @@ def check_own(document: Document, law: Law, scenario: dict[str, Any], spec: dict
     _check_dynamics(document, law, law.states, law.inputs)
     if kind == "nmt":
         if any(any(u) for u in law.inputs):
-            raise Rejected("controllers", f"{law.name} follows a natural motion, but with thrust")
+            raise Rejected("controllers", f"the natural motion of {law.name} must have no thrust")
         _check_start(law, law.states[0], _ellipse(document, reference))
     else:
         if law.states[0] != scenario["initial_set"]["center"]:

@@ -77,7 +77,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
 def _speed(spec: dict[str, Any], clock: arb) -> arb:
     """Return the speed of a set."""
     if spec["kind"] == "satellite" and clock > 0:
-        raise Rejected("unsafe_sets", f"where {spec['name']} is by another clock is not bounded")
+        raise Rejected("unsafe_sets", f"{spec['name']} is not bounded under clock errors")
     return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
 
 
@@ -116,7 +116,7 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
     v, anchor = (spec.get(key) or [0.0] * d for key in ("velocity_m_s", "center_m"))
     _check_count(item, facets(document, spec))
     if not any(v) and not item.resting:
-        raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
+        raise Rejected("unsafe_sets", f"{item.name} is at rest in the scenario, but moves in the certificate")
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
         extent = support(document, item, spec, f)

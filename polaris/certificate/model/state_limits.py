@@ -58,7 +58,7 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
         k for k in range(document.steps) if holding(document, spec.get("from_s", 0.0), spec["until_s"], k)
     ]
     if document.drift is not None or document.powered is not None:
-        raise Rejected("unsafe_sets", f"{name} turns: nothing is said of aborts beside it")
+        raise Rejected("unsafe_sets", f"{name} turns, and aborts are not covered with it")
     sides, axis = [[arb(x) for x in row] for row in spec["normals"]], spec.get("axis")
     if (
         len(sides[0]) != len(document.C)

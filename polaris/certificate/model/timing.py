@@ -93,9 +93,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     if document.timing.get("fine", False) != fine:
         raise Rejected("system", "sizes of impulses are not those of the scenario")
     if document.edge != max(edges) or (document.edge and not pulsed):
-        raise Rejected(
-            "system", f"thrust of pulses comes or goes in {document.edge} s, not as in the scenario"
-        )
+        raise Rejected("system", f"pulses rise or fall in {document.edge} s, not as in the scenario")
     if len(document.fired) != len(fired):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
     for thrust, needed in zip(document.fired, fired, strict=True):
@@ -112,7 +110,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
     if (len(measured) > 1) != bool(document.error_by_step):
-        raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
+        raise Rejected("system", "only one of certificate and scenario has estimate errors by step")
     away = displaced(document, delay)
     carried = [_carried(plant, delay + plant.h * i, nothing) for i in range(missed + 1)]
     full = column(plant.thruster_part(plant.u_max))

@@ -69,14 +69,14 @@ def check_withheld(
     for row in (row for fault in stored or [] for row in fault["steps"]):
         k, at = row["step"], row["limit_time_s"]
         if not (k < document.steps and document.modes[k] == 0 and row["controller"] in laws):
-            raise Rejected("schedule", f"step {k} is not one that S flies in the place of another")
+            raise Rejected("schedule", f"step {k} must be flown by S in place of another controller")
         if row["limit"] not in limits or row["short"] != row["need"] - row["room"]:
-            raise Rejected("schedule", f"in step {k} {row['limit']} is not what is short")
+            raise Rejected("schedule", f"in step {k} {row['limit']} is not the limit that is exceeded")
         if row["t_s"] != k * delta or at < 0 or row["limit_step"] != int(at / delta + 1e-9):
-            raise Rejected("schedule", f"step {k} does not begin or end at that time")
+            raise Rejected("schedule", f"step {k} neither begins nor ends at that time")
     known = [(each["name"], each["lasts"]) for each in document.transients]
     if known != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:
-        raise Rejected("schedule", f"S flies because of faults that are not {known}")
+        raise Rejected("schedule", f"withheld steps name faults other than {known}")
     return stored
 
 

@@ -52,7 +52,7 @@ class Margin:
 
     def __str__(self) -> str:
         need, room = directed(self.need, ".4g", up=True), directed(self.room, ".4g")
-        return f"{self.limit} at t = {self.time:.6g} s: needs {need} of {room}"
+        return f"{self.limit} at t = {self.time:.6g} s: needs {need}, available {room}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -281,7 +281,7 @@ def test_an_orbit_followed_beyond_the_tail_keeps_its_precision(monkeypatch):
     forgetting = SimpleNamespace(periods=document.cells * document.q)
     assert len(prolonged(document, path, forgetting)[0].arcs) == document.steps + document.cells
     flint.ctx.prec = 24
-    with pytest.raises(Imprecise, match="before the loop has forgotten"):
+    with pytest.raises(Imprecise, match="before errors at T have decayed"):
         prolonged(document, path, forgetting)
 
 

@@ -57,9 +57,9 @@ def test_a_set_at_rest_may_not_move_by_a_bit_so_that_nothing_is_assumed_of_it(li
 @pytest.mark.parametrize(
     ("reason", "claim"),
     [
-        ("pillar at t = 13 s: needs 0.1 of 0.05", ""),
+        ("pillar at t = 13 s: needs 0.1, available 0.05", ""),
         ("but safe for ever, whatever happens", "end"),
-        ("safe for ever, really at t = 13 s: needs 0.1 of 0.05", "end"),
+        ("safe for ever, really at t = 13 s: needs 0.1, available 0.05", "end"),
         ("pillar at t = ever s: needs nothing of it", "end"),
     ],
 )

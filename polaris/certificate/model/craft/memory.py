@@ -73,7 +73,7 @@ class Memory:
             radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z
             if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
                 raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
-        raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
+        raise Undecided("recoverable", f"errors of the loop do not decay within {LONGEST} periods")
 
 
 @dataclass(frozen=True, eq=False)

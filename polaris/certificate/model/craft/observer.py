@@ -67,7 +67,7 @@ class Filtering:
         n, one, M = plant.A.nrows(), identity(plant.A.nrows()), matrix(stated["measures"])
         gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
         if len(gains) != missed + 1:
-            raise Rejected("system", f"the observer is not one of up to {missed} missed periods")
+            raise Rejected("system", f"the observer must be designed for up to {missed} missed periods")
         loop, updates = (one - gains[0] * M) * exponential(plant.A, plant.h)[0], []
         for j, gain in enumerate(gains):
             rest = one - gain * M
@@ -182,7 +182,7 @@ class Filtering:
         ages, by_age = stated["ages"], [matrix(each) for each in stated["by_age"]]
         falls = all(b - a >= 1 + self.late * (a == 0) for a, b in pairwise(ages))
         if not (self.late and ages[0] == 0 and falls and ages[-1] <= stated.get("followed", 0) + self.late):
-            raise Rejected("system", "errors of thrusters are not told apart by their age")
+            raise Rejected("system", "thruster errors must be given by age")
         rest = [x - y for x, y in zip(settled, (by_age[0] * full).entries(), strict=True)]
         self.require(rest, 0)
         for i in range(plant.B.ncols()):
@@ -234,4 +234,4 @@ def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[ar
             return [*steps, ever]
         left, turn = left * loop, turn * loop
         ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
-    raise Rejected("system", "the observer does not forget its first errors")
+    raise Rejected("system", "errors of the first estimate do not decay")

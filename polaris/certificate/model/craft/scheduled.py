@@ -48,7 +48,7 @@ class Scheduled:
                 break  # which leaves S no thrust
             grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
-        raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
+        raise Undecided("recoverable", "thruster errors amplify themselves along the reference")
 
     def along(self, needs: Needs, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""

@@ -376,7 +376,7 @@ def test_forged_observers_are_refused(more, tmp_path):
     assert len(measured_errors(document, honest)) == (13 if by_step else 1)
     forged = copy(document)
     forged.transients = [{"name": "stuck_on", "pushes": [[1.0, 0.0]]}]
-    with pytest.raises(Rejected, match="faults of thrusters isolated late"):
+    with pytest.raises(Rejected, match="late thruster faults are not covered"):
         measured_errors(forged, honest | {"timing": {"missed_periods": 1}})
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
