@@ -111,7 +111,7 @@ def export_command(
         agent = next(iter(exported.trace.agents.values()))
         echo(
             f"{path}: run {quoted(label)} of {pilot}, {counted(len(agent.times), 'sample')} over"
-            f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(exported.trace.unsafe)}"
+            f" {agent.times[-1] - agent.times[0]:g} s, keep-out zones: {len(exported.trace.unsafe)}"
         )
         for note in exported.notes:
             echo(f"note: {note}")

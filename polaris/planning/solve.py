@@ -50,9 +50,9 @@ def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
     answer = Planner(problem, options).run()
     if answer.cut_by_clock:
         warnings.warn(
-            f"the planner's wall clock (planner.time_limit_s = {options.time_limit}) ended its search"
-            f" early ({', '.join(answer.cut_by_clock)}): another machine, or another run, may find another"
-            " plan; allow more time, or less effort",
+            f"planner.time_limit_s = {options.time_limit} ended the planner's search early"
+            f" ({', '.join(answer.cut_by_clock)}): another machine or run may find another plan; raise the"
+            " limit, or lower planner.max_linear_programs",
             ClockWarning,
             stacklevel=2,
         )

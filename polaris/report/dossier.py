@@ -27,9 +27,9 @@ LINES, COLUMNS = 76, 112  # of a page, in its smallest type
 LONGEST = 240  # characters of one answer: texts come from files that others may have written
 HEADS = "#0072B2"  # colour of headings: the light font has no bold letters
 MOST_SCENES = 4  # legs of which a scene is drawn
-ABSENT = "not asked for in this run"
-UNDECLARED = "not declared, so taken to be none"
-ALONE = "no mission of several legs"
+ABSENT = "not requested in this run"
+UNDECLARED = "not declared, taken as none"
+ALONE = "not a mission of several legs"
 UNPROVEN = "not proven"
 
 
@@ -144,13 +144,13 @@ class Dossier:
             names = ", ".join(leg.name for leg in self.legs)
             text = "values of a leg are in the files of its folder, which begins with its number"
             yield from _wrapped(f"Mission of {len(self.legs)} legs, {names}; {text}.")
-        yield from _wrapped(f"The independent checker says {self.verdict.outcome}.")
+        yield from _wrapped(f"Verdict of the independent checker: {self.verdict.outcome}.")
         if not self.proven:
             why = self.verdict.witness or "the run claims no proof"
             yield Line(_plain(f"NOTHING IS PROVEN OF THIS RUN: {why}")[:COLUMNS], True)
         yield from _wrapped(
-            "Whether the mission meets a clause is its own reading of the text; here is what the run "
-            "contributes, where that is found in its folder, and what only the mission can show."
+            "The mission itself must judge whether it meets a clause. Each clause is followed by the values "
+            "of this run, their places in its folder, and what only the mission can show."
         )
         for source, group in groupby(CLAUSES, lambda clause: clause.source):
             yield Line("")
@@ -159,7 +159,7 @@ class Dossier:
             for clause in group:
                 yield from self._clause(clause)
         yield Line("")
-        yield Line("What the claims rest on (summary.json: guarantee.assumptions)", True, with_next=True)
+        yield Line("Assumptions of the claims (summary.json: guarantee.assumptions)", True, with_next=True)
         own = summary["mission"]["assumptions"] if self.run.kind is MISSION else []
         rest: dict[str, dict[str, None]] = {}
         for leg in self.legs:

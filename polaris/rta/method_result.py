@@ -19,24 +19,24 @@ from .method import FILTERED, Claim
 UNCHANGED = 0  # reason of a filter's decision that lets the desired input pass (`Method.reasons`)
 
 DEFINITIONS = {
-    "min_distance_m": "signed distance to the nearest true unsafe set, least over each run; negative inside",
-    "mean_distance_m": "the same, mean over time",
-    "min_ttc_s": "least time of each run until a straight line at the present velocity enters an unsafe set;"
-    " no mean if some run never heads for one",
-    "min_ttc_free_drift_s": "the same with thrusters off from the start of each planning step",
+    "min_distance_m": "minimum signed distance of each run to a true keep-out zone; negative inside",
+    "mean_distance_m": "signed distance to the nearest true keep-out zone, mean over time",
+    "min_ttc_s": "minimum time of each run to a keep-out zone, straight at the present velocity;"
+    " no mean if some run is never on a collision course",
+    "min_ttc_free_drift_s": "minimum time to collision with thrusters off from the start of each step",
     "experimental_share": "share of time in which the experimental controller's input is applied unchanged",
     "switches": "changes between S, U and filtered inputs within a run",
-    "delta_v_m_s": "velocity change: integral of the 1-norm of the input over the mass",
+    "delta_v_m_s": "delta-v: integral of the 1-norm of the input over the mass",
     "deviation": "mean over time of the 2-norm of applied minus desired input (N for a spacecraft)",
-    "violations": "runs that entered a true unsafe set; the interval is Clopper and Pearson's on its"
-    " probability, times the runs",
+    "violations": "runs that entered a true keep-out zone; the interval is that of Clopper and Pearson for"
+    " the probability, times the number of runs",
     "decision_median_us": "wall time of one decision for one run, median over its decisions",
-    "decision_p99_us": "the same, 99th percentile",
+    "decision_p99_us": "wall time of one decision for one run, 99th percentile",
     "synthesis_s": "wall time before the flight: Algorithm 1 where the method needs S, Algorithm 2 for the"
-    " schedule, and what the method prepares",
-    "mean, low, high": "mean over runs and its 95 % interval (Student's t, cut to what is possible); of"
-    " runs drawn as here, half of them under worst cases, not of flights in nature",
-    "worst": "least distance, time to collision or share; largest of the others",
+    " schedule, and preparation of the method",
+    "mean, low, high": "mean over runs and its 95 % interval (Student's t, cut to possible values), for"
+    " runs drawn as here, half of them under worst cases, not for real flights",
+    "worst": "minimum of distances, times to collision and shares; maximum of the others",
 }
 """Meaning of each number of a comparison."""
 

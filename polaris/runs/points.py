@@ -23,20 +23,20 @@ from .files.tables import write_csv
 Row = dict[str, Any]  # what one point says, by column
 
 COLUMNS = {
-    "folder": "run folder of the point; printed: recoverable.recourse = none, where no price is paid",
-    "field": "what of the scenario is changed from point to point, by its key",
-    "value": "of that field",
+    "folder": "run folder of the point; `printed` has recoverable.recourse = none and no prices",
+    "field": "key of the scenario that varies from point to point",
+    "value": "value of that field",
     "share": "share of the time under experimental controllers",
-    "weighted_share": "the same, each controller's time times its weight",
-    "delta_v_undisturbed_m_s": "velocity change of the undisturbed flight from the middle of the initial set",
-    "delta_v_most_m_s": "velocity change proven never to be exceeded until the goal is reached, or nearest",
-    "delta_v_m_s": "velocity change, mean over simulated runs",
-    "delta_v_max_m_s": "velocity change, largest over simulated runs",
+    "weighted_share": "share of time under experimental controllers, times their weights",
+    "delta_v_undisturbed_m_s": "delta-v of the undisturbed flight from the middle of the initial set",
+    "delta_v_most_m_s": "proven bound on the delta-v until the goal is reached, or nearest",
+    "delta_v_m_s": "delta-v, mean over simulated runs",
+    "delta_v_max_m_s": "delta-v, maximum over simulated runs",
     "guarantee": "proved, or statistical (black boxes); infeasible: there is no schedule, see reason",
-    "non_dominated": "no other point is as good in weighted_share, delta_v_m_s, switches, the goal, the"
-    " guarantee and until when it holds, and better in one of them; told of prices alone",
-    "needed": "of every field: the last value with which at least the share asked is proven, from the better"
-    " end on; and the value between it and the next by linear interpolation, if that is proven too",
+    "non_dominated": "no other point is as good in weighted_share, delta_v_m_s, switches, goal, guarantee"
+    " and its duration, and better in one of them; given for prices only",
+    "needed": "for every field: the last value, from the better end on, with which the required share is"
+    " proven; and the interpolated value between it and the next one, if that is proven too",
 }
 
 

@@ -90,7 +90,7 @@ class ScheduleScenario(Scenario):
         chosen = f" (commands each {self.period():g} s)" if self.model.feedback.period_s is None else ""
         return (
             f"{counted(system.n, 'state')}, {counted(system.m, 'input')},"
-            f" {counted(self.steps, 'step')} of {self.step:g} s{chosen}, unsafe sets: {sets},"
+            f" {counted(self.steps, 'step')} of {self.step:g} s{chosen}, keep-out and keep-in zones: {sets},"
             f" experimental controllers: {len(self.model.experimental)}"
         )
 

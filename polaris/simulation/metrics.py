@@ -13,25 +13,25 @@ from ..model.system import Array
 
 DEFINITIONS = {
     "runs": "closed-loop runs from random and extreme initial states, under random and worst disturbances",
-    "min_distance_m": "least signed distance to any true unsafe set over all runs and times; negative inside",
-    "min_distance_mean_m": "mean over runs of each run's least distance",
-    "mean_distance_m": "mean over runs and times of the signed distance to the nearest unsafe set",
-    "min_ttc_s": "least time, over all runs and times, until a straight line at the present velocity "
-    "enters an unsafe set; null if none ever does",
-    "min_ttc_free_drift_s": "the same with thrusters off from the start of each step, looking ahead for "
-    "drift_horizon_s; null if none enters",
+    "min_distance_m": "minimum signed distance to a true keep-out zone, over runs and times; negative inside",
+    "min_distance_mean_m": "mean over runs of the minimum distance of each run",
+    "mean_distance_m": "mean over runs and times of the signed distance to the nearest keep-out zone",
+    "min_ttc_s": "minimum time, over runs and times, until a straight line at the present velocity "
+    "enters a keep-out zone; null if none does",
+    "min_ttc_free_drift_s": "minimum time to collision with thrusters off from the start of a step, within "
+    "drift_horizon_s; null if none collides",
     "experimental_share": "share of time under experimental controllers, mean over runs",
-    "switches": "changes of controller within a run, most over runs",
-    "delta_v_m_s": "velocity change (integral of the 1-norm of the input over the mass), mean over runs",
-    "delta_v_max_m_s": "velocity change, largest over runs",
-    "collided": "whether any run entered a true unsafe set",
-    "collided_runs": "number of runs that entered a true unsafe set",
-    "max_thrust_ratio": "largest commanded over available thrust, over runs, times and axes; "
-    "above 1 it was clipped",
-    "max_thrust_ratio_safety": "the same while S flies, at most 1 where it is proven; null if it never does",
-    "max_thrust_ratio_experimental": "the same while an experimental controller flies; null if none does",
+    "switches": "changes of controller within a run, maximum over runs",
+    "delta_v_m_s": "delta-v (integral of the 1-norm of the input over the mass), mean over runs",
+    "delta_v_max_m_s": "delta-v, maximum over runs",
+    "collided": "true if any run entered a true keep-out zone",
+    "collided_runs": "number of runs that entered a true keep-out zone",
+    "max_thrust_ratio": "peak ratio of commanded to available thrust, over runs, times and axes; "
+    "thrust above 1 is clipped",
+    "max_thrust_ratio_safety": "the ratio while S flies, at most 1 where proven; null if it never does",
+    "max_thrust_ratio_experimental": "max_thrust_ratio while U flies; null if it never does",
 }
-"""What each number of a summary means, and how it joins the runs."""
+"""Definition of each number of a summary."""
 
 CONFIDENCE = 0.95  # of every interval and bound
 

@@ -22,7 +22,7 @@ def show_metrics(found: TraceMetrics) -> None:
             show_table(_separations((*agent.unsafe, *agent.others)))
             say(f"velocity: {agent.velocity}")
         else:
-            say("no unsafe set, no other agent")
+            say("no keep-out zone, no other agent")
         shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
         say(f"share of time: {shares}; switches: {agent.switches}")
         if agent.running_times is not None:

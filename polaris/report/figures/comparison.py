@@ -27,7 +27,7 @@ ALONE: Mapping[str, Any] = {"lw": 0.6, "ls": DASHES}
 Methods = Sequence[Mapping[str, Any]]
 
 PANELS: tuple[tuple[str, str, bool], ...] = (  # metric, label, and whether its axis is logarithmic
-    ("min_distance_m", "Least distance\n(m)", False),
+    ("min_distance_m", "Minimum distance\n(m)", False),
     ("experimental_share", "Share of time\nunder U", False),
     ("delta_v_m_s", "Delta-v\n(m/s)", False),
     ("deviation", "Deviation from\nU's input", False),
@@ -106,7 +106,7 @@ def _paths(results: ComparisonPicture) -> Any:
         frame_axes(ax, view)
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
-        words = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
+        words = "not flown" if one is None else f"minimum distance {float(one.nearest[0].min()):.3g} m"
         title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{words}"
         ax.set_title(
             title, fontsize=7, linespacing=1.1, pad=3, color=GREEN if method["guarantee"] == "proved" else RED
@@ -174,7 +174,7 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
         name(ax, f"{_prices(here, known)}, {counted(switches, 'switch', 'switches')}", [[x, y]], BLACK)
     weighted = any(point["share"] != point["weighted_share"] for point in points)
     ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
-    ax.set_xlabel("Velocity change, mean over runs (m/s)")
+    ax.set_xlabel("Delta-v, mean over runs (m/s)")
     ax.grid(True)
     handles = [dot("o", BLACK, 4, "no other outdoes it"), dot("o", GREY, 4, "outdone")]
     handles.append(dot("D", PURPLE, 4, "printed algorithms", mfc="none"))

@@ -177,7 +177,7 @@ def margin_figure(picture: Picture) -> Any:
             _bars(ax, picture, names == one, (place, height), shade)
             handles.append(Patch(facecolor=shade, label=one))
     _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
-    label = "Margin (share of room left)"
+    label = "Margin (share of clearance)"
     ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
     ax.grid(True, axis="y")

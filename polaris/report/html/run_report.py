@@ -25,16 +25,16 @@ from .scene import plain
 from .timelines import page_data
 
 CAPTION = "From simulated runs, under random and worst-case disturbances"
-MOST_TOLD = 3  # most stretches under S that are told one by one
+MOST_TOLD = 3  # most stretches under S that are listed one by one
 
 NOTE = (
-    "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands reach over all "
-    "simulated runs, lines are the run shown. The distance of the run shown is taken from where other "
-    "satellites are nominally, the band from where they truly were."
+    "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands cover all simulated "
+    "runs, lines are the run shown. The distance of the run shown is to the nominal positions of other "
+    "satellites, the band is to their true positions."
 )
 SLICE = (
-    "The recoverable set (yellow) is cut through the state of the run shown, at the time written at it: "
-    "then it is filled, and dashed until the next one."
+    "The recoverable set (yellow) is a slice through the state of the run shown, at the time written beside "
+    "it: filled at that time, dashed until the next one."
 )
 
 
@@ -77,7 +77,8 @@ def _margins(picture: Picture) -> dict[str, Any]:
     series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
     series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}
     title, limits = "Containment margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
-    return {"key": "margin", "title": title, "unit": "share of room", "limits": limits, "series": [series]}
+    named = {"key": "margin", "title": title, "unit": "share of clearance"}
+    return named | {"limits": limits, "series": [series]}
 
 
 def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
@@ -85,16 +86,16 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     claim, flown, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
     end, proved = claim["goal"], claim["kind"] == "proved"
     within, spent = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
-    arrives = ("nothing is claimed", "the proof that it would rest on is missing")
+    arrives = ("no claim", "the guarantee is not proved")
     cost = f"mean of {counted(flown['runs'], 'simulated run')}"
     if proved:
         word = "not proven" if end["reached"] == "not_proven" else "no"
-        arrives = (word, f"at best within {within} m; {end['tolerance_m']:.4g} m would do")
+        arrives = (word, f"at best within {within} m; the tolerance is {end['tolerance_m']:.4g} m")
         if end["reached"] is True:
-            there = f"proven, within {within} m of the goal; to stay there S must fly on"
+            there = f"proven, within {within} m of the goal; S must fly on to stay there"
             arrives = (f"at {_time(end['by_s'])}", there)
         then = "to the goal" if end["reached"] is True else "until it is nearest"
-        cost += f"; {then} at most {spent} m/s, proven"
+        cost += f"; proven {then}: at most {spent} m/s"
     if "safety" in summary:
         cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
     share, switches = Measure.of("experimental_share").text(search["experimental_share"]), search["switches"]
@@ -136,5 +137,5 @@ def aborts(claim: Mapping[str, Any]) -> Markup:
         cost = why or f"{directed(spent, '.4g', up=True)} m/s"
         cells = f"{steps[0]['step']} to {steps[-1]['step']}", *(("", "") if why else map(_time, (leaves, by)))
         rows.append([Cell(text) for text in (*cells, cost)])
-    heads = ["in steps", "leaves the reference", "on the orbit by", "velocity change at most, or why not"]
+    heads = ["in steps", "leaves the reference", "on the orbit by", "delta-v at most, or reason for none"]
     return table(Table("Abort with thrust", heads, rows)) if rows else Markup()

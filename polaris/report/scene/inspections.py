@@ -80,7 +80,7 @@ def fuel_timeline(run: FuelRun) -> Timeline:
     return Timeline(
         [_pilot(0, "deputy", run.t, run.x, run.u, backup)],
         [
-            Panel("fuel", "Velocity change so far", "Velocity\nchange", "m/s", [fuel], spent),
+            Panel("fuel", "Delta-v so far", "Delta-v", "m/s", [fuel], spent),
             *input_panels(THRUSTS, "N", [q.thrust_max] * 3, [thrust]),
         ],
         modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
@@ -115,7 +115,7 @@ def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
         ],
         "sun": [panel("Chief to sun", "degrees", sun, _of_deputies(run, np.degrees(values["phi4"]) + half))],
         "thrust": thrust_panels(run),
-        "delta_v": [panel("Velocity change", "m/s", [], _of_deputies(run, run.delta_v))],
+        "delta_v": [panel("Delta-v", "m/s", [], _of_deputies(run, run.delta_v))],
     }
     if q.deputies > 1:
         least, apart = q.deputy_separation, _of_pairs(run, values["phi2"] + q.deputy_separation)

@@ -52,7 +52,7 @@ class Look:
 
 
 LOOKS = {  # by role of an item of a scene
-    "unsafe": Look(RED, "unsafe set", "unsafe", "unsafe"),
+    "unsafe": Look(RED, "keep-out zone", "unsafe", "unsafe"),
     "cover": Look(DULL_RED, "is within", "satellite is within", "unsafe"),
     "keep_in": Look(RED, "stay inside", "stay inside", "unsafe"),
     "sides": Look(RED, "its sides", "", "unsafe"),

@@ -116,7 +116,7 @@ def schedule_timeline(
     panels = [
         *([_distances(picture, runs, proved)] if picture.obstacles else []),
         *(_limit_panel(i, one, picture, runs, proved) for i, one in enumerate(picture.state_limits)),
-        Panel("spent", "Velocity change so far", "Velocity\nchange", "m/s", limits, spent),
+        Panel("spent", "Delta-v so far", "Delta-v", "m/s", limits, spent),
         *input_panels(titles, unit, picture.system.u_max, inputs),
     ]
     present = np.concatenate([picture.modes, *(np.ravel(each.modes) for each in runs.values())])
@@ -162,7 +162,7 @@ def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Pane
         series.append(Series(each.times, distances, key, band=each.nearest[[0, 2]]))
     if proved and (bound := proven_distance(picture)) is not None:
         series.append(_proven(picture, bound, "least that is proven"))
-    title = "Distance to the nearest unsafe set"
+    title = "Distance to the nearest keep-out zone"
     return Panel("distance", title, "Distance", "m", [Limit(0.0, "unsafe", "below")], series)
 
 

@@ -56,13 +56,13 @@ WORST: dict[str, Callable[[Array], Any]] = {
 COLUMNS = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "guarantee", "collided"})
 
 DEFINITIONS = {
-    "violations": "runs that entered a true unsafe set",
-    "violation_probability": "of a run drawn as here: share of the runs, and the two-sided 95 % interval of"
-    " Clopper and Pearson",
-    "mean": "over runs, with the two-sided 95 % interval of Student's t, cut to what is possible; null if a"
-    " run has no finite value",
-    "worst": "largest over runs for switches, delta_v_m_s and max_thrust_ratio, least for the others",
-    "worst_runs": "those that came closest to an unsafe set, nearest first",
+    "violations": "runs that entered a true keep-out zone",
+    "violation_probability": "share of violating runs, and the two-sided 95 % interval of Clopper and Pearson"
+    " for runs drawn as here",
+    "mean": "mean over runs, with the two-sided 95 % interval of Student's t, cut to possible values; null"
+    " if a run has no finite value",
+    "worst": "maximum over runs for switches, delta_v_m_s and max_thrust_ratio, minimum for the others",
+    "worst_runs": "runs with the smallest distance to a keep-out zone, nearest first",
 }
 
 ASSUMPTIONS = {

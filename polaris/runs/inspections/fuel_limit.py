@@ -63,9 +63,9 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
         "filter_seconds": {"median": float(np.median(run.seconds)), "largest": float(run.seconds.max())},
         "guarantee": guarantee(model, run),
         "definitions": {
-            "phi12_least_m_s": "fuel limit less what was spent, least over the flight (eq. 24)",
+            "phi12_least_m_s": "fuel limit minus delta-v, minimum over the flight (eq. 24)",
             "last_thrust_s": "last period with a thrust above one millionth of its limit",
-            "distance_least_m": "least distance from the chief at the starts of the periods",
+            "distance_least_m": "minimum distance from the chief at the starts of the periods",
             "parking_orbit": "of the last state; the velocity error vanishes on a closed ellipse",
             "filter_seconds": "wall time of one decision before the switch, prediction included",
         },

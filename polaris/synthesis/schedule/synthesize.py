@@ -199,9 +199,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     library = tuple(one for one in others if as_good(one, best, search.rules))
     if late:
         text = "planner.time_limit_s ended the search for a reference along U's path early"
-        warnings.warn(
-            f"{text}: another machine, or another run, may find another", ClockWarning, stacklevel=3
-        )
+        warnings.warn(f"{text}: another machine or run may find another one", ClockWarning, stacklevel=3)
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
     return replace(best, library=library, worth=worth.prices)

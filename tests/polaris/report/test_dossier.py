@@ -77,7 +77,7 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
     claim = files["summary.json"]["guarantee"]
     assert all(one.split(",")[0] in text for one in claim["assumptions"])
     assert hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest() in text
-    assert "checker says VERIFIED" in text and "NOTHING IS PROVEN" not in text
+    assert "independent checker: VERIFIED" in text and "NOTHING IS PROVEN" not in text
 
 
 def lines_of(run, verdict):

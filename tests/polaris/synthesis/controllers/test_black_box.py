@@ -571,7 +571,7 @@ BAD = {
     "silent": ("import time; time.sleep(60)", "within"),
     "garbage": ("input(); print('hello', flush=True); input()", "must answer"),
     "no command": ("input(); print('{}', flush=True); input()", "must answer"),
-    "half a line": ("input(); print('{\"u\": [', end='', flush=True)", "it ended"),
+    "half a line": ("input(); print('{\"u\": [', end='', flush=True)", "but ended"),
     "half a line, and waits": ("input(); print('{\"u\": [', end='', flush=True); input()", "within"),
     "after two answers": (f"input(); {ANSWER}; input(); {ANSWER}; raise SystemExit('worn out')", "worn out"),
     "no end": ("while True: print('x' * 65536, end='')", "wrote too much"),
