@@ -141,8 +141,9 @@ def export_c_command(
     name: str | None = Option(None, help="Name of the component or application; default from the prefix."),
     module: str = Option("Components", help="Module of the F' component."),
     monitor: bool = Option(False, "--monitor", help="Include the online monitor."),
+    observer: bool = Option(False, "--observer", help="Include the observer, fed by measurements."),
 ) -> None:
     """Write safety controller, schedule and reference of a run as C99 with a self-test."""
     from ..flight.export import export_c
 
-    echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module, monitor))))
+    echo("\n".join(map(str, export_c(run, out, precision, prefix, glue, name, module, monitor, observer))))

@@ -12,6 +12,7 @@ from ..runs.files.tables import write_text
 from ..runs.read_schedule import certificate_of, read_schedule, schedule_folder
 from ..simulation.on_board import check_flyable, tables_of
 from .glue import MODULE, glue_files
+from .observer import observer_rounding, with_observer
 from .online import with_monitor
 from .rounding import disturbance_taken, stated_rounding
 from .vectors import FLIGHTS, calls
@@ -26,6 +27,7 @@ def export_c(
     name: str | None = None,
     module: str = MODULE,
     monitor: bool = False,
+    observer: bool = False,
 ) -> list[Path]:
     """Write the flight code of a run folder: S, the schedule and the reference, and a self-test.
 
@@ -43,6 +45,8 @@ def export_c(
         Framework whose component or application is written beside the code, as of `glue_files`.
     monitor : bool
         Include the online monitor, which may let U fly where the schedule does not.
+    observer : bool
+        Include the scenario's observer: measurements are handed over instead of estimates.
 
     Returns
     -------
@@ -62,8 +66,14 @@ def export_c(
     if not PREFIX.fullmatch(prefix):
         rule = "must be at most 20 of a-z, 0-9 and _, a letter first, and no header of C"
         raise ScenarioError("prefix", prefix, rule)
-    tables = flight_tables(document).rounded(precision)
+    if observer and (monitor or glue):
+        rule = "must be off beside monitor and glue: they are for estimates that are handed over"
+        raise ScenarioError("observer", True, rule)
+    tables = flight_tables(document)
+    tables = (with_observer(tables, document) if observer else tables).rounded(precision)
     rounding = stated_rounding(document, tables, precision)
+    if observer:
+        rounding = observer_rounding(document, tables, precision, rounding)
     if (share := disturbance_taken(document, rounding)) >= 1:
         rule = f"rounds by {share:.3g} of the disturbance bound, which must be less than 1; use double"
         raise ScenarioError("precision", precision, rule)

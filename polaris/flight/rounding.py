@@ -17,20 +17,23 @@ UNIT = {"double": Decimal(2) ** -53, "float": Decimal(2) ** -24}
 Exact = Any  # array of Decimal
 
 
-def _exact(values: Any) -> Exact:
+def exact(values: Any) -> Exact:
+    """Return numbers as decimals."""
     return np.vectorize(Decimal, otypes=[object])(np.array(values, dtype=float))
 
 
 def stated_rounding(document: Document, tables: Tables, precision: str) -> float:
     """Bound on what rounding on board changes of any command [N], for states within the range.
 
+    What rounding makes of an observer's estimates is apart.
+
     Every entry is followed through the step function at its largest over all cells, part by part.
     """
     with localcontext() as context:
         context.prec = DIGITS
-        u, (gain, limit) = UNIT[precision], (np.abs(_exact(x)) for x in (tables.gain, tables.limit))
+        u, (gain, limit) = UNIT[precision], (np.abs(exact(x)) for x in (tables.gain, tables.limit))
         handed = u if precision == "float" else Decimal(0)
-        worst, feed = Decimal(0), np.abs(_exact(tables.feed)).max(axis=0)
+        worst, feed = Decimal(0), np.abs(exact(tables.feed)).max(axis=0)
         for error, apart in _gaps(document, tables, precision):
             spread = gain @ (apart + error) + feed + limit
             worst = max(worst, *(gain @ error + spread * (u * (gain.shape[1] + 3) + 2 * handed)))
@@ -49,11 +52,12 @@ def _gaps(document: Document, tables: Tables, precision: str) -> Iterator[tuple[
     """Rounding of the error at the nodes of a step, and the size of the error, (n,) each, part by part."""
     n, m, u = len(document.A), len(document.u_max), UNIT[precision]
     handed = u if precision == "float" else Decimal(0)
-    reach, path, starts = np.abs(_exact(tables.range)), _path(document), _exact(tables.waypoints)
+    handed = Decimal(0) if tables.seen else handed
+    reach, path, starts = np.abs(exact(tables.range)), _path(document), exact(tables.waypoints)
     feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
-    feeds[: len(tables.feed)] = _exact(tables.feed)
+    feeds[: len(tables.feed)] = exact(tables.feed)
     for part, (moved, pushed) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
-        Phi, Gamma = _exact(moved), _exact(pushed)
+        Phi, Gamma = exact(moved), exact(pushed)
         off = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
         size = np.abs(Phi) @ np.abs(starts).max(axis=0) + np.abs(Gamma) @ np.abs(feeds).max(axis=0)
         error = off + size * u * (n + m + 2)
@@ -73,27 +77,31 @@ def disturbance_taken(document: Document, error: float) -> float:
 
 def _path(document: Document) -> list[Exact]:
     """The exact reference at every part of every cell, by part, (cells, n) each."""
-    A, B, centre, tail = (
-        _exact(x) for x in (document.A, document.B, document.center, document.states[document.steps])
-    )
+    (A, B), centre, tail = plant(document), exact(document.center), exact(document.states[document.steps])
+    if document.system_kind == "clohessy_wiltshire" and document.horizon == "infinite":
+        tail[4] = -2 * Decimal(document.mean_motion or 0.0) * tail[0]
+    h = Decimal(document.delta) / document.q
+    each = [held(A, B, h * part) for part in range(document.q + 1)]
+    inputs, states = exact(document.inputs), [centre]
+    for k, u in enumerate(inputs):
+        states[k] = tail if k == document.steps else states[k]
+        states.append(each[-1][0] @ states[k] + each[-1][1] @ u)
+    return [np.array(states[:-1]) @ Phi.T + inputs @ Gamma.T for Phi, Gamma in each[:-1]]
+
+
+def plant(document: Document) -> tuple[Exact, Exact]:
+    """Return the exact matrices of the motion and of the inputs."""
+    A, B = exact(document.A), exact(document.B)
     if document.system_kind == "clohessy_wiltshire":
         rate = Decimal(document.mean_motion or 0.0)
         A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * rate**2, 2 * rate, -2 * rate, -(rate**2)
         B[B != 0] = 1 / Decimal(document.mass)
-        if document.horizon == "infinite":
-            tail[4] = -2 * rate * tail[0]
-    h = Decimal(document.delta) / document.q
-    held = [_held(A, B, h * part) for part in range(document.q + 1)]
-    inputs, states = _exact(document.inputs), [centre]
-    for k, u in enumerate(inputs):
-        states[k] = tail if k == document.steps else states[k]
-        states.append(held[-1][0] @ states[k] + held[-1][1] @ u)
-    return [np.array(states[:-1]) @ Phi.T + inputs @ Gamma.T for Phi, Gamma in held[:-1]]
+    return A, B
 
 
-def _held(A: Exact, B: Exact, t: Decimal) -> Sequence[Exact]:
+def held(A: Exact, B: Exact, t: Decimal) -> Sequence[Exact]:
     """``e^{A t}`` and ``int_0^t e^{A s} ds B`` by their Taylor series."""
-    term = _exact(np.eye(len(A)))
+    term = exact(np.eye(len(A)))
     Phi, Gamma, k = term, term * t, 1
     while np.abs(term).max() > Decimal(10) ** -DIGITS:
         term = term @ A * t / k

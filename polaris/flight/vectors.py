@@ -1,6 +1,7 @@
 """Calls of the flight code, regular and hostile: what its self-test and the tests hand over."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
@@ -26,7 +27,7 @@ def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
     rng, q = np.random.default_rng(seed), len(tables.moved)
     last, waypoints = len(tables.waypoints) * q + 2 * q, np.array(tables.waypoints)
     reach, limit = np.array(tables.range), np.array(tables.limit)
-    known, apart = FlightStep(tables), np.array(tables.apart)
+    known, apart, seen = FlightStep(tables), np.array(tables.apart), np.array(tables.seen)
     for flight in range(flights):
         start = 2 if tables.rows and flight // 2 % 2 else 1
         period = 0 if flight % 2 else int(rng.integers(0, last))
@@ -42,10 +43,18 @@ def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
             mode = tables.modes[cell] if cell < len(tables.modes) else 0
             mode = int(place % 5 < 4) if start == 2 else mode  # S may fly in between
             odd = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
+            measured = seen @ state if tables.seen else state
             call = _call(rng, 0 if place else start, period, state, mode, command, int(odd))
-            yield call
+            yield _measured(rng, call, measured) if tables.seen else call
             period += 1 if odd != 4 else int(rng.integers(-3, 6))
             period = PERIODS[0] if call.period == LATEST else max(period, PERIODS[0])  # the counter wraps
+
+
+def _measured(rng: np.random.Generator, call: Call, measured: Array) -> Call:
+    """Return a call with a measurement, of which one in eight is odd or missing."""
+    if rng.integers(0, 8) == 0:
+        measured[rng.integers(0, len(measured))] = rng.choice([*SPECIAL, nan, nan])
+    return replace(call, measured=tuple(measured.tolist()))
 
 
 def _call(

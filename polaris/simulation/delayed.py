@@ -1,10 +1,13 @@
 """Observers, delays, missed periods and predictions flown for real: estimates are worked out on board."""
 
+from math import isclose
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ..model.craft import Array, Craft
+from ..model.errors import ScenarioError
 from ..model.estimates.prediction import prediction_error, when_measured
 from ..synthesis.sources.source import remembers
 from .integration import Integrator
@@ -36,6 +39,10 @@ class Predicting(Integrator):
         super().begin(runs)
         if not self.drawn:
             self.prepare(runs, None)
+        delay = self.system.timing.delay
+        if self.code is not None and self.code.tables.seen and not isclose(self.lag * self.dt, delay):
+            rule = f"must be of whole steps of {self.dt:g} s where flight code has the observer"
+            raise ScenarioError("timing.delay_s", delay, rule)
 
     def prepare(self, runs: int, rng: np.random.Generator | None) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
@@ -86,20 +93,28 @@ class Predicting(Integrator):
         made = np.linalg.matrix_power(loop, -(-step // self.substeps))
         return np.asarray(off @ (expm(-A * min(since, 0) * self.dt) @ made).T)
 
-    def _observed(self, start: int) -> Array:
-        """Return an observer's estimates (R, n) from all it has measured up to a step."""
+    def _before(self, step: int, start: int) -> Array:
+        """Return an observer's estimates of the start, in a step whose measurement was made before it."""
+        observer, carried = self.system.observer, expm(self.system.A * start * self.dt)
+        assert observer is not None
+        self.heard = self.seen[0] @ (observer.measures @ carried).T
+        return np.asarray(self.seen[0] + self._begun(step, start))
+
+    def _observed(self, step: int, start: int) -> Array:
+        """Return an observer's estimates (R, n) in a step from all it has measured up to `start`."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
-            self.filtered = self.seen[start] + self._begun(self.lag, start)
-            self.measured, self.since = start, np.zeros(len(self.filtered), dtype=int)
+            before = self.substeps if step else 0
+            self.filtered = self.seen[0] + self._begun(step - before, start - before)
+            self.measured, self.since = start - before, np.zeros(len(self.seen[0]), dtype=int)
         gains = np.array([observer.gain, *observer.after])
         while self.measured < start:
-            for at in range(self.measured, self.measured + self.substeps):
+            for at in range(max(self.measured, 0), self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
             self.measured += self.substeps
             off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
-            if self.eta is not None:
+            if self.eta is not None and self.measured > 0:  # exact before, see `_begun`
                 used = min(self.measured + self.lag, self.steps - 1)
                 signs, first = (np.sign(self.eta[at] @ observer.measures.T) for at in (used, 0))
                 at, box = max(self.measured, 0), np.zeros(len(observer.noise))
@@ -107,9 +122,10 @@ class Predicting(Integrator):
                     box[:3] = sights[min(at // self.steps_per_cell, len(sights) - 1), 2:]
                 off = off + observer.errors(signs, first) - box * signs
                 off = off + self.turned(at, self.seen[self.measured], box * signs, box)
-            missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
+            missing = (self.ages[(self.measured + self.lag) // self.substeps] > 0) & (self.measured > 0)
             if self.failing is not None:
                 missing |= self.failing.missing(np.full(len(missing), self.measured))
+            self.heard = np.where(missing[:, None], np.nan, off + self.filtered @ observer.measures.T)
             gain = gains[np.minimum(self.since, len(gains) - 1)]
             update = np.einsum("rnm,rm->rn", gain, off)
             self.filtered = self.filtered + np.where(missing[:, None], 0.0, update)
@@ -131,7 +147,7 @@ class Predicting(Integrator):
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if self.system.observer is not None:
-                y = self._observed(start) if start >= 0 else self.seen[0] + self._begun(step, start)
+                y = self._observed(step, start) if start >= 0 else self._before(step, start)
             elif start < 0:
                 continue
             else:

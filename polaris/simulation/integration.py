@@ -36,10 +36,12 @@ class Integrator(Firing):
     Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
     is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of satellites at
     the nodes, by name (R, N+1, n), it is the truth. Pulses and jitter are flown exactly. Flight
-    `code`, if any, decides and commands; `rows` are the flights of it that a call is about.
+    `code`, if any, decides and commands; `rows` are the flights of it that a call is about, and `heard` the
+    measurements that its observer takes in, (R, o).
     """
 
     code: FlightCode | None = None
+    heard: Array | None = None
     rows: slice | NDArray[np.bool_] = slice(None)
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -114,7 +116,7 @@ class Integrator(Firing):
         seen = self.estimate(step, x[:, : self.system.n])
         relieved = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.by_s(step)
         whose = np.where(relieved, 0, number)
-        return self.code.step(step // self.substeps, seen, whose, u, self.rows)
+        return self.code.step(step // self.substeps, seen, whose, u, self.rows, self.heard)
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """Command before clipping, shape (R, m), at the start of step `at` of cell k."""

@@ -6,11 +6,14 @@ import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil, fsum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from reach.numerics.linear import discretize
 
@@ -18,8 +21,10 @@ from ..certificate.code.answers import CLIPPED
 from ..certificate.code.text import FARTHEST, PRECISIONS, Tables, files, parsed
 from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
+from ..model.timing import WHOLE
 from ..synthesis.schedule.schedule import Schedule
 
+MOST_SENT = 32  # most commands that an observer on board remembers
 COMPILERS = "cc", "gcc", "clang"
 FLAGS = "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC"
 PAST = 1e-3
@@ -75,7 +80,8 @@ class FlightCode:
             raise ScenarioError("code", str(folder), f"must be a folder of flight code: {error}") from error
         self.online = f"{prefix}_online_step" in header.read_text()
         n, m, real = len(self.tables.range), len(self.tables.limit), REALS[self.precision]
-        given = [("period", "i4"), ("controller", "i4"), ("state", real, n), ("command", real, m)]
+        seen = [("measured", real, len(self.tables.seen))] if self.tables.seen else []
+        given = [("period", "i4"), ("controller", "i4"), ("state", real, n), *seen, ("command", real, m)]
         answer = [("mode", "i4"), ("fault", "u4"), ("command", real, m), ("margin", real)]
         self._input, self._output = np.dtype(given, align=True), np.dtype(answer, align=True)
         with tempfile.TemporaryDirectory() as scratch:
@@ -94,6 +100,8 @@ class FlightCode:
 
     def of(self, schedule: Schedule) -> "FlightCode":
         """Return the code, unless it is that of another schedule: then raise `ScenarioError`."""
+        if self.tables.seen and schedule.safety.problem.system.observer is None:
+            raise ScenarioError("code", self.tables.sizes, "has an observer, and the scenario has none")
         reference = np.array(self.tables.waypoints)
         cells = schedule.safety.reference.chi[: len(reference)]
         same = self.tables.modes == schedule.modes.tolist() and reference.shape == cells.shape
@@ -107,7 +115,15 @@ class FlightCode:
         self.modes = np.zeros(runs, dtype=int)
         self._library.start(runs, self._memory.ctypes)
 
-    def step(self, period: int, states: Array, controllers: Any, commands: Array, rows: Any = ...) -> Array:
+    def step(
+        self,
+        period: int,
+        states: Array,
+        controllers: Any,
+        commands: Array,
+        rows: Any = ...,
+        measured: Array | None = None,
+    ) -> Array:
         """Answer the call of a control period in some of the flights.
 
         Parameters
@@ -121,6 +137,9 @@ class FlightCode:
             Their commands [N].
         rows : index, optional
             Flights that are called, r of them; default all.
+        measured : ndarray, shape (r, o), optional
+            Measurements for the observer in the code, NaN where there is none; states are then read in the
+            first call alone.
 
         Returns
         -------
@@ -130,6 +149,10 @@ class FlightCode:
         given, answer = (np.zeros(len(states), dtype=each) for each in (self._input, self._output))
         given["period"], given["controller"] = period, controllers
         given["state"], given["command"] = states, commands
+        if self.tables.seen and period > 0:
+            if measured is None:
+                raise ScenarioError("code", self.tables.sizes, "has an observer, which needs measurements")
+            given["measured"] = measured
         memory = np.ascontiguousarray(self._memory[rows])
         self._library.step(len(given), memory.ctypes, given.ctypes, answer.ctypes)
         self._memory[rows], self.modes[rows] = memory, answer["mode"]
@@ -152,8 +175,10 @@ def _compiled(prefix: str, source: Path, scratch: Path, online: bool) -> ctypes.
     return ctypes.CDLL(str(out))
 
 
-def code_of(schedule: Schedule, precision: str = "double") -> FlightCode:
+def code_of(schedule: Schedule, precision: str = "double", observer: bool = False) -> FlightCode:
     """Compile the flight code of a proved schedule, whose certificate is not asked for.
+
+    With the `observer` of the system, if it has one, in the code.
 
     Raises
     ------
@@ -169,6 +194,10 @@ def code_of(schedule: Schedule, precision: str = "double") -> FlightCode:
     plan = schedule.modes.tolist(), reference.chi.tolist(), reference.nu.tolist()
     sampling = tracking.flow.h, tracking.feedback.nodes_per_cell
     made = tables_of(system.A, system.B, *sampling, *plan, tracking.gain.tolist(), system.u_max, forever)
+    if observer and system.observer is not None:
+        gains, timing = (system.observer.gain, *system.observer.after), (sampling[0], system.timing.delay)
+        seen = observer_tables(system.A, system.B, *timing, system.observer.measures, gains, made.range)
+        made = replace(made, **seen)
     with tempfile.TemporaryDirectory() as scratch:
         for name, text in files(made.rounded(precision), "flown", precision, "0" * 64).items():
             (Path(scratch) / name).write_text(text)
@@ -216,6 +245,33 @@ def tables_of(
         limit=list(map(float, limit)),
         range=booked_range(np.array(states), np.array(gain), np.array(limit)).tolist(),
     )
+
+
+def observer_tables(
+    A: Any, B: Any, h: float, delay: float, measures: Any, gains: Any, reach: Sequence[float]
+) -> dict[str, Any]:
+    """Return tables of an observer by their names, see `Tables`, whose measurements are `delay` [s] old.
+
+    States are within `reach` (n,). Raises `ScenarioError` if the delay is of too many periods.
+    """
+    A, B, measures = (np.array(M) for M in (A, B, measures))
+    back, ahead = expm(-A * delay), expm(A * delay)
+    count = max(ceil(delay / h * (1 - WHOLE)), 1)
+    if count > MOST_SENT:
+        raise ScenarioError("timing.delay_s", delay, f"must be at most {MOST_SENT} periods for flight code")
+    parts = [min(h, max(delay - h * age, 0.0)) for age in range(count)]
+    later = [
+        measures @ expm(A * (h * age - delay)) @ discretize(A, B, part)[1] for age, part in enumerate(parts)
+    ]
+    held, force = discretize(A, B, h)
+    return {
+        "held": held.tolist(),
+        "force": force.tolist(),
+        "seen": (measures @ back).tolist(),
+        "later": [part.tolist() for part in later],
+        "updates": [(ahead @ np.array(gain)).tolist() for gain in gains],
+        "heard": [fsum(abs(x) * y for x, y in zip(row, reach, strict=True)) for row in measures.tolist()],
+    }
 
 
 def booked_range(states: Array, gain: Array, limit: Array) -> Array:

@@ -12,10 +12,13 @@ from math import inf, isfinite, nan
 from .text import FARTHEST, KEEP, Table, Tables, literal, rounded, template
 
 STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED, REFUSED = (1 << i for i in range(10))
+PREDICTED = 1 << 10
 """Faults, as in the header."""
 
 LATEST = 2**31 - 1
 """Largest number of a period."""
+LASTING = STATE | COMMAND | MISSED | CLOCK  # S flies for good after these
+
 LARGEST = {"double": 1.7976931348623157e308, "float": 3.4028234663852886e38}
 
 
@@ -32,6 +35,7 @@ class Call:
     state: tuple[float, ...]
     controller: int
     command: tuple[float, ...]
+    measured: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -50,11 +54,17 @@ class FlightStep:
     def __init__(self, tables: Tables, precision: str = "double") -> None:
         self.tables, self.precision = tables, precision
         self.last, self.latched = -1, False
-        self.state = list(tables.waypoints[0])
+        self.state, self.unseen = list(tables.waypoints[0]), 0
+        self.sent = [[0.0] * len(tables.limit) for _ in tables.later]
         self.answer = FlightAnswer(0, 0, (0.0,) * len(tables.limit), 1.0)
 
     def step(
-        self, period: int, state: Sequence[float], controller: int, command: Sequence[float]
+        self,
+        period: int,
+        state: Sequence[float],
+        controller: int,
+        command: Sequence[float],
+        measured: Sequence[float] = (),
     ) -> FlightAnswer:
         """Answer the call of a control period.
 
@@ -63,37 +73,72 @@ class FlightStep:
         period : int
             Number of the control period, of 32 bits.
         state : sequence of float, shape (n,)
-            Estimate at its start.
+            Estimate at its start; with the observer the first one, which is read in the first call.
         controller : int
             Experimental controller whose command is handed over; 0 if there is none.
         command : sequence of float, shape (m,)
             Its command [N].
+        measured : sequence of float, shape (o,)
+            Measurement for the observer, if the code has it; NaN if there is none.
         """
         if period >= 0 and period == self.last:
             return replace(self.answer, fault=self.answer.fault | REPEATED)
-        tables, fault = self.tables, 0
-        state, command = ([rounded(float(x), self.precision) for x in each] for each in (state, command))
+        tables = self.tables
+        given = state, command, measured
+        state, command, measured = ([rounded(float(x), self.precision) for x in each] for each in given)
+        fault = self.estimate(state, measured)
         if period < 0 or period < self.last:
             fault |= CLOCK
         elif period - 1 > self.last:
             fault |= MISSED
         self.last = period if period >= 0 else min(self.last + 1, LATEST)
-        if all(-FARTHEST <= x <= FARTHEST for x in state):
-            self.state = state
-        else:
-            fault |= STATE
         q, steps = len(tables.moved), len(tables.modes)
         cell, part = divmod(min(self.last, len(tables.waypoints) * q - 1), q)
         scheduled = tables.modes[cell] if cell < steps else 0
         if scheduled and (controller != scheduled or not self.finite(command)):
             fault |= COMMAND
-        self.latched |= fault > 0
+        self.latched |= fault & LASTING > 0
         mode = 0 if self.latched else scheduled
         fault |= LATCHED * self.latched | ENDED * (self.last >= tables.covered)
         if not all(-bound <= x <= bound for x, bound in zip(self.state, tables.range, strict=True)):
             fault |= RANGE
         self.answer = self.clipped(command if mode else self.safety(cell, part, self.state), mode, fault)
         return self.answer
+
+    def estimate(self, state: list[float], measured: list[float]) -> int:
+        """Take in the estimate, or the observer's from a measurement; returns what is wrong with it."""
+        fault = 0
+        if self.tables.seen and self.last >= 0:
+            state = self.predicted()
+            if plausible(measured):
+                fault = RANGE * any(abs(y) > top for y, top in zip(measured, self.tables.heard, strict=True))
+                state, self.unseen = self.corrected(state, measured), 0
+            elif self.unseen < len(self.tables.updates) - 1:
+                fault, self.unseen = PREDICTED, self.unseen + 1
+            else:
+                fault = STATE
+        if plausible(state):
+            self.state = state
+            return fault
+        return fault | STATE
+
+    def predicted(self) -> list[float]:
+        """Return the observer's state of now under the command that was applied."""
+        tables, precision = self.tables, self.precision
+        self.sent = [list(self.answer.command), *self.sent[:-1]]
+        carried = (summed(0.0, row, self.state, precision) for row in tables.held)
+        return [summed(x, row, self.sent[0], precision) for x, row in zip(carried, tables.force, strict=True)]
+
+    def corrected(self, state: list[float], measured: list[float]) -> list[float]:
+        """Return a predicted state after the update by a measurement."""
+        tables, precision, off = self.tables, self.precision, list[float]()
+        for o, y in enumerate(measured):
+            y = summed(y, [-x for x in tables.seen[o]], state, precision)
+            for rows, command in zip(tables.later, self.sent, strict=True):
+                y = summed(y, rows[o], command, precision)
+            off.append(y)
+        pairs = zip(state, tables.updates[self.unseen], strict=True)
+        return [summed(x, row, off, precision) for x, row in pairs]
 
     def finite(self, command: Sequence[float]) -> bool:
         """Return True if every entry is a number of the precision."""
@@ -210,6 +255,11 @@ class OnlineStep:
         return True
 
 
+def plausible(values: Sequence[float]) -> bool:
+    """Return True if all numbers are finite and not beyond the farthest."""
+    return all(-FARTHEST <= x <= FARTHEST for x in values)
+
+
 def summed(start: float, row: Sequence[float], values: Sequence[float], precision: str) -> float:
     """Return a number plus products, added one after the other, each operation rounded."""
     if precision == "double":
@@ -225,7 +275,10 @@ def summed(start: float, row: Sequence[float], values: Sequence[float], precisio
 
 LEAST = "(-2147483647 - 1)"  # of 32 bits, as C99 writes it
 ODD = {"NAN": nan, "INFINITY": inf, "-INFINITY": -inf}
-VECTOR = re.compile(r"\{([012]), \{(-?\d+|\(-2147483647 - 1\)), (-?\d+), \{(.*?)\}, \{(.*?)\}\}", re.ASCII)
+NUMBERS = r", \{(.*?)\}"
+VECTOR = re.compile(
+    rf"\{{([012]), \{{(-?\d+|\(-2147483647 - 1\)), (-?\d+){NUMBERS}(?:{NUMBERS})?{NUMBERS}\}},", re.ASCII
+)
 
 
 def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
@@ -237,17 +290,19 @@ def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[
         if call.start == 2:
             flown = OnlineStep(tables, precision)
             flown.safe.last = call.period - 1
-        yield call, flown.step(call.period, call.state, call.controller, call.command)
+        seen = (call.measured,) if tables.seen else ()
+        yield call, flown.step(call.period, call.state, call.controller, call.command, *seen)
 
 
 def selftest(tables: Tables, prefix: str, precision: str, given: Iterable[Call]) -> str:
     """Return the text of a program that compares the answers to some calls with the expected ones."""
     rows = []
     for call, answer in answered(tables, precision, given):
-        state, command, kept = (
+        state, command, kept, seen = (
             ", ".join(_number(x, prefix, precision) for x in values)
-            for values in (call.state, call.command, answer.command)
+            for values in (call.state, call.command, answer.command, call.measured)
         )
+        state += "}, {" * bool(seen) + seen
         period = LEAST if call.period == -(2**31) else call.period
         margin = _number(answer.margin, prefix, precision)
         rows.append(
@@ -274,6 +329,13 @@ def calls_of(text: str, prefix: str) -> list[Call]:
         return tuple(ODD[one] if one in ODD else float.fromhex(one.rstrip("f")) for one in known)
 
     return [
-        Call(int(start), -(2**31) if period == LEAST else int(period), values(x), int(who), values(u))
-        for start, period, who, x, u in VECTOR.findall(text)
+        Call(
+            int(start),
+            -(2**31) if period == LEAST else int(period),
+            values(x),
+            int(who),
+            values(u),
+            values(y) if y else (),
+        )
+        for start, period, who, x, y, u in VECTOR.findall(text)
     ]

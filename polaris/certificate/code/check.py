@@ -9,11 +9,12 @@ from ..claims.coasting import flown_path
 from ..claims.continuation import Continuation
 from ..files.document import Document
 from ..files.structure import contents
-from ..kernel.balls import column, identity, maxima, plain, require, sums
+from ..kernel.balls import column, identity, magnitude, matrix, maxima, plain, require, sums
 from ..kernel.motion import Plant
 from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
 from .answers import calls_of, selftest
+from .observer import OnBoard
 from .rounding import UNIT, command_error, disturbance_taken, tops
 from .text import FARTHEST, PRECISIONS, PREFIX, Table, Tables, parsed, rounded
 
@@ -40,9 +41,11 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
     online = [
         "where the online monitor decides, claims of the goal, spending, drifts and aborts are not made"
     ]
+    handed = "measurement" if tables.seen else "estimate"
+    first = ", its first estimate and the commands before the flight" if tables.seen else ""
     return [
-        "the flight code is called once at the start of every control period, with the estimate that the"
-        " scenario declares; its compiler and processor keep to C99 and IEEE 754",
+        f"the flight code is called once at the start of every control period, with the {handed} that the"
+        f" scenario declares{first}; its compiler and processor keep to C99 and IEEE 754",
         assumed,
         *(online if tables.rows else []),
     ]
@@ -107,6 +110,8 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
     """
     path = flown_path(document, plant, document.states[document.steps])
     error, stated = command_error(document, tables, precision, path), arb(tables.rounding)
+    if tables.seen:
+        error = OnBoard(document, plant, tables, precision).command_error(error)
     require(
         "rounding", stated - error, f"commands may be {float(error):.4g} N off, {float(stated):.4g} is stated"
     )
@@ -121,7 +126,8 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
     require("rounding", document.w_max - taken, f"rounding takes {share:.3g} of the disturbance bound")
     statement += f" of the exact ones, {share:.3g} of the disturbance bound"
     left = f"the disturbance is at most 1 - {share:.3g} of its bound: rounding on board takes the rest"
-    return f"{left}, while states are within the range of the code", statement
+    ranges = "states and measurements have been" if tables.seen else "states are"
+    return f"{left}, while {ranges} within the range of the code", statement
 
 
 def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
@@ -130,29 +136,44 @@ def _check_tables(document: Document, plant: Plant, tables: Tables, precision: s
     sizes, wanted = tuple(tables.sizes.values())[:5], (n, m, q, document.steps, document.cells)
     if sizes != wanted:
         raise Rejected("code", f"the tables are for sizes {sizes}, not {wanted}")
-    for name, value in _known(document).items():
+    known = _known(document)
+    for name, value in known.items():
         _same(name, getattr(tables, name), value, precision)
     exact = [(identity(n), arb_mat(n, m)), *plant.steps][:q]
-    for name, given, part in (("moved", tables.moved, 0), ("pushed", tables.pushed, 1)):
-        for node, (rows, one) in enumerate(zip(given, exact, strict=True)):
-            for i, (row, true) in enumerate(zip(rows, one[part].tolist(), strict=True)):
-                slack = MATRICES * UNIT[precision] * max(1.0, *map(abs, row))
-                for x, y in zip(row, true, strict=True):
-                    require(
-                        "code", slack - abs(y - x), f"{name}, node {node}, row {i}: {x!r} is not {plain(y)}"
-                    )
+    _near("moved", tables.moved, [moved for moved, _ in exact], precision)
+    _near("pushed", tables.pushed, [pushed for _, pushed in exact], precision)
+    if tables.seen:
+        on_board = OnBoard(document, plant, tables, precision)
+        for name, matrices in on_board.exact().items():
+            given = getattr(tables, name)
+            _near(name, given if name in ("later", "updates") else [given], matrices, precision)
+        _same("heard", tables.heard, on_board.heard(known["range"]), precision)
+
+
+def _near(name: str, given: Table, exact: list[arb_mat], precision: str) -> None:
+    """Check that matrices are off by few roundings."""
+    if [[len(row) for row in rows] for rows in given] != [[M.ncols()] * M.nrows() for M in exact]:
+        raise Rejected("code", f"{name} is not of the size of the certificate's")
+    for node, (rows, M) in enumerate(zip(given, exact, strict=True)):
+        for i, (row, true) in enumerate(zip(rows, M.tolist(), strict=True)):
+            slack = MATRICES * UNIT[precision] * max(1.0, *map(abs, row))
+            for x, y in zip(row, true, strict=True):
+                where = f"{name}, node {node}, row {i}"
+                require("code", slack - abs(y - x), f"{where}: {x!r} is not {plain(y)}")
 
 
 def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
-    """Check that the code takes no state of a proven flight for an error; half of its limit is a margin.
+    """Check that the code takes no state or measurement of a proven flight for an error, half of its limit.
 
     Errors are at most of those sizes (N, 1) where S takes over, at any time.
     """
     needs = flight.tracker.needs("states", identity(len(flight.document.A)))
     errors = column(sums(needs.ever(tops(sizes)), maxima(*needs.disturbed)))
     reference = tops([node for arc in flight.path.arcs for node in arc.nodes])
-    for i, size in enumerate((reference + errors).entries()):
-        what = f"state {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
+    states, seen = reference + errors, flight.document.observer or {"measures": [], "noise": []}
+    measured = magnitude(matrix(seen["measures"], states.nrows())) * states + column(seen["noise"])
+    for i, size in enumerate((*states.entries(), *measured.entries())):
+        what = f"number {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
         require("code", FARTHEST / 2 - size, what)
 
 

@@ -49,6 +49,7 @@ def _gaps(
     """Rounding of the error at the nodes of a step, and the size of the error, (n, 1) each, part by part."""
     n, m = len(document.A), len(document.u_max)
     exact = arb(0) if precision == "double" else arb(UNIT[precision])
+    handed = exact * (not tables.seen)  # the observer's estimate is apart
     reach, starts = column(tables.range), [column(x) for x in tables.waypoints]
     feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(starts) - len(tables.feed))
     top = tops(starts), tops(feeds)
@@ -61,7 +62,7 @@ def _gaps(
         ]
         error = tops(off) + sizes * several(n + m, precision) + least(n, n + m, precision)
         apart = sizes + error + reach
-        yield error + apart * arb(UNIT[precision]) + reach * exact, apart
+        yield error + apart * arb(UNIT[precision]) + reach * handed, apart
 
 
 def tops(columns: list[arb_mat]) -> arb_mat:

@@ -78,6 +78,7 @@ void @PREFIX@_start(@PREFIX@_memory *memory)
     for (int32_t j = 0; j < @GUARD@_STATES; j++) {
         memory->state[j] = waypoints[0][j];
     }
+@START@
     memory->answer.mode = 0;
     memory->answer.fault = 0U;
     memory->answer.margin = @ONE@;
@@ -86,10 +87,11 @@ void @PREFIX@_start(@PREFIX@_memory *memory)
     }
 }
 
+@ESTIMATE@
 /* Take in the period and the state of a call; returns what is wrong with them. */
 static uint32_t receive(@PREFIX@_memory *memory, const @PREFIX@_input *input)
 {
-    uint32_t fault = 0U;
+    uint32_t fault = estimate(memory, input);
     int32_t period = input->period;
     if (period < 0) { /* no number at all: the next one */
         fault |= @GUARD@_CLOCK;
@@ -105,13 +107,6 @@ static uint32_t receive(@PREFIX@_memory *memory, const @PREFIX@_input *input)
         /* the next period */
     }
     memory->last = period;
-    if (plausible(input->state, @GUARD@_STATES, @GUARD@_FARTHEST) != 0) {
-        for (int32_t j = 0; j < @GUARD@_STATES; j++) {
-            memory->state[j] = input->state[j];
-        }
-    } else {
-        fault |= @GUARD@_STATE;
-    }
     return fault;
 }
 
@@ -130,7 +125,7 @@ void @PREFIX@_step(@PREFIX@_memory *memory, const @PREFIX@_input *input, @PREFIX
                                  (plausible(input->command, @GUARD@_INPUTS, @MOST@) == 0))) {
             fault |= @GUARD@_COMMAND;
         }
-        if (fault != 0U) {
+        if ((fault & @GUARD@_LASTING) != 0U) {
             memory->latched = 1;
         }
         output->mode = (memory->latched != 0) ? 0 : scheduled;

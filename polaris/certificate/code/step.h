@@ -21,7 +21,8 @@ typedef @REAL@ @PREFIX@_real;
 #define @GUARD@_ROUNDING (@ROUNDING@) /* bound on errors of a command by rounding [N] */
 
 /* Faults. Under the schedule the first four hand control to the safety controller for good. */
-#define @GUARD@_STATE 0x01U    /* estimate not finite or implausible: last one used */
+#define @GUARD@_LASTING 0x0FU
+@FAULT@
 #define @GUARD@_COMMAND 0x02U  /* no finite command of the scheduled controller */
 #define @GUARD@_MISSED 0x04U   /* calls for earlier periods are missing */
 #define @GUARD@_CLOCK 0x08U    /* number of the period negative, or less than before */
@@ -34,7 +35,7 @@ typedef @REAL@ @PREFIX@_real;
 typedef struct {
     int32_t period;                        /* number of the control period, from 0 */
     int32_t controller;                    /* whose command it is, 0 if there is none */
-    @PREFIX@_real state[@GUARD@_STATES];   /* estimate at the start of the period */
+@INPUT@
     @PREFIX@_real command[@GUARD@_INPUTS]; /* of that experimental controller */
 } @PREFIX@_input;
 
@@ -49,6 +50,7 @@ typedef struct {
     int32_t last;    /* newest period, -1 before the first call */
     int32_t latched; /* 1 once the safety controller flies for good */
     @PREFIX@_real state[@GUARD@_STATES]; /* newest plausible estimate */
+@MEMORY@
     @PREFIX@_output answer;              /* to the newest period */
 } @PREFIX@_memory;
 

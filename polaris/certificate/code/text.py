@@ -17,6 +17,8 @@ PRECISIONS = {"double": "DBL_MAX", "float": "FLT_MAX"}
 HEAD = re.compile(r'_CERTIFICATE "([0-9a-f]{64})"\n')
 SIZES = "N", "M", "Q", "STEPS", "CELLS", "COVERED"
 ONLINE = "KINDS", "FACETS", "LAGS", "AHEAD"  # sizes of the online monitor's tables
+OBSERVER = "OUTPUTS", "SENT", "UPDATES"  # of the observer's
+CENTRE = 0.5  # share of S's gain about which errors of its commands are bounded, whoever flies
 FREE = 2.0**100  # room that limits nothing
 KEEP = (
     0.9  # share of the room that U may need where S has flown: a tenth is left, as `Monitor.reentry` has it
@@ -61,6 +63,14 @@ class Tables:
         error grows from none to the largest.
     room : list, shape (c, r, 4)
         Room of every cell ahead along a row and against it: at its start, and more in every period.
+    seen : list, shape (o, n)
+        Of the observer, empty without it, as are all below: what is measured, by the state predicted for now.
+    later : list, shape (d, o, m)
+        What of it a unit of the command of 1, 2, ... periods before makes that the measurement does not show.
+    updates : list, shape (k, n, o)
+        What a unit of a difference from what is predicted adds to the state, after 0, 1, ... missed periods.
+    heard : list, shape (o,)
+        Largest measurements for which rounding is bounded.
     """
 
     covered: int
@@ -82,6 +92,10 @@ class Tables:
     booked: Table = field(default_factory=list)
     sized: Table = field(default_factory=list)
     room: Table = field(default_factory=list)
+    seen: Table = field(default_factory=list)
+    later: Table = field(default_factory=list)
+    updates: Table = field(default_factory=list)
+    heard: Table = field(default_factory=list)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -89,6 +103,8 @@ class Tables:
         counts = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
         sizes = dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
         online = len(self.rows), self.facets, len(self.booked), len(self.room)
+        seen = len(self.seen), len(self.later), len(self.updates)
+        sizes |= dict(zip(OBSERVER, seen, strict=True)) if self.seen else {}
         return sizes | (dict(zip(ONLINE, online, strict=True)) if self.rows else {})
 
     def rounded(self, precision: str) -> "Tables":
@@ -115,6 +131,14 @@ ONLINE_SHAPES = {
     "booked": ("LAGS", "KINDS"),
     "sized": ("LAGS", "KINDS"),
     "room": ("AHEAD", "KINDS", "SIDES"),
+}
+OBSERVER_SHAPES = {
+    "held": ("N", "N"),
+    "force": ("N", "M"),
+    "seen": ("OUTPUTS", "N"),
+    "later": ("SENT", "OUTPUTS", "M"),
+    "updates": ("UPDATES", "N", "OUTPUTS"),
+    "heard": ("OUTPUTS",),
 }
 SIDES = 4
 NAMES = {"N": "STATES", "M": "INPUTS", "Q": "PARTS", "STEPS": "STEPS", "CELLS": "CELLS"}
@@ -147,8 +171,8 @@ def _braces(value: Table, precision: str) -> str:
 
 def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str, str]:
     """Return the texts of the header and the source by their names, of tables rounded to the precision."""
-    guard, parts, online = prefix.upper(), [], bool(tables.rows)
-    for name, shape in (SHAPES | (ONLINE_SHAPES if online else {})).items():
+    guard, parts, online, seen = prefix.upper(), [], bool(tables.rows), bool(tables.seen)
+    for name, shape in _shapes(online, seen).items():
         size = "".join(f"[{guard}_{NAMES.get(one, one)}]" for one in shape)
         body = _braces(getattr(tables, name), precision)
         parts.append(f"static const {prefix}_real {name}{size} = {body};")
@@ -162,15 +186,24 @@ def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str,
     }
     known |= {"DIGEST": digest, "TABLES": "\n\n".join(parts), **tables.sizes}
     n, m, *_ = tables.sizes.values()
-    counts = {"PRODUCTS": n * (n + 2 * m), "SUMS": n * (n + 2 * m + 1) + m, "QUOTIENTS": m}
-    known |= counts  # of `safety` and `answer`
+    outputs, sent = len(tables.seen), len(tables.later)
+    filtered = seen * (n * (n + m) + outputs * (2 * n + sent * m))
+    counts = {"PRODUCTS": n * (n + 2 * m) + filtered, "SUMS": n * (n + 2 * m + 1) + m + filtered}
+    known |= counts | {"QUOTIENTS": m}  # of `estimate`, `safety` and `answer`
     reals = {"ZERO": 0.0, "ONE": 1.0, "FARTHEST": FARTHEST, "ROUNDING": tables.rounding, "KEEP": KEEP}
     known |= {key: literal(x, precision) for key, x in reals.items()}
     texts = dict[str, str]()
     for kind in ("h", "c"):
         text = template(f"step.{kind}").replace("@ONLINE@", template(f"online.{kind}") if online else "")
+        parts = template("observer.c" if seen else "estimate.c").split("@PART@\n")
+        for place, part in zip(("FAULT", "INPUT", "MEMORY", "START", "ESTIMATE"), parts, strict=True):
+            text = text.replace(f"@{place}@\n", part)
         texts[f"{prefix}.{kind}"] = KEY.sub(lambda key: str(known[key[1]]), text)
     return texts
+
+
+def _shapes(online: bool, seen: bool) -> dict[str, tuple[str, ...]]:
+    return SHAPES | (ONLINE_SHAPES if online else {}) | (OBSERVER_SHAPES if seen else {})
 
 
 def template(name: str) -> str:
@@ -183,12 +216,13 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
     precision = next((p for p in PRECISIONS if f"typedef {p} {prefix}_real;" in header), "")
     head = HEAD.search(header)
     online = f"{prefix.upper()}_LAGS" in header
-    asked = (*SIZES, *ONLINE) if online else SIZES
+    seen = f"{prefix.upper()}_OUTPUTS" in header
+    asked = SIZES + ONLINE * online + OBSERVER * seen
     sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in asked}
     if not precision or head is None:
         raise ValueError("the header names no precision, or no certificate")
     arrays = dict[str, Any]()
-    for name, shape in (SHAPES | (ONLINE_SHAPES if online else {})).items():
+    for name, shape in _shapes(online, seen).items():
         texts = _literals(source, f"static const {prefix}_real {name}[")
         count = [SIDES if one == "SIDES" else sizes[one] for one in shape]
         if len(texts) != prod(count):

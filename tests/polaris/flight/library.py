@@ -45,11 +45,18 @@ class FlightLibrary:
         real = ctypes.c_double if precision == "double" else ctypes.c_float
         n, m = len(tables.waypoints[0]), len(tables.limit)
 
+        observed = [
+            ("sent", real * m * len(tables.later)),
+            ("newest", ctypes.c_int32),
+            ("unseen", ctypes.c_int32),
+        ]
+
         class Input(ctypes.Structure):
             _fields_ = [
                 ("period", ctypes.c_int32),
                 ("controller", ctypes.c_int32),
                 ("state", real * n),
+                *([("measured", real * len(tables.seen))] if tables.seen else []),
                 ("command", real * m),
             ]
 
@@ -66,6 +73,7 @@ class FlightLibrary:
                 ("last", ctypes.c_int32),
                 ("latched", ctypes.c_int32),
                 ("state", real * n),
+                *(observed if tables.seen else []),
                 ("answer", Output),
             ]
 
@@ -100,9 +108,11 @@ class FlightLibrary:
         """Answer one call of the flight that the online monitor decides."""
         return self.step(*call, memory=self.online, called=self._decide)
 
-    def step(self, period, state, controller, command, memory=None, called=None):
+    def step(self, period, state, controller, command, measured=None, memory=None, called=None):
         """Answer one call."""
         given, out = self._input, self._output
+        if measured is not None:
+            given.measured[:] = measured
         given.period, given.controller = period, controller
         given.state[:], given.command[:] = state, command
         (called or self._step)(ctypes.byref(memory or self._own), *self._at)

@@ -148,7 +148,7 @@ def test_functions_are_simple_and_the_stack_is_small(flown, tmp_path):
     assert f"at most {n * n + 2 * n * m} products" in text and "while" not in text and "goto" not in text
     done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
     counts = [int(line.split()[0]) for line in done.stdout.splitlines()]
-    assert len(counts) == 7 and max(counts) <= 15
+    assert len(counts) == 8 and max(counts) <= 15
 
 
 def test_a_call_that_differs_in_the_last_bit_is_found(flown):
@@ -339,7 +339,7 @@ def forgeries(folder):
         ("= reference - state[j]", "= state[j] - reference"),
         ("+= gain", "-= gain"),
         ("node % ", "0 * "),
-        ("fault |= " + prefix.upper() + "_STATE;", ";"),
+        ("fault = " + prefix.upper() + "_STATE;", ";"),
         ("#include <float.h>", "#include <float.h>\n#define limit range"),
         ("};\n", "};\n\n"),
     ]:

@@ -1,0 +1,208 @@
+"""Observer in the flight code: its tables, and what rounding on board makes of its estimates."""
+
+from dataclasses import replace
+from decimal import Decimal, localcontext
+from typing import NamedTuple
+
+import numpy as np
+
+from reach.numerics.linear import powers
+
+from ..certificate.code.text import CENTRE, Table, Tables
+from ..certificate.files.document import Document
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from ..simulation.on_board import observer_tables
+from .rounding import DIGITS, MORE, UNIT, Exact, exact, held, plant
+
+FEWEST, LONGEST = 8, 4096  # periods until an error counts as forgotten, at least and at most
+LEFT = 0.01  # share of errors that is left then
+ROUNDS, STEP = 50, 1.1  # most enlargements of bounds by this factor, until they hold with what they cause
+LOWER = 5  # times that bounds which hold are lowered to what they cause
+
+
+def with_observer(tables: Tables, document: Document) -> Tables:
+    """Return the tables in double precision with those of the observer that a certificate states.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no observer, navigation may be lost, or a delay is too long.
+    """
+    stated = document.observer
+    if stated is None:
+        raise ScenarioError("observer", True, "must be off in a scenario without [navigation.measurement]")
+    if any(not fault.get("pushes") for fault in document.transients):
+        rule = "must be off where navigation may be lost: the bound on rounding is for fewer missed periods"
+        raise ScenarioError("observer", True, rule)
+    gains = [stated["gain"], *stated.get("after", ())]
+    timing = document.delta / document.q, document.timing.get("delay", 0.0)
+    made = observer_tables(document.A, document.B, *timing, stated["measures"], gains, tables.range)
+    return replace(tables, **made)
+
+
+class _Rounded(NamedTuple):
+    """Rounding of a prediction (n,), and of an update by its kind, with the maps of an error over both."""
+
+    predicted: Array
+    updated: list[Array]
+    moved: Array  # over a period, under half of S's gain: the state, then commands so far back
+    force: Array  # what else commands are off by
+    updates: list[Array]
+
+
+def observer_rounding(document: Document, tables: Tables, precision: str, rest: float) -> float:
+    """Bound on what rounding changes of any command [N], by that of all but the observer's estimate.
+
+    The exact observer is told the exact law's commands, which differ by as much from those that are flown.
+    Raises `ScenarioError` if such differences may grow.
+    """
+    rounded, gain = _rounded(document, tables, precision), np.array(tables.gain)
+    first = float(UNIT[precision]) * np.array(tables.range) * (precision == "float")
+
+    def commands(stated: float) -> float:
+        """Bound on errors of commands if those before were within the stated bound."""
+        return rest + _commands(rounded, gain, first, (1 - CENTRE) * (stated + rest))
+
+    alone, slope = commands(0.0), commands(1.0)
+    bound = alone / max(1 - (slope - alone), 1e-3) * MORE
+    for _ in range(ROUNDS):
+        if (more := commands(bound) * np.sqrt(MORE)) <= bound:
+            return bound
+        bound = more * MORE
+    rule = "must be off: commands that the observer is told differ by rounding, and with S's gain these grow"
+    raise ScenarioError("observer", True, rule)
+
+
+def _rounded(document: Document, tables: Tables, precision: str) -> _Rounded:
+    with localcontext() as context:
+        context.prec = DIGITS
+        u, (A, B), stated = UNIT[precision], plant(document), document.observer or {}
+        handed = u if precision == "float" else Decimal(0)
+        h, delay = Decimal(document.delta) / document.q, Decimal(document.timing.get("delay", 0.0))
+        Phi, Gamma = held(A, B, h)
+        seen = exact(stated["measures"]) @ held(A, B, -delay)[0]
+        ahead = held(A, B, delay)[0]
+        updates = [ahead @ exact(gain) for gain in (stated["gain"], *stated.get("after", ()))]
+        later = [seen @ pushed for pushed in _unmeasured(A, B, h, delay, len(tables.later))]
+        reach, limit, heard = (np.abs(exact(x)) for x in (tables.range, tables.limit, tables.heard))
+        moved, force, see = (exact(x) for x in (tables.held, tables.force, tables.seen))
+        size = np.abs(moved) @ reach + np.abs(force) @ limit
+        predicted = np.abs(moved - Phi) @ reach + np.abs(force - Gamma) @ limit
+        predicted = predicted + size * u * _terms(tables.held, tables.force)
+        size = size + predicted
+        off = heard + np.abs(see) @ size
+        wrong = np.abs(see - seen) @ size + heard * handed
+        for given, true in zip(tables.later, later, strict=True):
+            off = off + np.abs(exact(given)) @ limit
+            wrong = wrong + np.abs(exact(given) - true) @ limit
+        wrong = wrong + off * u * (1 + _terms(tables.seen, *tables.later))
+        off, updated = off + wrong, []
+        for given, true in zip(tables.updates, updates, strict=True):
+            made = np.abs(true) @ wrong + np.abs(exact(given) - true) @ off
+            made = made + (size + np.abs(exact(given)) @ off) * u * (1 + _terms(given))
+            updated.append(made.astype(float))
+        Phi, Gamma, seen, predicted = (M.astype(float) for M in (Phi, Gamma, seen, predicted))
+        updates, later = ([M.astype(float) for M in given] for given in (updates, later))
+        return _Rounded(predicted, updated, *_maps(Phi, Gamma, seen, updates, later, np.array(tables.gain)))
+
+
+def _terms(*tables: Table) -> Array:
+    """Return the number of products other than 0 in every row of tables side by side."""
+    return np.asarray(np.count_nonzero(np.hstack([np.array(rows) for rows in tables]), axis=1))
+
+
+def _unmeasured(A: Exact, B: Exact, h: Decimal, delay: Decimal, count: int) -> list[Exact]:
+    """Return what a command of 1, 2, ... periods before makes of a state after its measurement."""
+    pushed = list[Exact]()
+    for age in range(count):
+        part = min(h, max(delay - age * h, Decimal(0)))
+        pushed.append(held(A, B, age * h)[0] @ held(A, B, part)[1])
+    return pushed
+
+
+def _maps(
+    Phi: Array, Gamma: Array, seen: Array, gains: list[Array], later: list[Array], gain: Array
+) -> tuple[Array, Array, list[Array]]:
+    """Maps of errors of the state, and of commands so far back, over a period and by updates."""
+    (n, m), count = Gamma.shape, len(later)
+    size = n + count * m
+    moved, force = np.eye(size, k=-m), np.zeros((size, m))
+    moved[: n + m] = 0
+    force[:n], force[n : n + m] = Gamma, np.eye(m)
+    moved[:, :n] -= CENTRE * force @ gain
+    moved[:n, :n] += Phi
+    updates = []
+    for each in gains:
+        update = np.eye(size)
+        update[:n] = np.hstack([np.eye(n) - each @ seen, *(each @ part for part in later)])
+        updates.append(update)
+    return moved, force, updates
+
+
+def _commands(rounded: _Rounded, gain: Array, first: Array, differing: float) -> float:
+    """Bound on what rounding of an estimate makes of commands [N], by every pattern of missed periods.
+
+    Commands are off by `differing` [N] besides half the law. Errors of observers are bounded by Proposition 7
+    of docs/theory.md.
+    """
+    n, moved, force = len(first), rounded.moved, rounded.force
+    steps, state = powers(moved, len(rounded.updates)), np.eye(len(moved), n)
+    sizes = np.concatenate([rounded.predicted, np.full(force.shape[1], differing)])
+    pushes = np.hstack([state, force]), sizes
+    added, turned = list[tuple[Array, Array]](), list[Array]()
+    for kind, (update, made) in enumerate(zip(rounded.updates, rounded.updated, strict=True), 1):
+        ways = [state, *(update @ M @ pushes[0] for M in steps[:kind])]
+        added.append((np.hstack(ways), np.concatenate([made, *[pushes[1]] * kind])))
+        turned.append(update @ steps[kind])
+    left, apart, known = _settled(turned, added, state @ first)
+    rows, worst, pushed = gain @ state.T, 0.0, np.zeros(len(gain))
+    for M in steps[:-1]:  # of periods without a measurement
+        each = rows @ M
+        just = _worst(each @ left, [each @ turn for turn in apart], added, state @ first, known)
+        worst = max(worst, *(just + pushed).tolist())
+        pushed += np.abs(each @ pushes[0]) @ pushes[1]
+    return worst
+
+
+Added = list[tuple[Array, Array]]
+"""What an update adds to errors, by its kind: ways in which it enters, and bounds on sizes."""
+
+
+def _settled(turned: list[Array], added: Added, first: Array) -> tuple[Array, list[Array], Array]:
+    """Bound errors just after updates, the first within `first`; each kind turns them and adds to them.
+
+    Before the bounds (w,) are maps of an error over so many periods, and what kinds change of it.
+    """
+    loop, kinds = turned[0], len(turned)
+    count = FEWEST
+    while True:
+        left = powers(loop, count + kinds - 1)
+        apart = [left @ (M - np.linalg.matrix_power(loop, j + 1)) for j, M in enumerate(turned)]
+        known = _worst(left, apart, added, first, 0 * first)
+        if count >= LONGEST or np.all(np.abs(left[count:]) @ known <= LEFT * known):
+            break
+        count *= 2
+    for _ in range(ROUNDS):
+        if np.all((more := _worst(left, apart, added, first, known)) <= known):
+            break
+        known = np.maximum(known, more) * STEP
+    else:
+        raise ScenarioError("observer", True, "must be off: rounding is not forgotten by its estimates")
+    for _ in range(LOWER):
+        known = _worst(left, apart, added, first, known)
+    return left, apart, known
+
+
+def _worst(left: Array, apart: list[Array], added: Added, first: Array, known: Array) -> Array:
+    """Bound rows of errors just after updates by every pattern, if those before were within `known`."""
+    kinds, sizes = len(added), np.abs(left)
+    count = len(left) - kinds
+    sums = np.zeros(left.shape[:2])
+    pairs = zip(added, apart, strict=True)
+    more = [np.abs(left @ ways) @ each + np.abs(turned) @ known for (ways, each), turned in pairs]
+    for age in range(count):
+        for kind, each in enumerate(more, age + 1):
+            np.maximum(sums[kind], sums[age] + each[age], out=sums[kind])
+    early, late = sums[:count] + sizes[:count] @ first, sums[count:] + sizes[count:] @ known
+    return np.asarray(np.max(np.vstack([early, late]), axis=0))
