@@ -138,7 +138,8 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
             None if data["inputs"] is None else _unpacked(data["inputs"]),
             Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
-        claims = Claims(schedule, bool(data["tail"]), attack.failing is not None, code and code.asks)
+        asks = None if code is None else code.asks
+        claims = Claims(schedule, bool(data["tail"]), attack.failing is not None, asks)
         flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")

@@ -133,7 +133,7 @@ class _Search:
         self, schedule: Schedule, runs: int, rng: np.random.Generator, code: FlightCode | None
     ) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
-        asks = code and code.asks
+        asks = None if code is None else code.asks
         self.main = Attacker.of(schedule, False, rng, asks=asks)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.tail = Attacker.of(schedule, True, rng, asks=asks) if proven_after else None

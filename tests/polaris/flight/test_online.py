@@ -536,6 +536,11 @@ def test_errors_of_all_kinds_and_loops_that_remember_are_flown(tmp_path, names):
         assert runs.metrics().summary()["collided_runs"] == 0
         assert {mode for mode, _ in code.answers} == {0, 1}
         assert not any(fault & CLIPPED for mode, fault in code.answers if mode == 0)
+        ground, rng = MonitorOnBoard(DecisionGrid.of(schedule), code), np.random.default_rng(2)
+        spread = np.array(code.tables.apart) / 4
+        for k in range(ground.grid.decisions):  # never bolder than `Monitor`
+            state = ground.grid.xi[k] + rng.uniform(-1, 1, len(spread)) * spread
+            assert ground.explained(k, state, 1)[0] <= ground.monitor.explained(k, state, 1)[0]
 
 
 LESS = {
