@@ -43,11 +43,15 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
     ]
     handed = "measurement" if tables.seen else "estimate"
     first = ", its first estimate and the commands before the flight" if tables.seen else ""
+    predicted = not tables.seen and (document.observer is not None or bool(document.timing.get("delay")))
+    estimator = "what predicts the estimate is told S's commands as the exact law has them: what rounded ones"
+    estimator += " change of it is bounded in code with the observer alone"
     return [
         f"the flight code is called once at the start of every control period, with the {handed} that the"
         f" scenario declares{first}; its compiler and processor keep to C99 and IEEE 754",
         assumed,
         *(online if tables.rows else []),
+        *([estimator] if predicted else []),
     ]
 
 

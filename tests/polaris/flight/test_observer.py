@@ -491,3 +491,12 @@ def test_code_of_random_scenes_with_observers_is_confirmed_and_flies_safely(tmp_
         assert not any(fault & CLIPPED for mode, fault in code.answers if not mode), names
         proved += 1
     assert proved >= 5
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_estimates_that_are_handed_in_are_trusted_to_count_exact_commands(flown, tmp_path, name):
+    """Find the assumption where code takes the estimate, and not where it has the observer."""
+    export_c(flown / name / "run", tmp_path / "code")
+    for code, expected in ((tmp_path / "code", True), (flown / name / "double", False)):
+        trusted = check_code(document(flown, name), code, Record())
+        assert any("told S's commands" in one for one in trusted) is expected
