@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+UNSAFE = "unsafe sets (keep-out zones, outsides of keep-in zones)"
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, plus at most the "
     "acceleration declared for it"
@@ -105,7 +106,7 @@ class Premises:
         axes = ", ".join(map(_sum, self.position))
         return [
             f"model: x' = A x + B u + D w {limits}",
-            *([f"position: C x = ({axes}), states counted from 0; unsafe sets are sets of it"] * bool(axes)),
+            *([f"position: C x = ({axes}), states counted from 0; {UNSAFE} are sets of it"] * bool(axes)),
             "initial state: inside the initial set",
             f"chaser: {size if self.chaser else point}",
             "perception: every unsafe set lies in its timed polytope",

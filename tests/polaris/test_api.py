@@ -172,7 +172,8 @@ def test_state_space_position_is_what_c_says():
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
     schedule = synthesize(safety, experimental=[])
     assert (
-        "position: C x = (x0, x2), states counted from 0; unsafe sets are sets of it" in schedule.assumptions
+        "position: C x = (x0, x2), states counted from 0; unsafe sets (keep-out zones, outsides of keep-in"
+        " zones) are sets of it" in schedule.assumptions
     )
 
 
@@ -259,7 +260,7 @@ def test_the_outputs_of_a_state_space_are_no_position(outputs):
     import control
 
     loop = control.ss(A, B, outputs, 0)
-    with pytest.raises(TypeError, match="also needs C; C is the position"):
+    with pytest.raises(TypeError, match="also needs C; C maps the state to the position"):
         get_safety(loop, THETA, (ROCK,), 4, 0.25, np.eye(4), np.eye(2), goal=GOAL, u_max=[1.0, 1.0])
     with pytest.raises(ScenarioError, match="which states are the position"):
         LinearSystem.from_statespace(loop, [1.0, 1.0], C=None)

@@ -84,7 +84,7 @@ class Boxes:
     busy: threading.Lock = field(default_factory=threading.Lock)
 
     def __reduce__(self) -> Any:
-        raise ScenarioError("executor", "other processes", "must be left out with black boxes")
+        raise ScenarioError("executor", "other processes", "must be left out: this process asks black boxes")
 
 
 @lru_cache(KEPT)

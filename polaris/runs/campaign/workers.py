@@ -41,9 +41,9 @@ def going_on(kept: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(f"interrupted; {kept()}, and the same command resumes") from None
+        raise Interrupted(f"interrupted; {kept()}, and the same command goes on from there") from None
     except PolarisError as error:
-        text = f"{error}; {kept()}, and the same command resumes"
+        text = f"{error}; {kept()}, and the same command goes on from there"
         raise failed(text, error.exit_code) from error
 
 

@@ -240,7 +240,7 @@ def test_what_is_not_proved_is_not_flown_as_code(monkeypatch):
     assert "must be 'proved' to fly" in refused["code"]
     with pytest.raises(ScenarioError, match="be left out otherwise"):
         simulate(schedule, 1, mode=1, code=code_of(schedule))
-    with pytest.raises(ScenarioError, match="of another schedule"):
+    with pytest.raises(ScenarioError, match="flight code of this schedule"):
         simulate(schedule, 1, code=code_of(scheduled("outage")))
 
 
@@ -251,7 +251,7 @@ def test_code_of_the_same_modes_about_another_reference_is_refused(precision):
     code, safety = code_of(schedule, precision), schedule.safety
     assert code.of(schedule) is code
     moved = replace(safety.reference, chi=safety.reference.chi + 0.01)
-    with pytest.raises(ScenarioError, match="of another schedule"):
+    with pytest.raises(ScenarioError, match="flight code of this schedule"):
         code.of(replace(schedule, safety=replace(safety, reference=moved)))
 
 

@@ -456,9 +456,9 @@ def test_without_mixed_plans_there_is_no_group():
     x = drawn(1)[0][0]
     with pytest.raises(ScenarioError, match="mixed"):
         Member(0, make("explicit"), 0.0, x)
-    with pytest.raises(ScenarioError, match="the same to the same messages"):
+    with pytest.raises(ScenarioError, match="equal answers to equal messages"):
         Member(0, SimplexImplicit(Planner(AllTime(Brake(Q)), mixed=True)), 0.0, x)
-    with pytest.raises(ScenarioError, match="no plan is proven"):
+    with pytest.raises(ScenarioError, match="must have a proven plan"):
         Member(0, make("explicit", mixed=True), 0.0, np.repeat(x[:1], 5, axis=0))
 
 

@@ -475,5 +475,8 @@ def test_every_way_a_disk_refuses_is_one_message(tmp_path, error, said):
     assert str(tmp_path / "out") in str(refusal.value) and "nothing was written" in str(refusal.value)
     assert ("Free some space" in str(refusal.value)) == said and ".new-" not in str(refusal.value)
     assert list(tmp_path.iterdir()) == [] and not nested.exists()
-    with pytest.raises(CannotWrite, match="nothing is left"), replacing.replacing_file(tmp_path / "x.csv"):
+    with (
+        pytest.raises(CannotWrite, match="nothing was written"),
+        replacing.replacing_file(tmp_path / "x.csv"),
+    ):
         raise error

@@ -201,16 +201,12 @@ def test_bad_two_line_elements_end_in_one_sentence(orbit, rule):
     ("orbit", "system", "rule"),
     [
         ({}, {}, "mean_motion_rad_s.*is required"),
-        ({"elements": ELEMENTS, "ephemeris": "target.oem"}, {}, "give one of"),
+        ({"elements": ELEMENTS, "ephemeris": "target.oem"}, {}, "must have one of"),
         ({"elements": ELEMENTS, "epoch": "2026-01-31T12:00:00"}, {}, "elements have an epoch"),
         ({"elements": ELEMENTS | {"epoch": "noon"}}, {}, "must be of the form"),
         ({"elements": ELEMENTS | {"eccentricity": 0.15}}, {}, "perigee above the Earth"),
         ({"elements": ELEMENTS | {"eccentricity": 0.15, "semi_major_axis_m": 8.5e6}}, {}, "at most 0.1"),
-        (
-            {"elements": ELEMENTS},
-            {"mean_motion_rad_s": 0.0015},
-            "not that of the orbit, which is near 0.00108",
-        ),
+        ({"elements": ELEMENTS}, {"mean_motion_rad_s": 0.0015}, "must be that of the orbit, near 0.00108"),
         (
             {"ephemeris": "target.oem", "epoch": "2026-02-01T12:00:00"},
             {},

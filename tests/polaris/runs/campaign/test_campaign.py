@@ -221,7 +221,7 @@ def test_more_runs_extend_a_campaign_and_fewer_are_refused(flown, tmp_path, monk
     assert run(cases(), RUNS, out, **options).summary["runs"] == RUNS
     assert seen == [(case, number) for case in (0, 1) for number in (2, 3, 4)]
     assert table(out) == table(flown.path)
-    with pytest.raises(ScenarioError, match=f"has {RUNS} already"):
+    with pytest.raises(ScenarioError, match=f"must be at least {RUNS}"):
         run(cases(), 13, out, **options)
 
 
@@ -467,5 +467,5 @@ def test_a_schedule_that_differs_from_that_of_parts_kept_is_an_error(tmp_path, m
 def test_a_worker_of_another_version_refuses(flown, monkeypatch):
     task = flown.plan.task(0, 0)
     monkeypatch.setattr("polaris.runs.campaign.batch.version", lambda: "99.0")
-    with pytest.raises(PolarisError, match=r"version 99\.0"):
+    with pytest.raises(PolarisError, match=r"has Polaris 99\.0"):
         batch.fly_batch(task)

@@ -44,7 +44,7 @@ def test_values_of_a_grid_are_those_of_set():
 def test_malformed_grids_are_refused(grid, word):
     with pytest.raises(ScenarioError, match=word):
         parse_grid([grid])
-    with pytest.raises(ScenarioError, match="given twice"):
+    with pytest.raises(ScenarioError, match="must be given once"):
         parse_grid(["a=1", "a=2"])
 
 

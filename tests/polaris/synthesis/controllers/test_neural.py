@@ -364,7 +364,7 @@ def test_a_run_says_in_which_arithmetic_its_network_is_evaluated(made, alone, tm
     verdict = verify(single.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert arithmetic(verdict.trusted) == [f"network net: {ARITHMETIC['float32']}"]
-    for words in ("single precision (float32)", "sums in any order", "4.8e-07"):
+    for words in ("single precision (float32)", "sums are in any order", "4.8e-07"):
         assert words in ARITHMETIC["float32"]
     assert falsify(read_schedule(single), 200).failure is None
 

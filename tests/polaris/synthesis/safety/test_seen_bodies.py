@@ -412,7 +412,7 @@ def test_tubes_that_forget_where_bodies_may_be_are_rejected(forgotten, tmp_path,
 WRONG = {
     "no such body": (["error", "position:sun"], "pillar, trolley, visitor"),
     "no such input of a body": (["error", "distance:visitor"], "must be of the form"),
-    "a width": (["error", "position:visitor"], "must be 8 numbers"),
+    "a width": (["error", "position:visitor"], "must give the 8 inputs"),
     "an input twice": (["error", "position:visitor", "position:visitor"], "once"),
 }
 
