@@ -14,9 +14,9 @@ import numpy as np
 
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
-from polaris.rta.method import Seen
+from polaris.rta.method import Observation
 from polaris.rta.methods import METHODS
-from polaris.rta.methods.fixed import Precomputed
+from polaris.rta.methods.fixed import PrecomputedSchedule
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
@@ -26,16 +26,16 @@ WARM = 20
 
 def decisions(scene):
     """Yield the data of every decision of a flight under the schedule."""
-    flight = fly(scene, Precomputed(scene), Conditions.draw(scene, 1, 0))
+    flight = fly(scene, PrecomputedSchedule(scene), Conditions.draw(scene, 1, 0))
     for k in range(scene.decisions):
         x = flight.states[:, k * scene.nodes]
         mode = flight.modes[:, max(k * scene.nodes - 1, 0)]
-        yield Seen(k, x, scene.clipped(1, k * scene.nodes, x), mode)
+        yield Observation(k, x, scene.clipped(1, k * scene.nodes, x), mode)
 
 
 def main(names):
     for name in names:
-        scene = DecisionGrid.of(synthesize(load_scenario(name)))
+        scene = DecisionGrid.from_schedule(synthesize(load_scenario(name)))
         methods = {key: METHODS[key](scene) for key in TIMED}
         seen = list(decisions(scene))
         spent = {key: np.empty(len(seen)) for key in TIMED}

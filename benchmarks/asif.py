@@ -32,7 +32,7 @@ from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.flights.sampling import InitialConditions
-from polaris.inspection.flights.simulation import Flights, fly_one
+from polaris.inspection.flights.simulation import FlightBatch, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
 from polaris.runs.inspections.monte_carlo import run_monte_carlo
@@ -102,7 +102,7 @@ def _along(name: str, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.n
     filtering = scenario.filter(scenario.model.filter, flight.period_s)
     times = flight.duration_s, flight.period_s
     flown = fly_one(
-        Flights(scenario.inspection(), x[None], np.array([sun]), *times, scenario.primary()), filtering
+        FlightBatch(scenario.inspection(), x[None], np.array([sun]), *times, scenario.primary()), filtering
     )
     asif = ActiveSetFilter(filtering, sun_start=float(sun))
     for k in np.linspace(0, len(flown.u) - 1, calls).astype(int).tolist():

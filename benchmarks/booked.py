@@ -39,7 +39,7 @@ def laws_flown(schedule: Schedule, steps: int) -> list[AffineController]:
     with patch.object(AffineController, "_flown", lambda law, *given: laws.append(law) or flown(law, *given)):
         last, start = list[AffineController](), schedule.safety.tracking.whole_state(schedule.safety.start)
         for step in schedule.steps[:steps]:
-            start = schedule.controllers[step.mode].fly(start, step.k).end
+            start = schedule.controllers[step.mode].propagate(start, step.k).end
             last.append(laws[-1])
     return last
 
@@ -86,7 +86,7 @@ def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[st
 def rows(scene: str) -> Iterator[str]:
     """Return rows of the table for a scene, of its place with the least left."""
     schedule = synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP]))
-    attacker = Attacker.of(schedule, False, np.random.default_rng(0))
+    attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
     place = next(tightest(attacker))
     flights = [flown_by(attacker, place, end) for end in (0, 1)]
     end = int(np.argmax([far / booked for (far, _), booked in zip(flights, place.booked, strict=True)]))

@@ -129,7 +129,7 @@ def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] =
         key = full.partition(".")[0]
         out[full] = {value: {} for value in VALUES[full]}
         for name, schedule in schedules.items():
-            scene = DecisionGrid.of(schedule)
+            scene = DecisionGrid.from_schedule(schedule)
             for value in VALUES[full]:
                 tuned = tuning(scene, full, value)
                 one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuned).results[key]
@@ -228,7 +228,7 @@ def row(name: str, one: MethodResult) -> str:
 
 def scene_table(schedule: object, runs: int, tuned: Mapping[str, Values]) -> tuple[str, object]:
     """All methods on one scene, those with a value of this scene's own twice."""
-    scene = DecisionGrid.of(schedule)
+    scene = DecisionGrid.from_schedule(schedule)
     comparison = compare_methods(schedule, runs, 0)
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     for key, one in comparison.results.items():

@@ -19,13 +19,13 @@ import numpy as np
 
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
-from polaris.inspection.backup.planner import Planner
+from polaris.inspection.backup.planner import BackupPlanner
 from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import PRESETS
 from polaris.inspection.flights.sampling import InitialConditions
-from polaris.inspection.flights.simulation import Errors
+from polaris.inspection.flights.simulation import SampledErrors
 from polaris.inspection.inspection import Inspection
 from polaris.model.thrusters import Thrusters
 from polaris.rta.one_call import Decision, RunTimeFilter
@@ -46,7 +46,7 @@ AIMS = ("deputy", "cone", "far")
 PERIODS = (2.0, 1.0, 2.0, 1.0, 0.2, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0)
 """Fewer flights at 0.2 s, which have most decisions."""
 LOOKS = 4
-ERRORS = Uncertainty(0.05, 0.002, 1e-5, Thrusters.of(0.01, np.deg2rad(0.25), 0.002, 0.001, 3))
+ERRORS = Uncertainty(0.05, 0.002, 1e-5, Thrusters.from_errors(0.01, np.deg2rad(0.25), 0.002, 0.001, 3))
 
 
 class Harsh:
@@ -77,7 +77,7 @@ def fly(
 
     `decide` maps the time [s] and the true states to the decision and to what acts [N].
     """
-    moves = [q.held(period * (k + 1) / LOOKS) for k in range(LOOKS)]
+    moves = [q.discretize(period * (k + 1) / LOOKS) for k in range(LOOKS)]
     exact = Families(q, "linear", exact=True)
     free = exact.among("passive", "deputy_passive")
     least, unproven, backup, count = np.inf, 0, 0.0, round(seconds / period)
@@ -100,7 +100,7 @@ def proven(q: Inspection, brakes: Collection[Brake], seed: int) -> Iterator[tupl
     while True:
         x, sun = (values[k] for values in drawn.first(k + 1))
         k += 1
-        if all(Planner(AllTime(brake, sun)).find(0.0, x).good for brake in brakes):
+        if all(BackupPlanner(AllTime(brake, sun)).find(0.0, x).good for brake in brakes):
             yield x, float(sun)
 
 
@@ -113,12 +113,12 @@ def fly_all(
     states, cases = proven(q, brakes.values(), seed), cycle(product(PERIODS, AIMS))
     for k, (x, sun), (period, aim) in zip(range(flights), states, cases, strict=False):
         f, primary = KINDS[kind].start(brakes[period], PRESETS["linear"], sun), Harsh(q, aim, sun)
-        act = partial(decided, f, primary, Errors(unknown, q, k))
+        act = partial(decided, f, primary, SampledErrors(unknown, q, k))
         yield aim, period, *fly(q, period, x, sun, seconds, act)
 
 
 def decided(
-    f: RunTimeFilter, primary: Harsh, errors: Errors, t: float, x: np.ndarray
+    f: RunTimeFilter, primary: Harsh, errors: SampledErrors, t: float, x: np.ndarray
 ) -> tuple[Decision, np.ndarray]:
     """Return a filter's answer to estimates with errors, and the force [N] that acts then."""
     seen = errors.estimated(x)

@@ -29,7 +29,7 @@ from polaris.report.scene.palette import BLACK, RED, VERMILION, tint
 from polaris.runs.run import read_run
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.baselines import Flown, compare
+from polaris.simulation.baselines import ControllerRuns, compare
 from polaris.synthesis.schedule.synthesize import synthesize
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -112,7 +112,9 @@ def run(name: str, out: Path, draw: bool = False) -> Mission:
     return Mission(name, folder.summary, checked, seconds)
 
 
-def draw_speeds(system: LinearSystem, limit: SpeedLimit, flown: Mapping[str, Flown], folder: Path) -> None:
+def draw_speeds(
+    system: LinearSystem, limit: SpeedLimit, flown: Mapping[str, ControllerRuns], folder: Path
+) -> None:
     """Draw speed over distance, with its limit, in the place of the scene: U alone and under the schedule."""
     with style():
         figure = new_figure(2.4)

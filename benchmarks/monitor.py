@@ -77,7 +77,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{'[us]':10}{'':20}{'median':>10}{'p99':>10}{'best':>12}{'p99':>10}")
     for name in arguments.scenarios:
-        monitor = Monitor(DecisionGrid.of(synthesize(load_scenario(name)), half_widths=0.005))
+        monitor = Monitor(DecisionGrid.from_schedule(synthesize(load_scenario(name)), half_widths=0.005))
         for what, way in ways(monitor).items():
             times = blocks(way, arguments.turns)
             middle, best = np.median(times, axis=0), times.min(axis=0)

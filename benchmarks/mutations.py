@@ -32,11 +32,11 @@ synthesis/tracker/tightening.py
 - self.sizes(channel, self.u_max if channel.lag else bound[0])
 + self.sizes(channel, bound[0])
 ! synthesis/schedule/test_hand_over.py::test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow
-synthesis/safety/demand.py
-- later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
+synthesis/safety/feedforward.py
+- later += effect.at_nodes(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
 + later += effect.ever(last)
 ! synthesis/schedule/test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
-certificate/model/craft/scheduled.py
+certificate/model/craft/feedforward.py
 - more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
 + more, ever = gains.summed([_over(size, size) for size in sizes[T:]]), gains.always(last)
 ! synthesis/schedule/test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
@@ -69,7 +69,7 @@ synthesis/safety/continuation.py
 - clearance.planned * clearance.q)
 + clearance.cells * clearance.q)
 ! synthesis/tracker/test_margins.py::test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it
-synthesis/schedule/takeover.py
+synthesis/schedule/abort_branch.py
 - at_nodes(tube.bow), until[k]))
 + at_nodes(tube.bow), until[k - 1] if k else 0.0))
 ! synthesis/schedule/test_powered_abort.py::test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before
@@ -78,11 +78,11 @@ synthesis/schedule/spending.py
 + spent.sum(axis=-1)[1].sum()
 ! synthesis/schedule/test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/safety/carried_rows.py
-- self.tracking.settled(self.rows) + self._upset[-1]
-+ self.tracking.settled(self.rows)
+- self.tracking.settled_need(self.rows) + self._upset[-1]
++ self.tracking.settled_need(self.rows)
 ! synthesis/schedule/test_powered_abort.py::test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit
 # The checker
-certificate/model/craft/needs.py
+certificate/model/craft/tightening.py
 - (first + later / (1 - self.memory.c))
 + first
 ! certificate/test_recovery.py::test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit
@@ -90,7 +90,7 @@ certificate/model/limits.py
 - if place == 0 and cell > 0 and not first:
 + if place == 0 and cell > 0 and first:
 ! certificate/test_recovery.py::test_a_limit_that_nothing_meets_is_noticed_wherever_it_is
-certificate/model/craft/needs.py
+certificate/model/craft/tightening.py
 - max(lag - periods + 1, 0)
 + max(lag + 1, 0)
 ! synthesis/schedule/test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
@@ -118,8 +118,8 @@ certificate/claims/flights.py
 - [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
 + list(room)
 ! certificate/test_certificate_math.py::test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated
-certificate/claims/mean_commands.py
-- box = motion.uneven(*steady, Push.in_box(plant.B, list(error[:m])))
+certificate/claims/mean_spending.py
+- box = motion.uneven(*steady, InputSet.in_box(plant.B, list(error[:m])))
 + box = motion.uneven(*steady)
 ! certificate/test_certificate_math.py::test_what_errors_do_within_a_period_is_answered_in_the_next
 certificate/kernel/motion.py
@@ -143,7 +143,7 @@ certificate/claims/recovery.py
 + pass
 ! certificate/test_recovery.py::test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too
 certificate/claims/arrival.py
-- spent = self.until(node) if reached else self.spent + self.correcting(node)
+- spent = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
 + spent = self.spent
 ! synthesis/schedule/test_arrival.py::test_what_s_corrects_after_t_is_part_of_the_velocity_change
 """  # noqa: E501

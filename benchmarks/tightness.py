@@ -142,10 +142,10 @@ def worst(attacker: Attacker, place: Place, alike: bool = False) -> float:
 def unmerged(schedule: Schedule) -> Claims:
     """Return the claims as if the sets of the same schedule kept all of their generators."""
     steps, start, safety = [], schedule.steps[0].tube.nodes[0], schedule.safety
-    fresh = [law.along(safety.reference, safety.tracking) for law in schedule.controllers]
+    fresh = [law.with_reference(safety.reference, safety.tracking) for law in schedule.controllers]
     with patch.multiple(controllers, ORDER=1e9, WIDE=1e9, WHOLE=1e9), patch.object(affine_law, "ORDER", 1e9):
         for step in schedule.steps:
-            steps.append(replace(step, tube=fresh[step.mode].fly(start, step.k)))
+            steps.append(replace(step, tube=fresh[step.mode].propagate(start, step.k)))
             start = steps[-1].tube.end
     return Claims(replace(schedule, steps=steps), False)
 
@@ -155,7 +155,7 @@ def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
 
     Then what sets need that keep all generators, and sets as they are: the rest are bows between nodes.
     """
-    attacker = Attacker.of(schedule, False, np.random.default_rng(0))
+    attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
     claims, kept = attacker.claims, unmerged(schedule)
     for place in tightest(attacker):
         k, at = divmod(place.period, claims.q)
@@ -168,7 +168,7 @@ def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
 
 def spent(schedule: Schedule, seed: int = 0) -> float:
     """Share of the bound on the velocity change until T that its worst case spends."""
-    attacker = Attacker.of(schedule, False, np.random.default_rng(seed))
+    attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(seed))
     largest = float(attacker.spending(RUNS).fly(attacker.flight).delta_v.max())
     return largest / schedule.delta_v[1] if schedule.delta_v[1] > 0 else 1.0
 
@@ -186,7 +186,7 @@ class Sums:
         system, arrival, upkeep = schedule.safety.problem.system, schedule.arrival, schedule.upkeep
         assert arrival.by is not None and upkeep is not None and upkeep.per_orbit is not None
         attacker, h = (
-            Attacker.of(schedule, True, np.random.default_rng(seed)),
+            Attacker.from_schedule(schedule, True, np.random.default_rng(seed)),
             schedule.safety.tracking.flow.h,
         )
         goal, settled = round(arrival.by / h) - 1, round(upkeep.settled / h) - 1
@@ -218,12 +218,12 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Runs], Array]) -> f
     1995, round relaxed cuts so). The best directions stay, and others are drawn nearer to them each round.
     """
     flight, schedule, rng = attacker.flight, attacker.claims.schedule, np.random.default_rng(0)
-    spells = [Spell.of(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
-    spells += schedule.tail.until(max(periods - len(spells) * schedule.safety.clearance.q, 0))
+    spells = [Spell.from_tube(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
+    spells += schedule.tail.steps_until(max(periods - len(spells) * schedule.safety.clearance.q, 0))
     steps = FlightSpending(spells, periods)._steps(range(len(spells)), periods)
     relaxed, m = RelaxedFlight(steps, spells[0].start), flight.system.m
     relaxed.ascend()
-    commands = np.array([u[:m] for u in relaxed.fly()])
+    commands = np.array([u[:m] for u in relaxed.commands()])
     directions, size, top = rng.normal(size=(CLIMBERS, commands.shape[2])), 0.6, 0.0
     for _ in range(CLIMBS):
         signs = np.zeros((flight.steps, CLIMBERS, m))

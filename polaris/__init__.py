@@ -16,6 +16,6 @@ from contextlib import suppress
 
 # The checker, `python -m polaris.certificate`, runs where there is nothing but Python and python-flint.
 with suppress(ModuleNotFoundError):
-    from reach.numerics.packages import door
+    from reach.numerics.packages import attach
 
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+    __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -38,7 +38,7 @@ from .rta.decision_grid import DecisionGrid as DecisionGrid
 from .rta.method import Choice as Choice
 from .rta.method import Claim as Claim
 from .rta.method import Method as Method
-from .rta.method import Seen as Seen
+from .rta.method import Observation as Observation
 from .rta.method_result import MethodResult as MethodResult
 from .rta.methods.monitor import Monitor as Monitor
 from .rta.one_call import Backup as Backup
@@ -75,8 +75,8 @@ from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import ScheduleScenario as ScheduleScenario
 from .scenario.scenario import bundled_scenarios as bundled_scenarios
 from .scenario.scenario import load_scenario as load_scenario
-from .simulation.baselines import Flights as Flights
-from .simulation.baselines import Flown as Flown
+from .simulation.baselines import ControllerRuns as ControllerRuns
+from .simulation.baselines import FlightEnvelope as FlightEnvelope
 from .simulation.baselines import compare as compare
 from .simulation.falsification.search import Falsification as Falsification
 from .simulation.falsification.search import falsify as falsify
@@ -89,11 +89,11 @@ from .simulation.orbit.truth import TrueFlights as TrueFlights
 from .simulation.orbit.truth import fly_true as fly_true
 from .simulation.run_metrics import Runs as Runs
 from .simulation.run_metrics import evaluate as evaluate
-from .simulation.sampled import Sampled as Sampled
+from .simulation.sampled import SampledSchedules as SampledSchedules
 from .simulation.sampled import synthesize_sampled as synthesize_sampled
 from .simulation.simulate import simulate as simulate
 from .synthesis.controllers.black_box import BlackBox as BlackBox
-from .synthesis.controllers.black_box import Statement as Statement
+from .synthesis.controllers.black_box import SampledBound as SampledBound
 from .synthesis.controllers.controllers import AffineController as AffineController
 from .synthesis.controllers.controllers import AnyThrust as AnyThrust
 from .synthesis.controllers.controllers import Controller as Controller

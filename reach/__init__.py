@@ -4,6 +4,6 @@ A library of its own: it needs numpy and scipy only. Names are imported when fir
 and where it lives, stands in the stub beside this file.
 """
 
-from .numerics.packages import door
+from .numerics.packages import attach
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -198,7 +198,7 @@ def kept_schedules(monkeypatch):
     real = synthesize.synthesize
     monkeypatch.setattr(polaris, "synthesize", known)  # first: the door looks the name up
     monkeypatch.setattr(synthesize, "synthesize", known)
-    monkeypatch.setattr("polaris.runs.picturing.SLICES", 2)  # pages say nothing of slices
+    monkeypatch.setattr("polaris.runs.build_plot_data.SLICES", 2)  # pages say nothing of slices
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def homes(package):
 
 def test_doors_with_a_stub_are_those_that_use_it():
     doors = [path for name in ("polaris", "reach") for path in (ROOT / name).rglob("__init__.py")]
-    users = [path for path in doors if " = door(" in path.read_text("utf-8")]
+    users = [path for path in doors if " = attach(" in path.read_text("utf-8")]
     assert {"polaris", "polaris.inspection"} <= set(PACKAGES)
     assert sorted(users) == [stub.with_suffix(".py") for stub in STUBS]
 

@@ -87,7 +87,7 @@ def test_an_untested_numba_compiles_nothing(install, monkeypatch):
     monkeypatch.setattr(packages, "find_spec", lambda name: name)
     install("numba", "0.0.1")
     assert (
-        not compiled.wanted()
+        not compiled.is_enabled()
         and compiled.compiled(test_one_package_has_one_range) is test_one_package_has_one_range
     )
 

@@ -107,7 +107,7 @@ def run(name: str) -> Row:
     seconds = perf_counter() - begun
     assert verdict.tube is not None
     bound = float(max(verdict.tube.support(mode, GAINED)[0] for mode in SPECS))
-    last = max(segment.span(*segment.steps)[:, 1].max() for segment in verdict.tube.of("free"))
+    last = max(segment.span(*segment.steps)[:, 1].max() for segment in verdict.tube.in_mode("free"))
     rng = np.random.default_rng(0)
     corners = initial.support_vector(rng.normal(size=(20, 5)))
     paths = [simulate_hybrid(model, x, HORIZON, dt=1e-4) for x in corners]

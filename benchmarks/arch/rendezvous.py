@@ -147,7 +147,7 @@ def trials(model: HybridAutomaton) -> list[HybridTrajectory]:
 def clearance(tube: HybridTube) -> float:
     """Proved lower bound on the distance from the target after the abort (maximum norm)."""
     low = []
-    for segment in tube.of("abort"):
+    for segment in tube.in_mode("abort"):
         distances = -segment.flowpipes.support(-AXES)
         low.append(distances.max(axis=-1)[segment.alive].min())
     return float(min(low))

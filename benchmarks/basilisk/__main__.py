@@ -114,7 +114,7 @@ class Scene:
             write_run(folder, self.scenario, fly_schedule(self.scenario, Stages()).schedule)
         if (folder / "scenario.toml").read_text() != self.scenario.copy_text():
             raise ValueError(f"{folder}: is of another scenario, or of other settings")
-        self.system, self.env = self.scenario.system(), Environment.of(self.scenario)
+        self.system, self.env = self.scenario.system(), Environment.from_scenario(self.scenario)
         tubes = read_arrays(folder / "tubes.npz")
         half, bow = np.abs(tubes["generators"]).sum(axis=1).transpose(1, 0, 2), tubes["bow"].max(axis=1)
         self.lower = (tubes["center"] - half).min(axis=1) - bow

@@ -75,7 +75,7 @@ class CraftScene(Scene):
     def proven(self) -> dict[str, float]:
         """Least distance under the schedule; distance from the goal, tolerance, velocity change and when."""
         run = read_run(self.folder)
-        promised, goal = proven_distance(run.picture()), run.json("schedule.json")["guarantee"]["goal"]
+        promised, goal = proven_distance(run.plot_data()), run.json("schedule.json")["guarantee"]["goal"]
         assert promised is not None  # there is an unsafe set
         names = {"goal": "distance_m", "tolerance": "tolerance_m", "delta_v": "delta_v_max_m_s", "by": "by_s"}
         return {"distance": float(promised.min()), **{key: goal[name] for key, name in names.items()}}

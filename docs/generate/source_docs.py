@@ -46,7 +46,7 @@ HEAD = {
     "Checker": "polaris.certificate.model.craft.states.craft_of",
     "Assumption": "polaris.synthesis.sources.craft.assumed",
     "Simulation, `falsify`": "polaris.simulation.delayed.flies",
-    "Run-time methods": "polaris.rta.decision_grid.DecisionGrid.of",
+    "Run-time methods": "polaris.rta.decision_grid.DecisionGrid.from_schedule",
 }
 """Columns, and the one function that puts the errors of all rows in its place."""
 
@@ -163,7 +163,7 @@ class Declared:
     def loop(self) -> dict[bytes, str]:
         """Each source with the number of states that it adds, by all that it adds."""
         system, texts = self.problem.system, {}
-        loop = Loop.of(system.A, system.B, self.problem.period)
+        loop = Loop.from_plant(system.A, system.B, self.problem.period)
         for source in sources(system, self.problem.period):
             before, loop = loop, source.extend(loop)
             states, channels = loop.N - before.N, loop.channels[len(before.channels) :]
@@ -215,7 +215,7 @@ class Declared:
         """Return the sentences that are printed with the guarantee, by their first words."""
         premises = assumed(self.problem.system, self.problem.period)
         allocated, radius = self.problem.allocation is not None, chaser_radius(self.problem.unsafe)
-        sentences = replace(premises, allocated=allocated, chaser=radius).told()
+        sentences = replace(premises, allocated=allocated, chaser=radius).sentences()
         return {sentence.split(":")[0]: sentence for sentence in sentences}
 
     @cached_property

@@ -60,7 +60,7 @@ ARITHMETIC = {
 
 
 @dataclass(frozen=True)
-class Premises:
+class Assumptions:
     """Assumptions of a certificate that no checker can confirm: one account, for runs and certificates.
 
     Bounds are empty where there is nothing to bound.
@@ -95,7 +95,7 @@ class Premises:
     position: Iterable[Iterable[float]] = ()  # the rows of C
     networks: Iterable[tuple[str, str]] = ()  # names of networks, and the arithmetic of each
 
-    def told(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """Return all assumptions that apply, in words, in the order that the format prescribes."""
         size = f"within {self.chaser:g} m of the navigated point, a radius added to every unsafe set"
         point = "a point; its size is part of the unsafe sets"

@@ -15,12 +15,12 @@ from .claims.joint import Joint
 from .files.document import Document, digest, untrusted
 from .files.file_keys import BOUND, NOT_NEGATIVE, TEXT, VECTOR
 from .files.scenario_keys import NAME
-from .files.structure import LARGEST_SCENARIO, Items, Named, Whole, conform, contents, sha256, strict_json
+from .files.structure import LARGEST_SCENARIO, Int, Items, Named, conform, contents, sha256, strict_json
 from .kernel.balls import dot, plain
 from .kernel.verdict import Failed, Record, Rejected
 from .model.plants import plant_of
 from .model.state_limits import turned
-from .model.timing import owed
+from .model.timing import carried_impulse
 
 FORMAT = "polaris-mission"
 CERTIFICATE, SCENARIO, SUMMARY = "certificate.json", "scenario.toml", "summary.json"
@@ -29,13 +29,13 @@ PLANT = "kind", "A", "B", "C", "D", "mass", "mean_motion", "input_names"  # of t
 SETS = "obstacles", "keep_in"  # tables of sets, some of which may move
 PLACED = 1e-9  # rounding of places of moving sets, and of instants, relative to their size
 
-_NODES = Items(Items(Whole(), 2, 2))
+_NODES = Items(Items(Int(), 2, 2))
 _LEG = {"name": NAME, "digest": TEXT, "leaves_s": NOT_NEGATIVE, "delta_v_max_m_s": BOUND}
 _LEG |= {"waiting_m_s2": BOUND, "safe_until_s": BOUND, "drift_s": BOUND}
 _JOINT = {"center": VECTOR, "half_widths": VECTOR, "first": _NODES, "later": _NODES, "assured": bool}
 KEYS = {
     **dict.fromkeys(("format", "digest"), TEXT),
-    "schema_version": Whole(1, 1),
+    "schema_version": Int(1, 1),
     "artefacts": Named(TEXT),
     "legs": Items(_LEG, 2, 32),
     "joints": Items(_JOINT, 1, 31),
@@ -48,7 +48,7 @@ CheckRun = Callable[[Document, Path, Record, Joint | None], list[str]]
 
 
 @dataclass(frozen=True)
-class Leg:
+class CheckedLeg:
     """One leg as its own folder has it."""
 
     name: str
@@ -112,9 +112,9 @@ def _toml(path: Path) -> dict[str, Any]:
         raise Rejected("artefacts", f"{path.name} cannot be read: {error}") from error
 
 
-def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -> list[Leg]:
+def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -> list[CheckedLeg]:
     """Return the legs; the scenario of each run is what the mission says of it, in the mission's order."""
-    specs, start, legs = mission.get("legs"), Fraction(0), list[Leg]()
+    specs, start, legs = mission.get("legs"), Fraction(0), list[CheckedLeg]()
     if mission.get("kind") != "mission" or not isinstance(specs, list) or len(specs) != len(stated["legs"]):
         raise Rejected("legs", "the certificate has other legs than the mission")
     shared = {key: value for key, value in mission.items() if key not in OWN}
@@ -132,7 +132,7 @@ def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -
         stay = _number(scenario.pop("stay_s", 0.0))
         _same(scenario, _toml(own / SCENARIO), start, known["name"])
         claim = strict_json(contents(own / "schedule.json"))["guarantee"]
-        legs.append(Leg(known["name"], own, document, scenario, start, stay, claim))
+        legs.append(CheckedLeg(known["name"], own, document, scenario, start, stay, claim))
         start += legs[-1].T + stay
     return legs
 
@@ -181,7 +181,7 @@ def _places(table: Mapping[str, Any], start: Fraction) -> dict[str, list[arb]]:
     return {"center_m": [x + y * t for x, y in zip(table["center_m"], v, strict=True)]}
 
 
-def _moves(leg: Leg) -> bool:
+def _moves(leg: CheckedLeg) -> bool:
     """Return True if a leg has a set that moves or turns."""
     sets = (each for key in SETS for each in leg.scenario.get(key, ()))
     return any(
@@ -189,7 +189,7 @@ def _moves(leg: Leg) -> bool:
     )
 
 
-def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
+def _joint(legs: list[CheckedLeg], i: int, stated: Mapping[str, Any]) -> Joint:
     """Return the claim of a joint, once its instants and its boxes are those of the legs on both sides."""
     leg, after = legs[i], legs[i + 1]
     where = f"from {leg.name} to {after.name}"
@@ -211,7 +211,7 @@ def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
     return Joint(box["center"], box["half_widths"], *given)
 
 
-def _satellite(leg: Leg) -> bool:
+def _satellite(leg: CheckedLeg) -> bool:
     return any(each["kind"] == "satellite" for each in leg.scenario.get("obstacles", ()))
 
 
@@ -227,7 +227,7 @@ def _same_craft(one: Document, two: Document, where: str) -> None:
             raise Rejected("joint", f"{where}: {key} of the system differs")
 
 
-def _spent(leg: Leg, leaves: float) -> arb | None:
+def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
     """Bound the velocity change of a leg until it is left, from what its run claims [m/s]."""
     goal, upkeep = leg.claim["goal"], leg.claim["upkeep"]
     if goal["reached"] is True and leaves <= goal["by_s"]:
@@ -238,7 +238,7 @@ def _spent(leg: Leg, leaves: float) -> arb | None:
     return arb(upkeep["until_settled_m_s"]) + (waited * upkeep["rate_m_s2"] if waited > 0 else 0)
 
 
-def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
+def _sums(legs: list[CheckedLeg], stated: Mapping[str, Any]) -> str:
     """Check when legs are left, what they spend until then and in all, and for how long they are safe."""
     total: arb | None = arb(0)
     for i, (leg, known) in enumerate(zip(legs, stated["legs"], strict=True)):
@@ -252,12 +252,12 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, but GO is not given then")
         spent = _spent(leg, leaves)
         if spent is not None and i:  # impulses that the leg before leaves behind
-            spent += owed(plant_of(doc)) / doc.mass
+            spent += carried_impulse(plant_of(doc)) / doc.mass
         _no_less(f"velocity change of leg {leg.name}", known["delta_v_max_m_s"], spent)
         total = None if total is None or spent is None else total + spent
         rate = None if leg.claim["upkeep"] is None else arb(leg.claim["upkeep"]["rate_m_s2"])
         _no_less(f"velocity change per second of leg {leg.name}", known["waiting_m_s2"], rate)
-        if known["safe_until_s"] != doc.until:
+        if known["safe_until_s"] != doc.claim_end:
             raise Rejected("end", f"leg {leg.name} is safe until another instant in its run")
         drift, clear = doc.drift, 0.0
         if drift is not None and all(part is not None for part in drift.steps):
@@ -268,7 +268,7 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
     return "nothing claimed" if total is None else f"at most {plain(total)} m/s in all"
 
 
-def _within(joint: Mapping[str, Any], node: int, leg: Leg) -> bool:
+def _within(joint: Mapping[str, Any], node: int, leg: CheckedLeg) -> bool:
     """Return True if GO may be given so many periods after the leg's horizon."""
     if any(a <= node <= b for a, b in joint["first"]):
         return True

@@ -35,7 +35,7 @@ def model_error_command(
     from ..simulation.orbit.model_error import error_within, justify, model_error
 
     loaded = load_target(target, assignments or (), apart="orbit")
-    Environment.of(loaded.scenario)  # what is missing is refused before the synthesis
+    Environment.from_scenario(loaded.scenario)  # what is missing is refused before the synthesis
     for note in () if as_json else loaded.scenario.derived:
         echo(f"note: {note}", err=True)
     if within is not None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Options:
+class CampaignOptions:
     """Options of ``polaris campaign``."""
 
     runs: int | None = Option(None, min=1, help="Runs per case and mode; default 1000 for schedules.")
@@ -52,7 +52,7 @@ SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
 
 @verb("campaign")
 def campaign_command(
-    options: Options,
+    options: CampaignOptions,
     output: Output,
     asked: BlackBoxes,
     scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
@@ -140,7 +140,7 @@ def replay_command(
 
 
 def _plan(
-    scenarios: Sequence[ScheduleScenario], options: Options, boxes: Sequence[str], stages: Stages
+    scenarios: Sequence[ScheduleScenario], options: CampaignOptions, boxes: Sequence[str], stages: Stages
 ) -> CampaignPlan:
     """Return the campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
@@ -156,7 +156,7 @@ def _plan(
 def _fly_inspection(
     scenarios: Sequence[Scenario],
     one: Scenario,
-    options: Options,
+    options: CampaignOptions,
     output: Output,
     crew: AbstractContextManager[Workers],
 ) -> None:

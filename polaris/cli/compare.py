@@ -27,7 +27,7 @@ class _Compare(TyperCommand):
 
 
 @dataclass
-class Options:
+class CompareOptions:
     """Options of ``polaris compare``."""
 
     runs: int = Option(50, min=1, help="Runs per method.")
@@ -49,7 +49,7 @@ class Options:
 
 
 @verb("compare", cls=_Compare)
-def compare_command(target: Target, options: Options, asked: BlackBoxes, output: Output) -> None:
+def compare_command(target: Target, options: CompareOptions, asked: BlackBoxes, output: Output) -> None:
     """Compare run-time assurance methods on one scenario under equal disturbances."""
     stages = output.stages
     given, tuning = options.estimate_error, _tuning(options.tune)
@@ -78,7 +78,7 @@ def compare_command(target: Target, options: Options, asked: BlackBoxes, output:
             schedule = loaded.schedule(boxes)
         with stages.stage("flights"):
             comparison = compare_methods(
-                DecisionGrid.of(schedule, options.period, options.latency, half),
+                DecisionGrid.from_schedule(schedule, options.period, options.latency, half),
                 options.runs,
                 options.seed,
                 methods=named,

@@ -127,10 +127,12 @@ class BlackBoxes:
     @contextmanager
     def running(self) -> Iterator[dict[str, Ask]]:
         """Start the programs, which end with the ``with`` statement; yield what asks them, by name."""
-        from ..runs.program import program
+        from ..runs.black_box_program import black_box_program
 
         with ExitStack() as programs:
-            started = {name: program(words, self.answer_within) for name, words in self.commands.items()}
+            started = {
+                name: black_box_program(words, self.answer_within) for name, words in self.commands.items()
+            }
             yield {name: programs.enter_context(each) for name, each in started.items()}
 
 

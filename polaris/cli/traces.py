@@ -11,7 +11,7 @@ from .shell import Force, Json, Quiet, echo, print_result, verb
 
 
 @dataclass
-class Options:
+class EvaluateOptions:
     """Options of ``polaris evaluate``."""
 
     legacy: bool = Option(False, "--legacy", help="Compute the numbers of RTAEval itself, defects included.")
@@ -38,7 +38,7 @@ class Options:
 
 @verb("evaluate")
 def evaluate_command(
-    options: Options, trace: str = Argument(..., metavar="TRACE", help="Trace file, JSON.")
+    options: EvaluateOptions, trace: str = Argument(..., metavar="TRACE", help="Trace file, JSON.")
 ) -> None:
     """Evaluate a trace: distances, times to collision, use of modes, switches."""
     from ..model.checks import positive

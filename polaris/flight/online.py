@@ -13,7 +13,7 @@ from ..model.errors import NotCertified, ScenarioError
 from ..model.system import Array
 from ..rta.decision_grid import DecisionGrid
 from ..rta.methods.monitor import Monitor
-from ..rta.prospect import Prospect
+from ..rta.permission import Permission
 from ..synthesis.schedule.schedule import Schedule
 from .rounding import UNIT, gap_error
 
@@ -31,7 +31,7 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
     ScenarioError
         If the scene has what the monitor on board does not model, or its initial set is not recoverable.
     """
-    grid = DecisionGrid.of(schedule)
+    grid = DecisionGrid.from_schedule(schedule)
     late = document.fired, document.late, document.carried, document.transients, np.any(document.displaced)
     if document.observer or (document.error_by_step and document.timing.get("delay")) or any(late):
         rule = "must be off with an observer, late phases, pulses, carried impulses, jitter and late faults"
@@ -57,7 +57,7 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
     return _laid_out(tables, document, prospect, precision, apart, off, count)
 
 
-def _size(prospect: Prospect, apart: Array) -> float:
+def _size(prospect: Permission, apart: Array) -> float:
     """Bound on ``norm(W e)`` at every stage of a decision on errors in a box."""
     stages = (slice(first, last) for first, last in prospect._norms)
     ends = (
@@ -67,7 +67,7 @@ def _size(prospect: Prospect, apart: Array) -> float:
     return float(max(np.linalg.norm(each) for each in ends)) + prospect.radius
 
 
-def _needs(prospect: Prospect, apart: Array) -> Array:
+def _needs(prospect: Permission, apart: Array) -> Array:
     """Return what is booked of every row so many nodes after the decision, shape (lags, r)."""
     recovery, n = prospect.recovery, prospect.grid.system.n
     size, facets = _size(prospect, apart), len(recovery.bow)
@@ -79,7 +79,7 @@ def _needs(prospect: Prospect, apart: Array) -> Array:
     return np.vstack([first, later])
 
 
-def _lags(prospect: Prospect, apart: Array) -> int:
+def _lags(prospect: Permission, apart: Array) -> int:
     """Number of nodes after which errors in a box meet all limits whatever they are; 0 if none is enough."""
     recovery, grid, n = prospect.recovery, prospect.grid, prospect.grid.system.n
     end = np.abs(prospect.end.M) @ apart + np.abs(prospect.end.offset).max(axis=0)
@@ -96,7 +96,7 @@ def _lags(prospect: Prospect, apart: Array) -> int:
 def _laid_out(
     tables: Tables,
     document: Document,
-    prospect: Prospect,
+    prospect: Permission,
     precision: str,
     apart: Array,
     off: Array,

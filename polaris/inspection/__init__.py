@@ -4,6 +4,6 @@ After Dunlap, van Wijk, Hobbs: Run Time Assurance for Autonomous Spacecraft Insp
 corrections that ``docs/inspection-theory.md`` lists.
 """
 
-from reach.numerics.packages import door
+from reach.numerics.packages import attach
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -21,7 +21,7 @@ BLOCK = 1024  # flights looked at together: what fits into fast memory
 NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
 
 
-class Approach(NamedTuple):
+class ApproachResult(NamedTuple):
     """Closest approaches: distances from the origin [m], times of flight [s], positions (..., 3) [m]."""
 
     distance: Array
@@ -118,7 +118,7 @@ class ClosestApproach:
         instants = np.stack([self.times, 2 * np.sin(angle / 2) ** 2, np.sin(angle)], axis=1)
         self.numbers = np.vstack([[mean_motion, *self.speed_gain], instants])
 
-    def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
+    def __call__(self, z: Array, beyond: float = np.inf) -> ApproachResult:
         """Find the closest approach of every flight from states (..., 6).
 
         Distances larger than `beyond` [m] need not be exact: they may come out smaller, but not below it,
@@ -128,17 +128,19 @@ class ClosestApproach:
         if self.loops:
             parts = self.loops.approaches(plain(flat)[:, None], NO_PAIRS, float(beyond), self.numbers)
             parts = parts.reshape(*shape, 5)
-            return Approach(parts[..., 0], parts[..., 1], parts[..., 2:])
+            return ApproachResult(parts[..., 0], parts[..., 1], parts[..., 2:])
         parts = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
         distance, when, place = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
-        return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
+        return ApproachResult(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
 
-    def _block(self, z: Array, beyond: float) -> Approach:
+    def _block(self, z: Array, beyond: float) -> ApproachResult:
         places = (z @ self.positions).reshape(len(z), -1, 3)
         squares = dot(places, places)
         nearest = squares.argmin(axis=1)
         every = np.arange(len(z))
-        approach = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
+        approach = ApproachResult(
+            np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest]
+        )
         gain_p, gain_v = self.speed_gain
         speed = gain_p * length(z[:, :3]) + gain_v * length(z[:, 3:])
         bound = approach.distance - speed * (self.times[1] / 2)
@@ -150,7 +152,9 @@ class ClosestApproach:
         approach.distance[far] = bound[far]
         return approach
 
-    def _refine(self, z: Array, places: Array, squares: Array, best: Approach, at: NDArray[np.intp]) -> None:
+    def _refine(
+        self, z: Array, places: Array, squares: Array, best: ApproachResult, at: NDArray[np.intp]
+    ) -> None:
         """Lower the distances found for these flights, which are at these places, to their infima."""
         n, length = self.mean_motion, self.times[1]
         rates = dot(places, (z @ self.velocities).reshape(places.shape))
@@ -178,7 +182,7 @@ class ClosestApproach:
 class _Search:
     """Segments of flights on which the distance may fall below the least one found so far."""
 
-    best: Approach
+    best: ApproachResult
     row: NDArray[np.intp]  # of each segment's flight, in `best`
     parts: Array
     n: float

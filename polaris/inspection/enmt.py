@@ -62,7 +62,7 @@ class Ellipses:
             raise ScenarioError("largest", self.largest, rule)
 
     @classmethod
-    def of(cls, inspection: Inspection) -> "Ellipses":
+    def for_inspection(cls, inspection: Inspection) -> "Ellipses":
         """Return eNMTs that keep 1.5 times the separation from the chief, within r_max and the speed limits.
 
         That is ``4 a^2 + c^2 <= r_max^2``, and ``2 n a`` and ``n c`` are at most v_max.

@@ -195,7 +195,7 @@ class Inspection:
         """Motion of one deputy (eq. 9)."""
         return clohessy_wiltshire(self.mean_motion, self.mass, self.thrust_max)
 
-    def held(self, duration: float) -> tuple[Array, Array]:
+    def discretize(self, duration: float) -> tuple[Array, Array]:
         """Exact motion over a time with the thrust held: ``x(t + duration) = Phi x + Gamma u``."""
         number("duration", duration)
         return discretize(self.system.A, self.system.B, duration)

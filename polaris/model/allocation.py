@@ -57,7 +57,7 @@ class Allocation:
     kind: str = MIXES  # one of `KINDS`
 
     @classmethod
-    def of(
+    def from_directions(
         cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault], kind: str = MIXES
     ) -> "Allocation":
         """Find the largest box of the shape of `wanted` (m,), no larger than it, and the least thrust for it.

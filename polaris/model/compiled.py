@@ -16,7 +16,7 @@ from .system import Array
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
-def wanted() -> bool:
+def is_enabled() -> bool:
     """Return True if numba is there in a tested version, and POLARIS_COMPILED is not set to 0."""
     return not unusable("numba") and os.environ.get("POLARIS_COMPILED", "1") != "0"
 
@@ -57,4 +57,4 @@ def _module(name: str) -> ModuleType:
 
 def loops(name: str) -> Any:
     """The module of compiled loops of this name, imported when it is first wanted; None if it is not."""
-    return _module(name) if wanted() else None
+    return _module(name) if is_enabled() else None

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
 from reach.numerics.linear import discretize
+from reach.short_repr import short_repr
 
 from .checks import of_kind
 from .errors import ScenarioError
@@ -19,7 +19,7 @@ from .thrusters import Nozzles, Thrusters
 from .timing import WHOLE, Lead, Observer, Timing, Transient
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Craft(LinearSystem):
     """A linear system with what its navigation, timing and thrusters may do wrong; by default nothing.
@@ -69,7 +69,7 @@ class Craft(LinearSystem):
             raise ScenarioError("navigation", self.navigation.tolist(), f"must be {self.n} numbers >= 0")
 
     @classmethod
-    def of(cls, system: LinearSystem) -> Craft:
+    def from_system(cls, system: LinearSystem) -> Craft:
         """Return a craft as it is, and any other linear system as a craft without errors."""
         if isinstance(system, cls):
             return system
@@ -98,17 +98,17 @@ class Craft(LinearSystem):
         return self.thrusters.exact and not np.any(self.navigation) and not self.transients
 
     @property
-    def displaced(self) -> Array:
+    def state_offset(self) -> Array:
         """State offset: bounds on the distance of the true state from the modelled one (`Timing`), (n,)."""
         return np.array(self.timing.displaced or np.zeros(self.n))
 
     @property
-    def displaced_at_nodes(self) -> Array:
+    def state_offset_at_nodes(self) -> Array:
         """State offset at nodes, where pulses displace nothing, shape (n,)."""
-        return np.asarray(self.displaced - np.array(self.timing.pulsed or 0.0))
+        return np.asarray(self.state_offset - np.array(self.timing.pulsed or 0.0))
 
     @cached_property
-    def adrift(self) -> Array:
+    def impulse_rates(self) -> Array:
         """Rates of the states by carried impulses, their errors, and jitter, as generators (n, ...)."""
         if not self.timing.carried:
             return self.shifting
@@ -137,7 +137,7 @@ class Craft(LinearSystem):
         """Rates of the states by carried impulses, leads of pulses and the constant beside w, (n, ...)."""
         lead = self.timing.lead
         led = [] if lead is None else [self.A @ self.B * np.add(lead.fixed, lead.most)]
-        return np.hstack([self.adrift, *led, self.biases])
+        return np.hstack([self.impulse_rates, *led, self.biases])
 
     @cached_property
     def carried_away(self) -> Array:
@@ -149,11 +149,11 @@ class Craft(LinearSystem):
         return np.asarray(away * self.timing.carried * (1 + 1e-9))
 
     @property
-    def prompt(self) -> Craft:
+    def without_delay(self) -> Craft:
         """Craft whose commands take effect at once: with the errors of measurements."""
         if self.timing == Timing():
             return self
-        own = self.known_to(self.measured)
+        own = self.with_estimate_error(self.measured)
         return replace(own, observer=None, timing=Timing(), thrusters=self.on_time)
 
     @property
@@ -168,9 +168,9 @@ class Craft(LinearSystem):
     def at_step(self, k: int) -> Craft:
         """Return the craft with the errors of estimates that there may be in step k."""
         steps = self.error_by_step
-        return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
+        return self if steps is None else self.with_estimate_error(steps[min(k, len(steps) - 1)])
 
-    def known_to(self, error: Array) -> Craft:
+    def with_estimate_error(self, error: Array) -> Craft:
         """Return the craft with errors of estimates, shape (n,), that are those of every step."""
         return replace(self, estimate_error=error, error_by_step=None)
 
@@ -192,7 +192,7 @@ class Craft(LinearSystem):
         """
         if most is None:
             return self.navigation
-        spare = self.grown(self.u_max) - self.grown(np.minimum(most, self.u_max))
+        spare = self.proportional_errors(self.u_max) - self.proportional_errors(np.minimum(most, self.u_max))
         unseen = sum(map(np.transpose, self.unseen.values()), 0 * self.entering.T)
         return np.asarray(self.navigation - spare @ unseen)
 
@@ -206,7 +206,7 @@ class Craft(LinearSystem):
         """Rates of the states by errors of inputs, and by leads of pulses if there are any, (n, k)."""
         return self.B if self.timing.lead is None else np.hstack([self.B, self.A @ self.B])
 
-    def grown(self, most: Array) -> Array:
+    def proportional_errors(self, most: Array) -> Array:
         """Return the parts of what is `entering` that grow with commands up to `most` (..., m), (..., k)."""
         part, lead = self.thrusters.part(most), self.timing.lead
         return part if lead is None else np.concatenate([part, lead.part(most)], axis=-1)
@@ -231,7 +231,7 @@ class Craft(LinearSystem):
         return np.asarray(self.longest * (most + self.on_time.error(most)) * self.weights)
 
     @property
-    def owed(self) -> float:
+    def carried_impulse(self) -> float:
         """Return what may be left of impulses from before, of all inputs [N s], with its errors."""
         sides = 1 if self.nozzles is None else 2  # each way thrusters of their own
         return self.longest * self.on_time.made(sides * self.m * self.timing.carried)

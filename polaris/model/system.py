@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from .errors import ScenarioError
 
@@ -43,7 +43,7 @@ def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
     return array
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """A linear control system with bounded input and bounded disturbance (section II).

@@ -32,7 +32,9 @@ class Thrusters:
             raise ScenarioError("thrusters", sizes, "must be finite numbers >= 0")
 
     @classmethod
-    def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> "Thrusters":
+    def from_errors(
+        cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int
+    ) -> "Thrusters":
         """Return errors of m inputs by magnitude, direction [rad], mass and rounding [N], rounded up."""
         across = float(np.sin(misalignment)) * (1 + magnitude) / (1 - mass)
         least = float(np.cos(misalignment)) * (1 - magnitude) / (1 + mass)
@@ -57,7 +59,7 @@ class Thrusters:
         return replace(self, bit=bit, shares=tuple(map(tuple, table.tolist())))
 
     def rounding(self, m: int) -> float:
-        """Multiple of which every input is commanded [N]: twice what `of` was given."""
+        """Multiple of which every input is commanded [N]: twice what `from_errors` was given."""
         return 2 * float(np.max(self.bit)) / (1 + self.along + self.across * float(np.sqrt(m - 1)))
 
     def raised(self, bit: float) -> "Thrusters":
@@ -135,7 +137,7 @@ class Nozzles:
     pulsed: bool = False
 
     @classmethod
-    def of(
+    def from_errors(
         cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
     ) -> "Nozzles":
         """Return the layout with errors of magnitude, direction [rad] and mass, and how impulses are made."""
@@ -180,7 +182,7 @@ class Nozzles:
         return np.asarray(self.bounds[-1] * (1 + 1e-9))
 
     @property
-    def left(self) -> float:
+    def max_carried(self) -> float:
         """Bound the impulse of an input that all thrusters carry [N s]."""
         d = self.allocation.directions
         return self.bit * self.carried * max(float(np.maximum(s * d, 0).sum(axis=0).max()) for s in (1, -1))

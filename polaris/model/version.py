@@ -19,9 +19,9 @@ def versions() -> dict[str, str]:
     """Return the versions of everything a result depends on, by name; numba's where it compiles loops."""
     import platform
 
-    from .compiled import wanted
+    from .compiled import is_enabled
 
-    used = ("numba",) if wanted() else ()
+    used = ("numba",) if is_enabled() else ()
     known = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib", *used):
         try:

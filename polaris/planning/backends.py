@@ -25,7 +25,7 @@ They bound the work at one node, cuts, heuristics and restarts of the root inclu
 
 
 @dataclass(frozen=True)
-class Found:
+class BackendResult:
     """Answer of a back end: whether it has a solution; proven lower bound on the objective; nodes searched.
 
     Its status is "optimal", "infeasible", or what stopped it ("effort_limit" of nodes, or "time_limit").
@@ -43,7 +43,7 @@ def require(solver: str) -> None:
         raise ScenarioError("planner.solver", "gurobi", f"{why}, or use another solver")
 
 
-def run(lp: Any, options: PlannerOptions, nodes: int, seconds: float, hear: Hear) -> Found:
+def run(lp: Any, options: PlannerOptions, nodes: int, seconds: float, hear: Hear) -> BackendResult:
     """Solve a PuLP model in place, from the values that its variables have, if any, within nodes and time."""
     solve = _gurobi if options.solver == "gurobi" else _highs
     return solve(lp, options, nodes, max(seconds, 0.05), hear)
@@ -71,7 +71,7 @@ def _warm_highs(**options: Any) -> Any:
     return WarmHiGHS(msg=False, **options)
 
 
-def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> Found:
+def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> BackendResult:
     highspy = silent_highspy()
     kind, gave_up = highspy.HighsModelStatus, [""]
     asked = count()
@@ -97,13 +97,13 @@ def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: H
     if not np.isfinite(bound) or info.mip_node_count < 0:
         bound = float(info.objective_function_value) if status == kind.kOptimal else -np.inf
     if status in (kind.kInfeasible, kind.kUnboundedOrInfeasible):
-        return Found("infeasible", False, np.inf, nodes)
+        return BackendResult("infeasible", False, np.inf, nodes)
     solved = info.primal_solution_status == 2  # kSolutionStatusFeasible
     ended = "time_limit" if status == kind.kTimeLimit else "effort_limit"
-    return Found("optimal" if status == kind.kOptimal else gave_up[0] or ended, solved, bound, nodes)
+    return BackendResult("optimal" if status == kind.kOptimal else gave_up[0] or ended, solved, bound, nodes)
 
 
-def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> Found:
+def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> BackendResult:
     import gurobipy as gp
     import pulp
 
@@ -141,11 +141,11 @@ def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: 
         raise ScenarioError("planner.solver", "gurobi", rule) from error
 
 
-def _gurobi_answer(model: Any, grb: Any, gave_up: str) -> Found:
+def _gurobi_answer(model: Any, grb: Any, gave_up: str) -> BackendResult:
     nodes = float(model.NodeCount) if model.IsMIP else 0.0
     if model.Status in (grb.INFEASIBLE, grb.INF_OR_UNBD):
-        return Found("infeasible", False, np.inf, nodes)
+        return BackendResult("infeasible", False, np.inf, nodes)
     optimal = model.Status == grb.OPTIMAL
     bound = float(model.ObjBound) if model.IsMIP else float(model.ObjVal) if optimal else -np.inf
     ended = "time_limit" if model.Status == grb.TIME_LIMIT else "effort_limit"
-    return Found("optimal" if optimal else gave_up or ended, model.SolCount > 0, bound, nodes)
+    return BackendResult("optimal" if optimal else gave_up or ended, model.SolCount > 0, bound, nodes)

@@ -14,7 +14,7 @@ from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
 from .lp import GrowingLP
 from .problem import PlanProblem
-from .rows import Rows
+from .rows import PlanRows
 from .search import Candidate, PathSearch
 from .tree import branch
 
@@ -23,7 +23,7 @@ WITHIN = re.compile(r"within(?:-(\d+))?\[\d+\]")  # sides of boxes in which boun
 EFFORT = 1000  # most linear programs solved to find by how much margins must give way
 
 
-def unreachable(rows: Rows, deadline: float) -> NoReturn:
+def unreachable(rows: PlanRows, deadline: float) -> NoReturn:
     """The goal is out of reach even without unsafe sets."""
     problem, goal = rows.problem, rows.problem.goal
     miss = _miss(rows, deadline - perf_counter())
@@ -43,7 +43,7 @@ def unreachable(rows: Rows, deadline: float) -> NoReturn:
     raise SynthesisInfeasible(condition, miss, relax)
 
 
-def blocked(rows: Rows, deadline: float) -> NoReturn:
+def blocked(rows: PlanRows, deadline: float) -> NoReturn:
     """The goal can be reached, but not clear of the unsafe sets."""
     problem = rows.problem
     _start(problem)
@@ -110,7 +110,7 @@ def _lengths(*bodies: TimedPolytope) -> str:
     return f", 1 m/s counting as {1 / RATE:g} m" if any(body.of_state for body in bodies) else ""
 
 
-def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
+def _shortfall(rows: PlanRows, stop: float) -> tuple[float | None, bool]:
     """Least length [m] by which all margins must give way, and whether that is proven."""
     search = PathSearch(rows, stop)
     search.set_prices(0.0, 0.0, short=1e3, fuel=1e-3)
@@ -128,7 +128,7 @@ def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:
 
 def _works(problem: PlanProblem, stop: float, **changes: Any) -> bool:
     """Return True if the quick search finds a plan of a changed problem."""
-    search = PathSearch(Rows(replace(problem, objective="fuel", **changes)), stop)
+    search = PathSearch(PlanRows(replace(problem, objective="fuel", **changes)), stop)
     search.set_prices(0.0, 0.0, short=1e4)
     path = search.first()
     return path is not None and path.short == 0
@@ -146,11 +146,11 @@ def _droppable(problem: PlanProblem, stop: float) -> list[str]:
     return names
 
 
-def _goal_program(rows: Rows, top: Array, elastic: float) -> GrowingLP:
+def _goal_program(rows: PlanRows, top: Array, elastic: float) -> GrowingLP:
     """Least extra variable with which the goal's conditions hold, without unsafe sets.
 
     `top`, shape (2 N + 1,), bounds the input shares either way and the extra variable, each unit of which
-    relaxes every row by `elastic` units of `Rows.length`.
+    relaxes every row by `elastic` units of `PlanRows.length`.
     """
     goal, N = rows.problem.goal.conditions, rows.N
     lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), top)
@@ -161,13 +161,13 @@ def _goal_program(rows: Rows, top: Array, elastic: float) -> GrowingLP:
     return lp
 
 
-def _miss(rows: Rows, seconds: float) -> float:
+def _miss(rows: PlanRows, seconds: float) -> float:
     """Smallest residual [m] of the goal within the input limits."""
     answer = _goal_program(rows, np.r_[rows.limit, rows.limit, np.inf], 1.0).solve(seconds)
     return np.inf if answer is None else answer[0] * rows.length
 
 
-def _thrust_factor(rows: Rows, seconds: float) -> float | None:
+def _thrust_factor(rows: PlanRows, seconds: float) -> float | None:
     """Smallest factor on the input limits with which the goal is reached, without unsafe sets."""
     lp = _goal_program(rows, np.full(2 * rows.N + 1, np.inf), 0.0)
     limits = np.r_[rows.limit, rows.limit]

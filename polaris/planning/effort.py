@@ -37,7 +37,7 @@ class Allowance:
         return "time_limit" if perf_counter() > self.deadline[which] else ""
 
 
-class Effort:
+class SearchEffort:
     """Account of one run: wall time by part [s], counts (`Plan.stats`), and stages so far."""
 
     def __init__(self, search: PathSearch, options: PlannerOptions, begun: float) -> None:
@@ -48,7 +48,7 @@ class Effort:
         self._last_report = -np.inf
 
     @property
-    def left(self) -> float:
+    def remaining_s(self) -> float:
         """Seconds left."""
         return self.search.deadline - perf_counter()
 
@@ -61,13 +61,15 @@ class Effort:
     def cut_by_clock(self) -> tuple[str, ...]:
         """Stages that the clock ended early; past the deadline, any linear program may have been."""
         cut = tuple(stage.name for stage in self.stages if stage.status == "time_limit")
-        return cut or (("path search",) if self.left <= 0 else ())
+        return cut or (("path search",) if self.remaining_s <= 0 else ())
 
     def allow(self, share: float, spare: Spare) -> Allowance:
         """A share of what is left; `SPARE_SHARE` of it where the stage is spare."""
         options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
         limit = options.max_linear_programs if options.solver == "facets" else options.max_nodes
-        spare_end, end = (perf_counter() + (each * self.left if each else 0.0) for each in shares.tolist())
+        spare_end, end = (
+            perf_counter() + (each * self.remaining_s if each else 0.0) for each in shares.tolist()
+        )
         effort = used + shares * max(limit - used, 0.0)
         return Allowance(tuple(effort.tolist()), (spare_end, end), spare)
 

@@ -9,8 +9,8 @@ from reach.numerics.linear import discretize
 
 from ..model.system import Array, LinearSystem
 from .reference import Reference
-from .rows import Key, Rows
-from .search import Candidate, PathSearch, Seen
+from .rows import Key, PlanRows
+from .search import Candidate, CheckedPath, PathSearch
 
 MOST = 10.0
 """Largest departure from a law, in shares of full thrust; a path within the limits needs at most two."""
@@ -24,7 +24,7 @@ class Followed:
     f: Array  # (K, m)
 
     @classmethod
-    def of(cls, system: LinearSystem, transition: Array, own: Reference) -> "Followed":
+    def from_law(cls, system: LinearSystem, transition: Array, own: Reference) -> "Followed":
         """The constant inputs that come closest to a law about its own reference.
 
         About it the error moves by `transition` (n, n) in a step; a constant input that moves it likewise is
@@ -40,7 +40,7 @@ class Followed:
 class FollowingSearch(PathSearch):
     """A path search whose inputs follow a law, but for departures at a price: `set_prices_of_departure`."""
 
-    def __init__(self, rows: Rows, deadline: float, law: Followed) -> None:
+    def __init__(self, rows: PlanRows, deadline: float, law: Followed) -> None:
         super().__init__(rows, deadline, 2 * rows.N)
         N, K, m = rows.N, rows.problem.K, rows.problem.system.m
         own, free = np.zeros((K, m, N)), np.zeros((K, m))
@@ -53,7 +53,7 @@ class FollowingSearch(PathSearch):
         eye = np.eye(N)
         self.lp.add(np.hstack([self._own, -self._own, np.zeros((N, 2)), -eye, eye]), self._free, self._free)
         self.base = self.lp.rows
-        self.guide: Seen | None = None
+        self.guide: CheckedPath | None = None
 
     def set_prices_of_departure(self, prices: Array) -> None:
         """Price of a departure by full thrust [m/s], shape (K,): 0 where free, infinite where forbidden."""
@@ -81,6 +81,6 @@ class FollowingSearch(PathSearch):
         self.guide = guide
         return path
 
-    def pick(self, key: Key, seen: Seen) -> int:
+    def pick(self, key: Key, seen: CheckedPath) -> int:
         """The alternative with most room, on the guide if there is one."""
         return super().pick(key, seen if self.guide is None or key[0] < 0 else self.guide)

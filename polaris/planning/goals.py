@@ -62,7 +62,7 @@ class Goal(ABC):
     def describe(self) -> str:
         """One line for messages and reports."""
 
-    def of(self, system: LinearSystem) -> Self:
+    def for_system(self, system: LinearSystem) -> Self:
         """Return the goal for a system, which says which states are velocities."""
         return self
 
@@ -116,7 +116,7 @@ class _StateGoal(Goal):
         f.check_fields(self, "goal")
         positive("goal.rate", self.rate, "1/s")
 
-    def of(self, system: LinearSystem) -> Self:
+    def for_system(self, system: LinearSystem) -> Self:
         """Return the same goal, its velocities those of a system."""
         goal = copy(self)
         goal.__dict__.pop("conditions", None)  # of other velocities

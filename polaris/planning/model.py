@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from ..model.system import Array
 from . import backends
-from .effort import Allowance, Effort
+from .effort import Allowance, SearchEffort
 from .lp import GrowingLP
-from .rows import Key, Rows
+from .rows import Key, PlanRows
 from .search import Candidate, PathSearch
-from .tree import Outcome
+from .tree import SearchOutcome
 
 MAX_ROUNDS = 60
 MAX_BOOKINGS = 4
@@ -142,7 +142,7 @@ class Model:
         return Candidate(z, level, 0.0, float(np.sum(self.rows.price * np.abs(z))), choice)
 
 
-def goal_frame(rows: Rows) -> Array:
+def goal_frame(rows: PlanRows) -> Array:
     """Diagonal scaling that makes every entry of the last state a number near 1, shape (n, n)."""
     system = rows.problem.system
     reach = np.abs(rows.state_rows(np.eye(system.n), rows.problem.K)) @ rows.limit
@@ -167,7 +167,9 @@ def goal_floor(G: Array, g: Array, N: Array) -> Array:
     return out
 
 
-def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: Allowance) -> Outcome:
+def by_back_end(
+    effort: SearchEffort, stage: str, best: Candidate | None, allowed: Allowance
+) -> SearchOutcome:
     """The back end decides the binaries; cells enter when its solution lacks clearance there."""
     search, gap, before = effort.search, effort.options.gap, effort.stats["nodes"]
     cells = frozenset(best.choice if best is not None else ())
@@ -177,8 +179,8 @@ def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: All
         value = search.value(best) if best is not None else np.inf
         return value - bound <= gap * abs(value) + 1e-9
 
-    def outcome(status: str) -> Outcome:
-        return Outcome(best, bound, status, int(effort.stats["nodes"] - before))
+    def outcome(status: str) -> SearchOutcome:
+        return SearchOutcome(best, bound, status, int(effort.stats["nodes"] - before))
 
     for _ in range(MAX_ROUNDS):
         if best is not None and within():
@@ -209,11 +211,11 @@ def by_back_end(effort: Effort, stage: str, best: Candidate | None, allowed: All
 
 
 def _run(
-    effort: Effort, model: Model, stage: str, best: Candidate | None, allowed: Allowance
-) -> backends.Found:
+    effort: SearchEffort, model: Model, stage: str, best: Candidate | None, allowed: Allowance
+) -> backends.BackendResult:
     """Solve a model from the best path, and account for it."""
     if model.impossible:
-        return backends.Found("infeasible", False, np.inf, 0.0)
+        return backends.BackendResult("infeasible", False, np.inf, 0.0)
     begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
     used = effort.used
 

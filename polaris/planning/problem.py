@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import Field
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import non_negative, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
@@ -115,7 +115,7 @@ class Progress:
     gap: float = np.inf
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class PlannerOptions:
     """The mixed-integer program behind the reference (section III-C).
@@ -181,7 +181,7 @@ class Stage:
     nodes: int
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A certified plan: every number below was re-computed from the inputs, not read from a solver.

@@ -6,8 +6,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from reach.brief import brief
 from reach.numerics.linear import discretize, growth
+from reach.short_repr import short_repr
 
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import REFERENCE
@@ -20,7 +20,7 @@ def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
     return np.array(moved), np.array(pushed)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A trajectory that obeys the undisturbed dynamics, with piecewise constant input (D2C).

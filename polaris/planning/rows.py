@@ -42,7 +42,7 @@ class Disjunction:
     free: Array
 
 
-class Rows:
+class PlanRows:
     """Everything the planner knows about one problem, as rows over the N = K m input shares."""
 
     def __init__(self, problem: PlanProblem) -> None:
@@ -117,9 +117,9 @@ class Rows:
         if i < 0:
             return known
         slope = float(self.extra[i][k, 0]) / self.length
-        return replace(known, need=known.need + self._booked(i, [k])[0].T / self.length, slope=slope)
+        return replace(known, need=known.need + self._allowance(i, [k])[0].T / self.length, slope=slope)
 
-    def _booked(self, i: int, cells: Any) -> Array:
+    def _allowance(self, i: int, cells: Any) -> Array:
         """Length [m] booked on the rows of some cells of unsafe set i, shape (cells, R, F).
 
         Control points that no input moves are known exactly: only what a re-check asked for is booked.
@@ -141,7 +141,7 @@ class Rows:
         for i, normals in enumerate(self._normals):
             b = self._offsets[i]
             offset = b[:, 0, None] * (1 - share[:, None]) + b[:, 1, None] * share[:, None]
-            need = offset + self._required[i][:, None] + self._booked(i, np.arange(cells))
+            need = offset + self._required[i][:, None] + self._allowance(i, np.arange(cells))
             rooms.append(np.min(points @ normals.T - need, axis=1))
         return tuple(rooms)
 

@@ -16,12 +16,12 @@ from ..model.tolerances import SOLVER_FEASIBILITY
 from .lp import GrowingLP
 from .recheck import recheck
 from .reference import Reference
-from .rows import Key, Rows
+from .rows import Key, PlanRows
 
 GOAL_SLACK = 1e-9  # share of the goal's scale by which a disjunction of the goal may be missed unnoticed
 
 ROW_SLACK = 10 * SOLVER_FEASIBILITY
-"""Length, in units of `Rows.length`, by which a path may miss rows that its program did not state."""
+"""Length, in units of `PlanRows.length`, by which a path may miss rows that its program did not state."""
 
 
 @dataclass(eq=False)
@@ -41,8 +41,8 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A path against all rows of the program: states at the waypoints, (K+1, n), and `Rows.surplus` [m]."""
+class CheckedPath:
+    """A path against all rows: states at the waypoints, (K+1, n), and `PlanRows.surplus` [m]."""
 
     states: Array
     surplus: tuple[Array, ...]
@@ -56,7 +56,7 @@ class PathSearch:
     free of charge and zero until told otherwise, of which no row here speaks.
     """
 
-    def __init__(self, rows: Rows, deadline: float, more: int = 0) -> None:
+    def __init__(self, rows: PlanRows, deadline: float, more: int = 0) -> None:
         self.rows, self.deadline, self.more = rows, deadline, more
         K, unit = rows.problem.K, rows.goal_length
         high = np.r_[rows.limit, rows.limit, np.zeros(2 + more)]
@@ -141,14 +141,14 @@ class PathSearch:
         parts = np.split(value + cost, np.cumsum(sizes)[:-1])
         return dict(zip(keys, parts, strict=True))
 
-    def look(self, path: Candidate) -> Seen:
+    def look(self, path: Candidate) -> CheckedPath:
         """A candidate against all rows of the program."""
         problem = self.rows.problem
         nu = path.z.reshape(problem.K, -1) * problem.system.u_max
         flown = Reference.propagate(problem.system, problem.delta, problem.x0, nu)
-        return Seen(flown.chi, self.rows.surplus(flown.extend(problem.tail_cells)))
+        return CheckedPath(flown.chi, self.rows.surplus(flown.extend(problem.tail_cells)))
 
-    def lacking(self, path: Candidate, seen: Seen) -> dict[Key, float]:
+    def lacking(self, path: Candidate, seen: CheckedPath) -> dict[Key, float]:
         """Disjunctions not stated yet of which the path keeps no alternative, with the shortfall [m].
 
         This is the program itself, whoever solves it: a path that lacks nothing is feasible in it.
@@ -165,7 +165,7 @@ class PathSearch:
                 out[-1, group] = -room
         return out
 
-    def confirmed(self, path: Candidate, seen: Seen) -> bool:
+    def confirmed(self, path: Candidate, seen: CheckedPath) -> bool:
         """Exact re-check of a path that lacks nothing. Where it fails, more length is booked."""
         problem, fine = self.rows.problem, True
         check = recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
@@ -194,7 +194,7 @@ class PathSearch:
             choice |= {key: self.pick(key, seen) for key in lacking}
         return None
 
-    def pick(self, key: Key, seen: Seen) -> int:
+    def pick(self, key: Key, seen: CheckedPath) -> int:
         """The alternative with most room."""
         if key[0] < 0:
             N, c = self.rows.problem.goal.conditions.one_of[key[1]]

@@ -10,13 +10,13 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, OutOfTime
 from . import backends, diagnose
-from .effort import Effort, Spare
+from .effort import SearchEffort, Spare
 from .model import by_back_end
 from .problem import SOLVERS, Plan, PlannerOptions, PlanProblem, Stage
 from .recheck import certified
-from .rows import Rows
+from .rows import PlanRows
 from .search import Candidate, PathSearch, set_targets
-from .tree import Outcome, branch
+from .tree import SearchOutcome, branch
 
 MARGIN_SHARE = 0.75
 """Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
@@ -71,9 +71,9 @@ class Planner:
         self.problem, self.options = problem, options
         backends.require(options.solver)
         begun = perf_counter()
-        self.rows = Rows(problem)
+        self.rows = PlanRows(problem)
         self.search = PathSearch(self.rows, options.deadline)
-        self.effort = Effort(self.search, options, begun)
+        self.effort = SearchEffort(self.search, options, begun)
 
     def run(self) -> Plan:
         """All stages: least fuel at the full margin; where that is out of reach, at the largest margin."""
@@ -127,7 +127,9 @@ class Planner:
         self.effort.stages.append(Stage("path search", by, status, self.search.solves, 0))
         return path if usable else None
 
-    def _minimise(self, stage: str, best: Candidate | None, spare: Spare, share: float = 1.0) -> Outcome:
+    def _minimise(
+        self, stage: str, best: Candidate | None, spare: Spare, share: float = 1.0
+    ) -> SearchOutcome:
         """Least objective at the prices set with all cells certified, with a share of the effort left.
 
         `spare` says whether the stage may be given up early with the path known by then.
@@ -162,8 +164,8 @@ class Planner:
         given = f"planner.{name} = {getattr(self.options, name)}"
         raise NotCertified(f"no plan within the effort limit ({given}): {NEITHER}")
 
-    def _none_because(self, explain: Callable[[Rows, float], NoReturn]) -> NoReturn:
-        if self.effort.left <= 0:
+    def _none_because(self, explain: Callable[[PlanRows, float], NoReturn]) -> NoReturn:
+        if self.effort.remaining_s <= 0:
             self._out_of_time()
         # The program keeps a booked length from every facet. While that is small, "no solution" is an
         # answer; where re-checks have forced it up, it only says that this program has none.

@@ -38,7 +38,7 @@ class Node:
 
 
 @dataclass(eq=False)
-class Outcome:
+class SearchOutcome:
     """Best path or None, bound, how it ended, nodes solved.
 
     It ended "optimal", "infeasible", or with what told it to stop ("effort_limit", "time_limit").
@@ -56,7 +56,7 @@ def branch(
     gap: float,
     stop: Callable[[Candidate | None], str],
     listen: Callable[[float, float], None] = lambda top, bound: None,
-) -> Outcome:
+) -> SearchOutcome:
     """Minimise the search's objective, at the prices set, over all facet choices, to a relative gap.
 
     `best` is a certified path at the same prices, if one is known. `stop` is asked before every node, given
@@ -90,8 +90,8 @@ class _Tree:
         """Bound from which on a node is of no more use."""
         return self.top - self.gap * abs(self.top) if np.isfinite(self.top) else np.inf
 
-    def outcome(self, status: str) -> Outcome:
-        return Outcome(self.best, min(self.bound, self.dropped, self.top), status, self.count)
+    def outcome(self, status: str) -> SearchOutcome:
+        return SearchOutcome(self.best, min(self.bound, self.dropped, self.top), status, self.count)
 
     def visit(self, node: Node) -> str:
         """Solve a node, and close it, split it or put it back; what stops the search, or an empty string."""

@@ -7,8 +7,8 @@ from ..runs.files.atomic import adding, check_file, replacing_file
 from ..runs.files.folder import RunFolder, readable
 from ..runs.files.tables import write_text
 from ..runs.missions.mission import MISSION
-from ..runs.points import TRADEOFF
 from ..runs.run import read_run
+from ..runs.tradeoff_points import TRADEOFF
 from .dossier import draw_dossier
 from .html.page import Page, page_html
 
@@ -48,7 +48,7 @@ def write_report(
         raise ScenarioError("report", str(folder), rule)
     name, endings = ("dossier.pdf", (".pdf",)) if dossier else ("report.html", (".html", ".htm"))
     target = None if out is None else check_file(out, endings=endings, force=force)
-    for leg in run.picture().legs if run.kind is MISSION and target is None and not dossier else ():
+    for leg in run.plot_data().legs if run.kind is MISSION and target is None and not dossier else ():
         write_report(leg.path, force=force)
 
     def write(place: Path) -> None:

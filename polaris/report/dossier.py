@@ -51,7 +51,7 @@ class DossierLeg:
     files: Mapping[str, Any]
 
     @classmethod
-    def of(cls, run: RunFolder, name: str = "") -> "DossierLeg":
+    def from_run(cls, run: RunFolder, name: str = "") -> "DossierLeg":
         """Read the files of a run folder of a schedule."""
         scenario = tomllib.loads((run.path / "scenario.toml").read_text(encoding="utf-8"))
         return cls(name, run, {"summary.json": run.summary, "scenario.toml": scenario})
@@ -83,7 +83,9 @@ class DossierLeg:
             known = path.startswith("polaris.") and isinstance(self.files[file].get("polaris"), dict)
             absent = ABSENT if file == "summary.json" else UNDECLARED
             return value_cell(None, keys[-1]).text if known else absent
-        return _plain(Measure.of(keys[-1]).text(value) if isinstance(value, int | float) else _listed(value))
+        return _plain(
+            Measure.from_key(keys[-1]).text(value) if isinstance(value, int | float) else _listed(value)
+        )
 
 
 @dataclass(frozen=True)
@@ -95,14 +97,16 @@ class Dossier:
     legs: Sequence[DossierLeg]
 
     @classmethod
-    def of(cls, run: RunFolder, judge: Callable[[Path], Verdict] = verify) -> "Dossier":
+    def from_run(cls, run: RunFolder, judge: Callable[[Path], Verdict] = verify) -> "Dossier":
         """Read the files of a run folder of a schedule or a mission, and let the checker judge it."""
         if run.kind is MISSION:
-            named = zip(run.summary["mission"]["legs"], run.picture().legs, strict=True)
-            return cls(run, judge(run.path), [DossierLeg.of(leg, known["name"]) for known, leg in named])
+            named = zip(run.summary["mission"]["legs"], run.plot_data().legs, strict=True)
+            return cls(
+                run, judge(run.path), [DossierLeg.from_run(leg, known["name"]) for known, leg in named]
+            )
         if run.kind.name != "schedule":
             raise ScenarioError("report", str(run.path), "must be the run of a schedule or a mission")
-        return cls(run, judge(run.path), [DossierLeg.of(run)])
+        return cls(run, judge(run.path), [DossierLeg.from_run(run)])
 
     @property
     def proven(self) -> bool:
@@ -231,8 +235,8 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
     from .figures.style import new_figure, printing
     from .figures.timelines import distance_figure
 
-    dossier = Dossier.of(run)
-    texts, pictures = dossier.pages(), [leg.run.picture() for leg in dossier.legs[:MOST_SCENES]]
+    dossier = Dossier.from_run(run)
+    texts, pictures = dossier.pages(), [leg.run.plot_data() for leg in dossier.legs[:MOST_SCENES]]
     of = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
     drawn: list[tuple[str, Callable[..., Any], Any]] = [
         (f"Scene{name}", scene_figure, one) for name, one in zip(of, pictures, strict=False)

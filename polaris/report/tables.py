@@ -127,7 +127,7 @@ class Measure:
     percent: bool
 
     @classmethod
-    def of(cls, key: str) -> "Measure":
+    def from_key(cls, key: str) -> "Measure":
         """Return the metric of a key, whose end names the unit; unknown metrics are shown too."""
         share = key.endswith("_share") or "_ratio" in key
         suffix = "" if share else next((end for end in SUFFIXES if key.endswith(end)), "")
@@ -135,10 +135,13 @@ class Measure:
         return cls(key, title, "%" if share else SUFFIXES.get(suffix, ""), share)
 
     @classmethod
-    def known(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
+    def in_tables(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
         """Return all metrics of some tables, in the order of `TITLES`; unknown ones last."""
         keys = {key for table in tables for key in table}
-        return [cls.of(key) for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))]
+        return [
+            cls.from_key(key)
+            for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))
+        ]
 
     @property
     def head(self) -> str:
@@ -184,7 +187,9 @@ BRIEF = (  # metrics that the command line shows of a run
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
     """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
     who = pilots(summary)
-    every = Measure.known(*(summary[name] for name in who)) if keys is None else map(Measure.of, keys)
+    every = (
+        Measure.in_tables(*(summary[name] for name in who)) if keys is None else map(Measure.from_key, keys)
+    )
     rows = [
         [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in who)]
         for one in every

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import one_of, whole
 from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
-from ..simulation.baselines import Flights
+from ..simulation.baselines import FlightEnvelope
 from ..simulation.metrics import Metrics, finite
 from ..simulation.on_board import FlightCode
 from ..synthesis.schedule.schedule import Schedule
@@ -33,7 +33,7 @@ CODED = "code", "monitor_code"
 SHOWN = 3  # runs per method kept for pictures
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """All methods on one scene.
@@ -44,7 +44,7 @@ class Comparison:
     runs, seed : int
     results : dict of str to MethodResult
         By method; experimental controllers alone are ``experimental``, ``experimental_2``, ...
-    shown : dict of str to Flights
+    shown : dict of str to FlightEnvelope
         Some flights of every method, for pictures: the closest to a set, ``run 0``, ...
     decisions : dict of str to list of dict
         Of the run closest to a set: time, mode, margin, reason.
@@ -56,7 +56,7 @@ class Comparison:
     runs: int
     seed: int
     results: dict[str, MethodResult]
-    shown: dict[str, Flights]
+    shown: dict[str, FlightEnvelope]
     decisions: dict[str, list[dict[str, Any]]]
     refused: dict[str, str]
 
@@ -83,8 +83,8 @@ def compare_methods(
     Parameters
     ----------
     scene : Schedule or DecisionGrid
-        With an experimental controller: result of `synthesize`, or of `DecisionGrid.of` where the time
-        between decisions, the latency or the error of the state estimate are not the usual ones.
+        With an experimental controller: result of `synthesize`, or of `DecisionGrid.from_schedule` where the
+        time between decisions, the latency or the error of the state estimate are not the usual ones.
     runs, seed : int
         Number of runs, and what their conditions are drawn from (`Conditions.draw`).
     methods : sequence of str, optional
@@ -103,7 +103,7 @@ def compare_methods(
         If a method has no such name or option, the scene has no experimental controller, or the code is of
         another schedule.
     """
-    grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.of(scene)
+    grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.from_schedule(scene)
     whole("runs", runs, 1)
     keys, options = selected(methods, tuning)
     if len(grid.controllers) < 2:
@@ -166,7 +166,7 @@ def _flown(
     parts: Sequence[Conditions],
     synthesis_s: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[MethodResult, Flights, list[dict[str, Any]]]:
+) -> tuple[MethodResult, FlightEnvelope, list[dict[str, Any]]]:
     """Fly one method in all conditions, and once alone to time its decisions."""
     collected: list[Metrics] = []
     deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
@@ -196,7 +196,7 @@ def _flown(
 
 def _show(
     grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array
-) -> tuple[Flights, list[dict[str, Any]]]:
+) -> tuple[FlightEnvelope, list[dict[str, Any]]]:
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
     who = flown(grid, flight)
     decisions = [
@@ -210,7 +210,7 @@ def _show(
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
     paths = flight.states[chosen], flight.inputs[chosen], who[chosen]
-    return Flights(method.key, labels, flight.times, *paths, nearest), decisions
+    return FlightEnvelope(method.key, labels, flight.times, *paths, nearest), decisions
 
 
 def _synthesis(grid: DecisionGrid, key: str) -> float:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
 from reach.numerics.linear import discretize
+from reach.short_repr import short_repr
 
 from ..model.checks import non_negative, of_kind, positive
 from ..model.craft import Array, Craft
@@ -21,13 +21,13 @@ from ..synthesis.safety.clearance import Clearance
 from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.problem import Problem
 from ..synthesis.schedule.schedule import Schedule
-from ..synthesis.sources.late_faults import hidden
+from ..synthesis.sources.late_faults import undetected
 from ..synthesis.tracker.tracking import Tracking
 
 WHOLE = 1e-9  # relative tolerance on "divides"
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class DecisionGrid:
     """A schedule's scene, on the nodes at which decisions are made and take effect.
@@ -60,7 +60,7 @@ class DecisionGrid:
     delay: int
 
     @classmethod
-    def of(
+    def from_schedule(
         cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = None
     ) -> "DecisionGrid":
         """Lay the grid.
@@ -93,11 +93,11 @@ class DecisionGrid:
         tracking = Tracking(system, known.gain, known.feedback, known.delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        moved = 0.0 if half_widths is None else known.system.displaced
-        half = half + moved + hidden(system, known.gain, known.flow.h)
+        moved = 0.0 if half_widths is None else known.system.state_offset
+        half = half + moved + undetected(system, known.gain, known.flow.h)
         return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
 
-    def profiled(self) -> "DecisionGrid":
+    def with_feedback_bound(self) -> "DecisionGrid":
         """Return the grid tightened by S's thruster errors as the schedule is: by those of falling commands.
 
         Otherwise it is tightened by those of full thrust, which leaves S all of its commands.
@@ -105,7 +105,7 @@ class DecisionGrid:
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
 
-    def grown(self, buffer: float) -> "DecisionGrid":
+    def inflated(self, buffer: float) -> "DecisionGrid":
         """Return the grid with perceived unsafe sets that reach `buffer` [m] further along every facet."""
         if buffer == 0:
             return self
@@ -170,7 +170,7 @@ class DecisionGrid:
         return np.repeat(self.clearance.reference.nu, self.clearance.q, axis=0)
 
     @cached_property
-    def own(self) -> dict[int, Array]:
+    def own_references(self) -> dict[int, Array]:
         """The experimental controllers' own references at every node up to T, by mode."""
         out = {}
         for mode, law in enumerate(self.controllers):
@@ -211,7 +211,7 @@ class DecisionGrid:
         """Command of a controller at a node, before clipping, shape (..., m)."""
         cells = self.clearance.cells if mode == 0 else self.clearance.planned
         k = min(node // self.clearance.q, cells - 1)
-        own = self.own[mode][node] if mode in self.own else self.xi[node]
+        own = self.own_references[mode][node] if mode in self.own_references else self.xi[node]
         law, at = self.controllers[mode], (k, self.xi[node], own, x)
         if isinstance(law, BlackBox | NeuralController):
             return law.command(*at, (node - k * self.clearance.q) * self.h)
@@ -222,7 +222,7 @@ class DecisionGrid:
         return np.asarray(np.clip(self.command(mode, node, x), -self.system.u_max, self.system.u_max))
 
     @cached_property
-    def held(self) -> tuple[Array, Array, Array]:
+    def discrete(self) -> tuple[Array, Array, Array]:
         """Transition from node to node, and what an input and a disturbance held meanwhile add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.h)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.h)[1]
@@ -231,7 +231,7 @@ class DecisionGrid:
 def check_decisions(
     problem: Problem, period: float | None = None, latency: float = 0.0, half_widths: Any = None
 ) -> tuple[float, Array]:
-    """Check arguments of `DecisionGrid.of` before the synthesis.
+    """Check arguments of `DecisionGrid.from_schedule` before the synthesis.
 
     Returns the period [s] and half widths, shape () or (n,).
     """

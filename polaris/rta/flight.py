@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.failing import Failing, in_every_second
+from ..simulation.fault_times import FaultTimes, in_every_second
 from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
 from ..synthesis.controllers.black_box import BlackBox
 from .decision_grid import DecisionGrid
-from .method import FILTERED, Method, Seen
+from .method import FILTERED, Method, Observation
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Conditions:
     w: Array
     errors: Array
     seed: int
-    failing: Failing | None = None
+    failing: FaultTimes | None = None
 
     @classmethod
     def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> "Conditions":
@@ -60,7 +60,7 @@ class Conditions:
                     x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        wrong = grid.half_widths - grid.system.displaced_at_nodes * bool(grid.system.timing.carried)
+        wrong = grid.half_widths - grid.system.state_offset_at_nodes * bool(grid.system.timing.carried)
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
         rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
         failing = in_every_second(grid.schedule, 1, rows, grid.decisions * grid.nodes, runs, rng)
@@ -125,7 +125,7 @@ def fly(
         if progress and k % 50 == 0:
             progress(k, D)
         wanted = engine.desired(preferred, k * c, x, conditions.w[k * c])
-        seen = Seen(k, x + conditions.errors[k], wanted, flying)
+        seen = Observation(k, x + conditions.errors[k], wanted, flying)
         begun = time.perf_counter()
         choice = method.decide(seen)
         seconds[k] = time.perf_counter() - begun
@@ -219,7 +219,7 @@ class Engine(Integrator):
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w])
-        (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
+        (Ad, Bd, Dd), limit = self.grid.discrete, self.system.u_max
         applied, pushed = self.applied(u, node), w @ Dd.T
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
         self.start(node)

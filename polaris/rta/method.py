@@ -22,7 +22,7 @@ METHODS: dict[str, type["Method"]] = {}
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Observation:
     """Data that a method decides on at one decision; R runs are decided at once.
 
     Attributes
@@ -171,7 +171,7 @@ class Method(ABC):
 
     def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
         self.buffer = self.apart * grid.half_width if buffer is None else BUFFER.check("buffer", buffer)
-        self.grid = grid.grown(self.buffer)
+        self.grid = grid.inflated(self.buffer)
         buffered = any(option.name == BUFFER.name for option in self.options)
         self.settings: dict[str, float] = {BUFFER.name: self.buffer} if buffered else {}
 
@@ -186,7 +186,7 @@ class Method(ABC):
         except NotCertified:
             if not grid.system.proportional:
                 raise
-            return cls(grid.profiled(), **options)
+            return cls(grid.with_feedback_bound(), **options)
 
     @property
     def claim(self) -> Claim:
@@ -204,7 +204,7 @@ class Method(ABC):
         """Forget everything; so many runs will be decided at once."""
 
     @abstractmethod
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Decide who flies until the next decision takes effect."""
 
 
@@ -224,10 +224,10 @@ class Latched(Method):
         self._latched = np.zeros(runs, dtype=bool)
 
     @abstractmethod
-    def margin(self, seen: Seen) -> Array:
+    def margin(self, seen: Observation) -> Array:
         """Return the margin that decides, shape (R,): S takes over where it is not >= 0."""
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Switch once."""
         margin = self.margin(seen)
         leaving = ~(margin >= 0)  # what cannot be worked out is not inside

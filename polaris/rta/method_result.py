@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.scene.distances import count_switches
 from ..model.system import Array
@@ -46,7 +46,7 @@ LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s
 PER_RUN = (*LEAST, "switches", "delta_v_m_s", "deviation")  # metrics of which every run has its own
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MethodResult:
     """All flights of one method.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..model.system import Array
-from .received import Craft, Received, Receiver, commanded
+from .filter_input import FilterInput, Formation, InputCheck, commanded
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class RunTimeFilter(Protocol):
         ----------
         t : float
             Time [s]. Whatever it is, there is an answer: that it is no number, stands still, runs backwards
-            or jumps is noted in the decision (see `Receiver`).
+            or jumps is noted in the decision (see `InputCheck`).
         x : array_like, shape (N, n)
             States; not finite where unknown. What is no such numbers is unknown.
         u_des : array_like, shape (N, m), or None
@@ -89,7 +89,7 @@ class Switch:
 
 
 @dataclass
-class Answer:
+class RawDecision:
     """Decision of a filter before it is put into words: see `Decision`.
 
     `backup` and `coasting` say whose input is the backup's, and whose is none because nothing else is
@@ -127,8 +127,8 @@ class CallByCall(ABC):
     The period [s] is the time for which an answer is held; default any. A call may be `late` [s].
     """
 
-    def __init__(self, craft: Craft, period: float | None, late: float = 0.0) -> None:
-        self._receiver = Receiver(craft, period, late)
+    def __init__(self, craft: Formation, period: float | None, late: float = 0.0) -> None:
+        self._receiver = InputCheck(craft, period, late)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `RunTimeFilter`."""
@@ -149,10 +149,10 @@ class CallByCall(ABC):
         )
 
     @abstractmethod
-    def _answer(self, got: Received) -> Answer:
+    def _answer(self, got: FilterInput) -> RawDecision:
         """Decide on what has been received."""
 
-    def _backed_up(self, backup: Backup | None, got: Received, notes: list[str]) -> Array:
+    def _backed_up(self, backup: Backup | None, got: FilterInput, notes: list[str]) -> Array:
         """The backup controller's input; no thrust where it has none to give, which is recorded."""
         nothing = np.zeros(got.u.shape)
         if backup is None:

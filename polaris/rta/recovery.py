@@ -22,7 +22,7 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.safety.continuation import Continuation
-from ..synthesis.safety.demand import taken_over
+from ..synthesis.safety.feedforward import taken_over
 from .decision_grid import DecisionGrid
 
 NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
@@ -30,7 +30,7 @@ NEAR = 1500  # limits per set that are always worked out; those further ahead ar
 
 
 @dataclass(frozen=True, eq=False)
-class Demand:
+class SetDemand:
     """Demand of error sets of one shape on every limit.
 
     `tall` (L r, n + 2) is ``[row phi^l, per unit of size, constant]``, applied to ``[e, size, 1]``, size a
@@ -130,7 +130,9 @@ class Recovery:
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
-        wrong = system.adrift[:, system.m * bool(system.timing.carried) :]  # not constant over a period
+        wrong = system.impulse_rates[
+            :, system.m * bool(system.timing.carried) :
+        ]  # not constant over a period
         bend = bend + np.abs(rate @ system.unknown).sum(axis=1)
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
         varying = np.abs(rows @ wrong).sum(axis=1) + np.linalg.norm(rows @ system.D, axis=1) * system.w_max
@@ -181,7 +183,7 @@ class Recovery:
         """Bound on ``norm(W e)`` over the set about zero with these generators (n, g)."""
         return float(Zonotope(np.zeros(len(G)), G).norm_bound(self.grid.tracking.W))
 
-    def demand(self, G: Array) -> Demand:
+    def demand(self, G: Array) -> SetDemand:
         """Return the demand of sets with generators G (n, g) on the rows."""
         r, W_inverse = len(self.rows), self.grid.tracking.W_inverse
         booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
@@ -190,9 +192,9 @@ class Recovery:
         size = np.linalg.norm(self.matrix[:, :-1] @ W_inverse, axis=1) * (1 + ROUNDING) + self.matrix[:, -1]
         slope, base = size.reshape(-1, r) * tightest, booked.reshape(-1, r) * tightest + taken
         least = (float(part[first:].max(initial=0.0)) for part in (base, slope))
-        return Demand(np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]])), first * r, *least)
+        return SetDemand(np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]])), first * r, *least)
 
-    def share(self, node: int, e: Array, size: Array, demand: Demand) -> Array:
+    def share(self, node: int, e: Array, size: Array, demand: SetDemand) -> Array:
         """Share of the available room that sets of errors need at the tightest place; above 1: too much.
 
         About centres e (..., n), with bounds (...) on ``norm(W e)``. Where the bound on the far lags is all
@@ -207,7 +209,7 @@ class Recovery:
             later = self._needs(vector, first, demand, slice(demand.near, None)).max(axis=-1, initial=0.0)
         return np.asarray(np.maximum(share, later))
 
-    def _needs(self, vector: Array, first: int, demand: Demand, part: slice) -> Array:
+    def _needs(self, vector: Array, first: int, demand: SetDemand, part: slice) -> Array:
         """Shares of the room needed at some of a demand's rows; `first`: where its limits begin."""
         limits = slice(first, first + len(demand.tall))
         need = vector @ demand.tall[part].T

@@ -47,10 +47,10 @@ class TrainingFlights:
         if grid.delay:
             raise ScenarioError("latency", grid.latency, "must be 0 for training")
         unsafe = grid.schedule.safety.problem.unsafe
-        self.senses = Senses.of(grid.system, tuple(self.inputs), unsafe, "inputs")
-        self._bodies = self.senses.whereabouts(grid.period, grid.decisions + 1)
+        self.senses = Senses.from_inputs(grid.system, tuple(self.inputs), unsafe, "inputs")
+        self._bodies = self.senses.state_boxes(grid.period, grid.decisions + 1)
         self._told = np.zeros((self.runs, self._bodies[0].shape[1]))  # share of what is not known of them
-        self.engine, self.target = Engine(grid), grid.own.get(1, grid.xi)
+        self.engine, self.target = Engine(grid), grid.own_references.get(1, grid.xi)
         law = grid.controllers[min(1, len(grid.controllers) - 1)]
         self._nu = getattr(law, "own", grid.clearance.reference).nu
         nodes = np.arange(grid.decisions) * grid.nodes

@@ -14,13 +14,13 @@ from ..model.system import Array
 from ..scenario.reading import parse_toml
 from ..scenario.scenario import ScheduleScenario, bundled_files, load_scenario
 from ..simulation.delayed import flies
-from ..simulation.failing import Failing
 from ..simulation.falsification.aborting import exceeded
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
+from ..simulation.fault_times import FaultTimes
 from ..simulation.on_board import FlightCode
 from ..simulation.sampled import with_boxes
 from ..synthesis.controllers.black_box import Ask, BlackBox
@@ -37,7 +37,7 @@ VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class CommandTarget:
     """Scenario that a command starts from, and the run folder that it came from, if any."""
 
     scenario: ScheduleScenario
@@ -53,18 +53,18 @@ class Target:
         return schedule
 
 
-def load_target(target: str, overrides: Sequence[str] = (), apart: str = "") -> Target:
+def load_target(target: str, overrides: Sequence[str] = (), apart: str = "") -> CommandTarget:
     """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name.
 
     In a run folder overrides may change keys of the table `apart` only, which its schedule does not rest on.
     """
     if target in bundled_files() or not Path(target).is_dir():
-        return Target(load_scenario(target, overrides, only=ScheduleScenario))
+        return CommandTarget(load_scenario(target, overrides, only=ScheduleScenario))
     if not all(apart and text.lstrip().startswith(f"{apart}.") for text in overrides):
         rule = f"must change keys of [{apart}] only" if apart else "must be left out"
         raise ScenarioError("--set", list(overrides), f"{rule} for a run folder, whose schedule is fixed")
     folder = schedule_folder(target)
-    return Target(folder.scenario.with_assignments(overrides), folder)
+    return CommandTarget(folder.scenario.with_assignments(overrides), folder)
 
 
 def write_case(
@@ -136,14 +136,14 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
             _finite(data["x0"])[None],
             _unpacked(data["w"]),
             None if data["inputs"] is None else _unpacked(data["inputs"]),
-            Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
+            FaultTimes.from_table(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
         asks = None if code is None else code.asks
         claims = Claims(schedule, bool(data["tail"]), attack.failing is not None, asks)
         flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
-        flight.code = code and code.of(schedule)
+        flight.code = code and code.require_schedule(schedule)
         runs, known = attack.fly(flight), Failure(**data["violation"])
         failure = violation(claims, attained(claims, runs, attack.failing))
         if failure is None and known.kind == "velocity change":

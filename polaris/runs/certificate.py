@@ -43,7 +43,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "modes": schedule.modes,
         "slopes": [step.tube.slopes for step in schedule.steps],  # None where nothing clips
         **_weights(schedule),
-        **({} if (profile := safety.tracking.profile) is None else {"profile": profile}),
+        **({} if (profile := safety.tracking.feedback_bound) is None else {"profile": profile}),
         "recoverable": safety.recoverable.kind,
         **_drift(schedule),
         **_powered(schedule),
@@ -132,7 +132,7 @@ def _samples(schedule: Schedule) -> dict[str, Any]:
 def _choices(schedule: Schedule) -> dict[str, Any]:
     """Return what was found besides: a share of thrust, and other references with the modes along them."""
     tracking, data = schedule.safety.tracking, dict[str, Any]()
-    if tracking.profile is not None:
+    if tracking.feedback_bound is not None:
         data["thrust_share"] = tracking.level
     if schedule.worth is not None:
         data["delta_v_unit"] = schedule.worth.unit

@@ -21,7 +21,7 @@ from ..rta.arena import Comparison
 from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
-from ..simulation.baselines import Flights
+from ..simulation.baselines import FlightEnvelope
 from .files.arrays import flight_arrays, read_flights
 from .files.atomic import check_target
 from .files.folder import Draw, RunFolder, RunKind, read_json, write_folder
@@ -31,12 +31,12 @@ from .stages import Stages
 
 
 @dataclass(frozen=True, eq=False)
-class ComparisonPicture:
+class ComparisonData:
     """Plot data of a comparison."""
 
     table: dict[str, Any]  # contents of ``comparison.json``
     run: RunFolder  # of the schedule
-    shown: dict[str, Flights]  # the flights kept, by method
+    shown: dict[str, FlightEnvelope]  # the flights kept, by method
 
 
 def write_comparison(
@@ -68,7 +68,9 @@ def write_comparison(
     return write_folder(target, COMPARISON, scenario, comparison, draw=draw, stages=stages)
 
 
-def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(
+    scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]
+) -> dict[str, Any]:
     """Contents of ``comparison.json``."""
     scene, order = comparison.grid, {key: place for place, key in enumerate(METHODS)}
     methods: list[dict[str, Any]] = [
@@ -126,12 +128,12 @@ def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> 
     write_text(folder / "decisions.jsonl", "\n".join(lines) + "\n")
 
 
-def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
+def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonData:
     table = read_json(folder / "comparison.json")
     shown = read_flights(folder / "comparison.npz")
-    return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
+    return ComparisonData(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
 
 
 COMPARISON = RunKind(  # run folder of a comparison
-    "comparison", ("comparison.json", "comparison.npz"), _write, _tell, _read, summary="comparison.json"
+    "comparison", ("comparison.json", "comparison.npz"), _write, _summary, _read, summary="comparison.json"
 )

@@ -15,16 +15,16 @@ from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from ..planning.recheck import known_plan
 from ..planning.reference import Reference
 from ..scenario.scenario import ScheduleScenario
-from ..synthesis.controllers.black_box import Ask, BlackBox, Statement
+from ..synthesis.controllers.black_box import Ask, BlackBox, SampledBound
 from ..synthesis.controllers.controllers import Controller
 from ..synthesis.safety.get_safety import Safety, find_safety
 from ..synthesis.safety.problem import Problem
+from ..synthesis.schedule.objective import is_as_good
 from ..synthesis.schedule.powered import KnownBranches
 from ..synthesis.schedule.rules import SwitchingRules
 from ..synthesis.schedule.schedule import Schedule
-from ..synthesis.schedule.search import Search
-from ..synthesis.schedule.synthesize import along, switching_logic
-from ..synthesis.schedule.worth import as_good
+from ..synthesis.schedule.search import ScheduleSearch
+from ..synthesis.schedule.synthesize import switching_logic, with_safety
 from .files.controllers import flown
 from .files.folder import SCENARIO, RunFolder, readable
 from .run import read_run
@@ -137,14 +137,14 @@ def _proven(run: RunFolder, document: Document, boxes: Mapping[str, Ask]) -> Sch
     safety = _safety(problem, document.inputs[: document.steps], document.facets)
     laws = _controllers(scenario, document, safety, boxes)
     rules = scenario.switching_rules()
-    search = Search.over(scenario, safety, laws, rules, None, fits=True)
+    search = ScheduleSearch.from_scenario(scenario, safety, laws, rules, None, fits=True)
     modes = tuple(document.modes)  # proven step by step, by whatever rules they were found
     schedule = switching_logic(replace(search, rules=SwitchingRules(), intended=modes))
     if "delta_v_unit" in choices:
         others = _Library(search, schedule, choices.get("library", []))
         schedule = replace(schedule, library=others, worth=rules.prices(choices["delta_v_unit"]))
     if document.statement:
-        schedule = replace(schedule, statement=Statement(**document.statement))
+        schedule = replace(schedule, statement=SampledBound(**document.statement))
     schedule = replace(schedule, branches=_branches(run, document))
     demanding = rules.delta_v_max is not None or (problem.abort is not None and problem.abort.required)
     if demanding and not schedule.keeps(rules):
@@ -201,7 +201,7 @@ def _branches(run: RunFolder, document: Document) -> KnownBranches | None:
 class _Library(Sequence[Schedule]):
     """Schedules along the other references of a document, proven when one of them is first asked for."""
 
-    def __init__(self, search: Search, best: Schedule, choices: Sequence[Mapping[str, Any]]) -> None:
+    def __init__(self, search: ScheduleSearch, best: Schedule, choices: Sequence[Mapping[str, Any]]) -> None:
         self.search, self.best, self.choices = search, best, choices
 
     def __len__(self) -> int:
@@ -222,9 +222,9 @@ class _Library(Sequence[Schedule]):
 
     def _prove(self, inputs: Any, modes: list[int]) -> Schedule:
         safety = _safety(self.best.safety.problem, inputs, np.zeros((len(inputs), 0)))
-        search = replace(along(self.search, safety), intended=tuple(modes))
+        search = replace(with_safety(self.search, safety), intended=tuple(modes))
         schedule = switching_logic(replace(search, rules=SwitchingRules()))
-        if schedule.modes.tolist() != modes or not as_good(schedule, self.best, self.search.rules):
+        if schedule.modes.tolist() != modes or not is_as_good(schedule, self.best, self.search.rules):
             raise ScenarioError("library", f"modes {schedule.modes.tolist()}", NOT_PROVEN)
         return schedule
 
@@ -233,7 +233,7 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     """Return where a document states what follows from its choices, what it states, and what follows."""
     safety, derived = schedule.safety, flown(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
-    profile, cells = safety.tracking.profile, safety.reference.cells
+    profile, cells = safety.tracking.feedback_bound, safety.reference.cells
     both = document.unsafe, unsafe
     sets, others = ([(u.name, u.keep_in, u.of_state, u.normals) for u in each] for each in both)
     offsets = [np.stack([each.start, each.end], axis=1)[:cells] for each in document.unsafe]

@@ -18,9 +18,9 @@ from .inspections.fuel_limit import FUEL_LIMIT
 from .inspections.inspection import FLIGHT
 from .inspections.monte_carlo import MONTE_CARLO, run_monte_carlo
 from .missions.mission import MISSION
-from .points import TRADEOFF
 from .schedule import SCHEDULE
 from .stages import Stages
+from .tradeoff_points import TRADEOFF
 
 KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO, MISSION)}
 """Kinds of run folders, by the kind of the scenario."""

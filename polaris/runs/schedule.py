@@ -30,7 +30,7 @@ from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS, finite
 from ..simulation.orbit.model_error import left_out
-from ..simulation.sampled import Sampled, with_boxes
+from ..simulation.sampled import SampledSchedules, with_boxes
 from ..synthesis.controllers.black_box import Ask
 from ..synthesis.controllers.controllers import AffineController
 from ..synthesis.controllers.neural import NeuralController
@@ -39,17 +39,17 @@ from ..synthesis.schedule import synthesize
 from ..synthesis.schedule.same_system import check_safety
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.share_bound import ShareBound, share_bound
+from .build_plot_data import schedule_plot_data
 from .certificate import hexadecimal, write_certificate
-from .declared import naming_errors
+from .error_limits import naming_errors
+from .fault_attribution import attribute_faults
 from .files import arrays
 from .files import tables as files
 from .files.atomic import check_target
 from .files.controllers import described, write_gains
 from .files.folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture, SlicePicture
-from .picturing import picture_of
+from .plot_data import PlotData, SliceData
 from .stages import Stages
-from .withheld import withheld
 
 SYNTHESIS = ("safety controller", "schedule")  # stages of the synthesis, whose parts a schedule times itself
 
@@ -70,9 +70,9 @@ class FlownSchedule:
     """A schedule, the simulated runs of S, U and Polaris, and what no schedule can exceed."""
 
     schedule: Schedule
-    flown: Mapping[str, baselines.Flown]
+    flown: Mapping[str, baselines.ControllerRuns]
     at_most: ShareBound = ShareBound(1.0, 1.0)
-    sampled: Sampled | None = None
+    sampled: SampledSchedules | None = None
 
 
 def digest(schedule: Schedule) -> str:
@@ -131,7 +131,7 @@ def write_run(
     out: str | Path,
     scenario: ScheduleScenario,
     schedule: Schedule,
-    flown: Mapping[str, baselines.Flown] | None = None,
+    flown: Mapping[str, baselines.ControllerRuns] | None = None,
     *,
     draw: Draw | None = None,
 ) -> RunFolder:
@@ -171,7 +171,7 @@ def _write(folder: Path, scenario: ScheduleScenario, result: FlownSchedule) -> N
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     write_gains(folder / "gains.json", schedule)
     flights = {key: item.flights for key, item in result.flown.items()}
-    picture = picture_of(schedule, flights)
+    picture = schedule_plot_data(schedule, flights)
     assert picture.slices is not None
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
     np.savez_compressed(folder / "tubes.npz", **arrays.tube_arrays(schedule))
@@ -180,7 +180,9 @@ def _write(folder: Path, scenario: ScheduleScenario, result: FlownSchedule) -> N
     write_certificate(folder, schedule, scenario.name, names)
 
 
-def _tell(scenario: ScheduleScenario, result: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(
+    scenario: ScheduleScenario, result: FlownSchedule, seconds: Mapping[str, float]
+) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     schedule, safety = result.schedule, result.schedule.safety
     plan, bound = safety.plan, asdict(result.at_most)
@@ -226,7 +228,7 @@ def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float
     return {**named, "other": total - sum(named.values()), "total": total}
 
 
-def _boxes(sampled: Sampled | None) -> dict[str, Any]:
+def _boxes(sampled: SampledSchedules | None) -> dict[str, Any]:
     """Return the share proven without asking the black boxes, and the worst flight found with them."""
     if sampled is None:
         return {}
@@ -246,7 +248,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """Return the claim, until when it holds, its reason, and its assumptions."""
-    end, goal, late = schedule.safety.end, schedule.arrival, withheld(schedule)
+    end, goal, late = schedule.safety.end, schedule.arrival, attribute_faults(schedule)
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
@@ -263,20 +265,20 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },
-        "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
+        "upkeep": None if schedule.upkeep is None else schedule.upkeep.to_dict(),
         **({} if schedule.estimate is None else {"estimate": schedule.estimate}),
-        **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
+        **({} if schedule.passive is None else {"abort": schedule.passive.to_dict()}),
         **({"withheld": late} if late else {}),
-        **({} if schedule.powered is None else {"powered_abort": schedule.powered.told()}),
+        **({} if schedule.powered is None else {"powered_abort": schedule.powered.to_dict()}),
     }
 
 
-def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
+def _read(folder: Path, scenario: ScheduleScenario) -> PlotData:
     document, system = read_json(folder / "schedule.json"), scenario.system()
     steps, claim = document["steps"], document["guarantee"]
     goal = claim["goal"] if claim["kind"] == "proved" else {}
     tubes = arrays.tube_pictures(arrays.read_arrays(folder / "tubes.npz"), system.position)
-    return Picture(
+    return PlotData(
         scenario.title,
         system,
         scenario.obstacles(),
@@ -289,7 +291,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
-        slices=SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
+        slices=SliceData(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
         reached=goal.get("by_s"),
         delta_v_max=goal.get("delta_v_max_m_s"),
         tube=tubes["tube"],
@@ -297,4 +299,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
     )
 
 
-SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)  # run folder of a schedule
+SCHEDULE = RunKind("schedule", DATA_FILES, _write, _summary, _read, fly_schedule)  # run folder of a schedule

@@ -24,10 +24,10 @@ from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
 from .files.atomic import check_target
 from .files.folder import SCENARIO, Draw, RunFolder, read_json, write_folder
 from .files.ownership import MANIFEST, read_list, start_list, tidy
-from .points import INFEASIBLE, TRADEOFF, Row, infeasible_row, non_dominated, row_of
 from .run import read_run, run
 from .schedule import SCHEDULE
 from .stages import Stages
+from .tradeoff_points import INFEASIBLE, TRADEOFF, Row, infeasible_row, non_dominated, row_of
 
 PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
 

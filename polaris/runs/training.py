@@ -47,7 +47,9 @@ def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
     if not isinstance(scene, DecisionGrid):
-        scene = DecisionGrid.of(scene, given.pop("period_s", None), 0.0, given.pop("half_widths", None))
+        scene = DecisionGrid.from_schedule(
+            scene, given.pop("period_s", None), 0.0, given.pop("half_widths", None)
+        )
     return TrainingFlights(scene, runs, **given)
 
 
@@ -112,8 +114,8 @@ class SwitchingVectorEnv(FlightsVectorEnv):
     num_envs : int
     **given
         Unless a grid is given, `period_s` (between decisions) and `half_widths` (largest errors of the state
-        estimate that policy and monitor are given) as `DecisionGrid.of` has them; `inputs`, `input_scale`,
-        `length` and `effort` of `TrainingFlights`.
+        estimate that policy and monitor are given) as `DecisionGrid.from_schedule` has them; `inputs`,
+        `input_scale`, `length` and `effort` of `TrainingFlights`.
     """
 
     def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:

@@ -10,7 +10,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.errors import ScenarioError
 from ..model.files import parse_toml
@@ -43,7 +43,7 @@ def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
     return method
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Scenario(ABC):
     """A validated scenario; subclasses, one for each kind, build what it describes.
@@ -213,7 +213,7 @@ class Scenario(ABC):
 def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:
     """Return the document, with values replaced in it."""
     for key, value in values.items():
-        put(document, key, copy.deepcopy(value), where)
+        set_key(document, key, copy.deepcopy(value), where)
     return document
 
 
@@ -236,7 +236,7 @@ def _split(key: str) -> list[str | int]:
     return [int(part) if part.isdigit() else part for part in re.findall(r"[\w-]+", key)]
 
 
-def put(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
+def set_key(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
     """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
     parts = _split(key)
     holder: Any = document

@@ -27,13 +27,13 @@ from ..synthesis.safety.problem import Problem
 from ..synthesis.tracker.lqr import lqr_gain
 from .tables.fields import per_axis
 from .tables.goals import hill_rate
-from .tables.scene import Affine, Neural
-from .tables.scene import AnyThrust as AnyThrustTable
-from .tables.scene import BlackBox as BlackBoxTable
+from .tables.scene import AffineTable, Neural
+from .tables.scene import AnyThrustTable as AnyThrustTable
+from .tables.scene import BlackBoxTable as BlackBoxTable
 from .tables.schedule import ScenarioModel
 
 
-def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
+def gain_of(spec: AffineTable, system: LinearSystem, path: str) -> Array:
     """Gain of an affine controller, shape (m, n): given, or LQR from its weights."""
     if spec.gain is not None:
         return as_finite(f"{path}.gain", spec.gain, 2)
@@ -44,7 +44,7 @@ def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
 def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
     """Gains of all controllers that have one."""
     return tuple(
-        gain_of(spec, system, path) for path, spec in model.controllers() if isinstance(spec, Affine)
+        gain_of(spec, system, path) for path, spec in model.controllers() if isinstance(spec, AffineTable)
     )
 
 
@@ -66,7 +66,7 @@ def read_policies(
         scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)
         thrust = per_axis(f"{path}.output_scale_N", spec.output_scale_N, system.m)
         policy = Policy(network, spec.inputs, scale, thrust)
-        policy.check(Senses.of(system, spec.inputs, unsafe, f"{path}.inputs"), path)
+        policy.check(Senses.from_inputs(system, spec.inputs, unsafe, f"{path}.inputs"), path)
         policies[spec.name] = file, policy
     return policies
 
@@ -92,7 +92,7 @@ def build_controllers(
 
 
 def _build(
-    spec: Affine | AnyThrustTable | Neural,
+    spec: AffineTable | AnyThrustTable | Neural,
     path: str,
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
@@ -101,7 +101,7 @@ def _build(
     system, shared, tracking = safety.problem.system, safety.reference, safety.tracking
     if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, shared, tracking)
-    gain = gain_of(spec, system, path) if isinstance(spec, Affine) else None
+    gain = gain_of(spec, system, path) if isinstance(spec, AffineTable) else None
     own = own_reference(spec.reference, gain, safety, f"{path}.reference", planned)
     if isinstance(spec, Neural):
         policy, unsafe = policies[spec.name][1], tuple(safety.problem.unsafe)

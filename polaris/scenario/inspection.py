@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..inspection.backup.tracker import Tracker
+from ..inspection.backup.tracker import BackupTracker
 from ..inspection.backup.tube import Uncertainty
 from ..inspection.constraints.allowable_set import allowable
 from ..inspection.constraints.families import Families
@@ -13,7 +13,7 @@ from ..inspection.constraints.strengthening import PRESETS, Strengthening, prese
 from ..inspection.enmt import Ellipses
 from ..inspection.flights.primary import LQR, NoInput, Phases, Primary
 from ..inspection.flights.sampling import InitialConditions
-from ..inspection.flights.simulation import BatchFilter, Errors
+from ..inspection.flights.simulation import BatchFilter, SampledErrors
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.craft import Array, Craft
@@ -169,17 +169,21 @@ class FlightScenario(FilteredScenario):
             part = getattr(model, table)
             if (value := getattr(part, key)) != type(part).model_fields[key].default:
                 raise ScenarioError(f"{table}.{key}", value, "must be left out: it applies to schedules only")
-        system = Craft.of(replace(self.inspection().system, w_max=push))
+        system = Craft.from_system(replace(self.inspection().system, w_max=push))
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)
         eta = prediction_error(system, eta, worst, model.timing.delay_s)
         known = tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors
         return Uncertainty(*known, model.timing.jitter_s)
 
-    def errors(self) -> Errors | None:
+    def errors(self) -> SampledErrors | None:
         """Return the errors that are flown, if any."""
         unknown = self.uncertainty()
-        return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
+        return (
+            None
+            if unknown.exact
+            else SampledErrors(unknown, self.inspection(), self.model.flight.errors_seed)
+        )
 
     def primary(self) -> Primary:
         """Return the primary controller, phase by phase."""
@@ -220,9 +224,9 @@ class FuelLimitScenario(InspectionScenario):
         return f"{flown}, fuel limit {limit:g} m/s"
 
     @kept
-    def backup(self) -> Tracker:
+    def backup(self) -> BackupTracker:
         """Return the backup controller."""
-        given, q, usual = self.model.fuel, self.inspection(), Ellipses.of(self.inspection())
+        given, q, usual = self.model.fuel, self.inspection(), Ellipses.for_inspection(self.inspection())
         limits = {
             "least": given.semi_minor_least_m,
             "largest": given.semi_minor_largest_m,
@@ -231,7 +235,7 @@ class FuelLimitScenario(InspectionScenario):
         keys = {"least": "fuel.semi_minor_least_m", "largest": "fuel.semi_minor_largest_m"}
         with in_file_terms("fuel", given, period="flight.period_s", **keys):
             ellipses = replace(usual, **{name: x for name, x in limits.items() if x is not None})
-            return Tracker(q, ellipses, self.model.flight.period_s, given.response_s)
+            return BackupTracker(q, ellipses, self.model.flight.period_s, given.response_s)
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""

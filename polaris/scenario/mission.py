@@ -23,7 +23,7 @@ OWN = ("kind", "legs")  # keys at the top that no leg takes over
 OF_MISSION = ("stay_s",)  # keys of a leg that are the mission's
 
 
-class Leg(ScenarioModel):
+class LegModel(ScenarioModel):
     """One leg: a whole scenario of a schedule, and when the mission goes on."""
 
     stay_s: f.NonNegative = unit("s", default=0.0)
@@ -35,7 +35,7 @@ class MissionModel(Head):
     """A mission file: tables that all legs share, and under `legs` those in which they differ."""
 
     kind: Literal["mission"] = unit("-", "Legs that follow one another.")
-    legs: tuple[Leg, ...] = unit("-", "The legs in order.", min_length=2, max_length=32)
+    legs: tuple[LegModel, ...] = unit("-", "The legs in order.", min_length=2, max_length=32)
 
 
 def leg_document(mission: Mapping[str, Any], leg: Mapping[str, Any]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def leg_document(mission: Mapping[str, Any], leg: Mapping[str, Any]) -> dict[str
     return copy.deepcopy({**shared, **given, **leg})
 
 
-def moves(leg: Leg) -> bool:
+def moves(leg: LegModel) -> bool:
     """Return True if any set of a leg moves or turns."""
     sets = (each.model_dump() for each in (*leg.obstacles, *leg.keep_in))
     return any(

@@ -279,7 +279,7 @@ def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> 
 
     def states(times: Array) -> Array:
         try:
-            return target.at([begin + round(float(t) * SECOND) for t in times])
+            return target.states_at([begin + round(float(t) * SECOND) for t in times])
         except ScenarioError as error:
             raise ScenarioError("orbit.ephemeris", error.given, error.rule, error.where) from error
 

@@ -89,7 +89,7 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
             elif key.name == "bounds":
                 check_length(f"{path}.bounds", given, len(part.rows))
     for path, spec in model.controllers():
-        if not isinstance(spec, scene.Affine):
+        if not isinstance(spec, scene.AffineTable):
             continue
         if spec.reference.kind == "setpoint":
             check_length(f"{path}.reference.state", spec.reference.state, n)
@@ -261,7 +261,7 @@ def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
     """Yield each pair of LQR weights with its path in the file; a controller has these or a gain."""
     yield "tracking", model.tracking.Q, model.tracking.R
     for path, spec in model.controllers():
-        if not isinstance(spec, scene.Affine):
+        if not isinstance(spec, scene.AffineTable):
             continue
         if spec.gain is None and (
             missing := next((name for name in "QR" if getattr(spec, name) is None), "")

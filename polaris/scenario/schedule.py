@@ -20,10 +20,10 @@ from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .reading import write_toml
-from .tables.errors import Timing, allocation, timed, transients
+from .tables.errors import TimingTable, allocation, timed, transients
 from .tables.fields import whole_parts
-from .tables.scene import BlackBox, Neural
-from .tables.schedule import ScenarioModel, Simulation
+from .tables.scene import BlackBoxTable, Neural
+from .tables.schedule import ScenarioModel, SimulationTable
 
 if TYPE_CHECKING:
     from ..model.allocation import Allocation
@@ -107,14 +107,14 @@ class ScheduleScenario(Scenario):
         return self.model.horizon.step_s
 
     @property
-    def simulation(self) -> Simulation:
+    def simulation(self) -> SimulationTable:
         """Closed-loop runs."""
         return self.model.simulation
 
     @kept
     def system(self) -> Craft:
         """Return the controlled system, how well its state is known and how late, and its thrusters."""
-        model, system = self.model, Craft.of(self.model.system.build())
+        model, system = self.model, Craft.from_system(self.model.system.build())
         allocation, limits = self.allocation(), system.u_max
         if model.thrusters is not None:
             system = replace(system, nozzles=model.thrusters.nozzles(allocation))
@@ -124,10 +124,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, u_max=allocation.u_max)
         if (model.navigation, model.thrusters, model.timing) == (None, None, None):
             return system
-        period, timing = self.period(), (model.timing or Timing()).make("timing")
+        period, timing = self.period(), (model.timing or TimingTable()).make("timing")
         if model.navigation is not None:
             horizon, late = (self.steps, self.step), any(x.build().isolation > 0 for x in model.faults)
-            system = model.navigation.known(system, horizon, period, timing, late)
+            system = model.navigation.apply(system, horizon, period, timing, late)
         return timed(system, timing, period, model.thrusters, limits, model.faults)
 
     @kept
@@ -163,8 +163,8 @@ class ScheduleScenario(Scenario):
         system, parts = self.system(), [part.make(path) for path, part in self.model.scene_parts()]
         if self.model.navigation is not None:
             parts += self.model.navigation.kept_within(system, (self.steps, self.step))
-        moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
-        return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
+        moved = float(np.linalg.norm(np.abs(system.position) @ system.state_offset)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, moved).inflated(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:
@@ -205,7 +205,9 @@ class ScheduleScenario(Scenario):
     def check_black_boxes(self, boxes: Mapping[str, Ask | None] | Collection[str] | None) -> None:
         """Raise `ScenarioError` unless exactly the black boxes of the scenario are given, by their names."""
         given = [name for name in boxes or () if not isinstance(boxes, Mapping) or boxes[name] is not None]
-        named = {spec.name: path for path, spec in self.model.controllers() if isinstance(spec, BlackBox)}
+        named = {
+            spec.name: path for path, spec in self.model.controllers() if isinstance(spec, BlackBoxTable)
+        }
         for name in given:
             if name not in named:
                 rule = f"must be one of the scenario's black boxes ({', '.join(named) or 'none'})"
@@ -218,7 +220,7 @@ class ScheduleScenario(Scenario):
     @property
     def asked(self) -> dict[str, Any]:
         """Probability, confidence and seed of the statement about its black boxes."""
-        specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
+        specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBoxTable)]
         said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
         return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
 
@@ -269,7 +271,7 @@ class ScheduleScenario(Scenario):
         unsteered = np.zeros((system.m, system.n))
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
         steepest = [each.steepest(system, self.obstacles()) for each in networks]
-        boxes = any(isinstance(spec, BlackBox) for spec in self.model.experimental)
+        boxes = any(isinstance(spec, BlackBoxTable) for spec in self.model.experimental)
         one = system.m if system.timing.placed == "staggered" and system.nozzles is None else 1
         late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes, one)
         system = replace(system, transients=late)

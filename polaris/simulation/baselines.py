@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import of_kind
 from ..model.system import Array
@@ -18,9 +18,9 @@ from .simulate import simulate
 BATCH = 1000  # runs simulated at a time, to bound the memory used
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
-class Flights:
+class FlightEnvelope:
     """Some simulated runs of one controller or method, and the envelope of all of them.
 
     Attributes
@@ -53,21 +53,21 @@ class Flights:
     input_range: Array | None = None
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
-class Flown:
+class ControllerRuns:
     """Runs of one controller.
 
     Attributes
     ----------
     metrics : Metrics
         Of all its runs.
-    flights : Flights
+    flights : FlightEnvelope
         Some of the runs, and the envelope of all.
     """
 
     metrics: Metrics
-    flights: Flights
+    flights: FlightEnvelope
 
 
 def alone_key(mode: int) -> str:
@@ -75,17 +75,17 @@ def alone_key(mode: int) -> str:
     return "experimental" if mode == 1 else f"experimental_{mode}"
 
 
-def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> Flights:
+def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> FlightEnvelope:
     """One run from the centre of the initial set, undisturbed."""
     runs = simulate(schedule, 1, mode=mode, initial="center", disturbance="none", substeps=2)
     nearest, inputs = evaluate(runs, controller=name).nearest, runs.inputs
     ranges = np.concatenate([inputs, inputs])
-    return Flights(name, ("nominal",), runs.times, runs.states, inputs, runs.modes, nearest, ranges)
+    return FlightEnvelope(name, ("nominal",), runs.times, runs.states, inputs, runs.modes, nearest, ranges)
 
 
 def compare(
     schedule: Schedule, n: int = 100, seed: int = 0, progress: Callable[[int, int], None] | None = None
-) -> dict[str, Flown]:
+) -> dict[str, ControllerRuns]:
     """Fly S alone, each U alone and Polaris n times each.
 
     Parameters
@@ -108,7 +108,7 @@ def compare(
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     alone = {alone_key(mode): mode for mode in range(1, len(schedule.controllers))}
     plans: dict[str, int | None] = {"safety": 0, **alone, "polaris": None}
-    out: dict[str, Flown] = {}
+    out: dict[str, ControllerRuns] = {}
     for done, (key, mode) in enumerate(plans.items()):
         name = key if mode is None else schedule.controllers[mode].name
         nominal = fly_nominal(schedule, mode, name)
@@ -129,7 +129,7 @@ def compare(
             lowest.append(runs.inputs.min(axis=0))
             highest.append(runs.inputs.max(axis=0))
         joined = Metrics.join(parts)
-        flights = Flights(
+        flights = FlightEnvelope(
             name,
             ("nominal", "closest", *(f"run {i}" for i in labels)),
             nominal.times,
@@ -139,5 +139,5 @@ def compare(
             joined.nearest,
             np.stack([np.min(lowest, axis=0), np.max(highest, axis=0)]),
         )
-        out[key] = Flown(joined, flights)
+        out[key] = ControllerRuns(joined, flights)
     return out

@@ -58,7 +58,7 @@ class Predicting(Integrator):
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
         self.late = None if rng is None else rng.choice([0.0, timing.jitter / self.dt], (nodes, runs))
-        self.noise = self._noise() / np.maximum(self.known, 1e-300)
+        self.noise = self._noise() / np.maximum(self.estimate_bounds, 1e-300)
         self.measured = -1
 
     def known_to(self, system: Craft) -> Array:
@@ -69,10 +69,10 @@ class Predicting(Integrator):
         """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
         system, timing = self.system, self.system.timing
         if system.error_by_step is None or timing.instant:
-            return self.known if timing.instant else system.measured + 0 * self.known
+            return self.estimate_bounds if timing.instant else system.measured + 0 * self.estimate_bounds
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
-        left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
-        away = when_measured(timing, timing.period, system.displaced_at_nodes)
+        left = self.estimate_bounds - prediction_error(system, np.zeros(system.n), worst, age)
+        away = when_measured(timing, timing.period, system.state_offset_at_nodes)
         left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, system.measured)
         noise, steps = left, np.arange(len(left)) + self.lag
         for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
@@ -102,7 +102,7 @@ class Predicting(Integrator):
 
     def _observed(self, step: int, start: int) -> Array:
         """Return an observer's estimates (R, n) in a step from all it has measured up to `start`."""
-        observer, (Ad, Bd, _) = self.system.observer, self.held
+        observer, (Ad, Bd, _) = self.system.observer, self.discrete
         assert observer is not None
         if self.measured < 0:
             before = self.substeps if step else 0
@@ -136,8 +136,8 @@ class Predicting(Integrator):
         """Return the state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
-        bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)
-        Ad, Bd, _ = self.held
+        bound = np.maximum(self.estimate_bounds[step, 0] + self.system.state_offset_at_nodes, 1e-300)
+        Ad, Bd, _ = self.discrete
         asked = step - self.lag - ages * self.substeps
         missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
         if self.failing is not None:
@@ -154,7 +154,7 @@ class Predicting(Integrator):
                 y = self.seen[start, runs]
                 if self.eta is not None:
                     off = self.noise[start] * self.eta[start, runs]
-                    y = y + self.turned(start, y, off, self.noise[start, 0] * self.known[start, 0])
+                    y = y + self.turned(start, y, off, self.noise[start, 0] * self.estimate_bounds[start, 0])
             for at in range(max(start, 0), step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound

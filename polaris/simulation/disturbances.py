@@ -40,7 +40,7 @@ def disturbances(
     if count:
         longest = flight.steps_per_cell * 4
         w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
-        for part, size in zip(places[1:], (flight.known, 1.0, 1.0), strict=True):
+        for part, size in zip(places[1:], (flight.estimate_bounds, 1.0, 1.0), strict=True):
             if part.start < part.stop:
                 drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
                 far = np.max(np.abs(drawn), axis=2, keepdims=True)
@@ -184,7 +184,12 @@ def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) 
     Of an observer its noise, as `Predicting` reads it: `later` (R, n) is how much its error counts at the end
     of the step, returned with how much it does before, and counted in `direction`.
     """
-    observer, known, (Ad, _, Dd), p = flight.system.observer, flight.known[step], flight.held, flight.system.p
+    observer, known, (Ad, _, Dd), p = (
+        flight.system.observer,
+        flight.estimate_bounds[step],
+        flight.discrete,
+        flight.system.p,
+    )
     noted = direction[:, p:]
     if observer is None:
         return np.sign(noted) * known, later
@@ -212,7 +217,7 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
     passed = place // flight.substeps * law.tracking.flow.h
     free = np.abs(law.command(k, own, own, x, passed)) < flight.system.u_max
     back = law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)
-    return back @ law.loop.C, back @ law.sight * law.told[1][k, law.node(passed)]
+    return back @ law.loop.C, back @ law.sight * law.obstacle_motion[1][k, law.node(passed)]
 
 
 def _undisturbed(flight: Integrator) -> Runs:

@@ -7,7 +7,7 @@ import numpy as np
 from ..model.craft import Array, Craft
 from ..model.thrusters import Thrusters
 from .allocating import thrusts_of
-from .failing import Failing
+from .fault_times import FaultTimes
 
 STAIRS = 4  # steps in which the thrust of a pulse comes up and goes down
 
@@ -42,7 +42,7 @@ class Firing:
     dt: float
     substeps: int
     thrust: Array | None = None
-    failing: Failing | None = None
+    failing: FaultTimes | None = None
     left: Array | None = None
     made: Array  # inputs, what fails apart, (R, m)
     before: Array  # those of the last period

@@ -59,7 +59,9 @@ class Integrator(Firing):
         self.safe = safety.reference.fine(self.steps_per_cell)
         self.own = {}
         laws = [law for law in schedule.controllers if isinstance(law, NeuralController)]
-        self.columns = columns(self.system, max((law.told[0].shape[-1] for law in laws), default=0))
+        self.columns = columns(
+            self.system, max((law.obstacle_motion[0].shape[-1] for law in laws), default=0)
+        )
         last = self.columns[-1].stop
         self.constant = slice(last, last + self.system.p * bool(np.any(self.system.bias)))  # that adds to w
         for number, controller in enumerate(schedule.controllers):
@@ -76,13 +78,13 @@ class Integrator(Firing):
         return [own + bias if bias.shape[-1] else own, *errors]
 
     @cached_property
-    def held(self) -> tuple[Array, Array, Array]:
+    def discrete(self) -> tuple[Array, Array, Array]:
         """Transition over a step, and what an input and a disturbance held over it add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
 
     @cached_property
-    def known(self) -> Array:
+    def estimate_bounds(self) -> Array:
         """Bounds on errors of estimates in every step, (steps, 1, n), whatever was commanded before."""
         cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
@@ -132,20 +134,22 @@ class Integrator(Firing):
         own = self.own[number][k, at] if number in self.own else xi
         passed = at * self.dt
         if isinstance(controller, NeuralController):
-            bodies = self._told(controller, k, passed, step, len(x))
+            bodies = self._obstacle_motion(controller, k, passed, step, len(x))
             return controller.command(k, xi, own, x, passed, bodies)
         if isinstance(controller, BlackBox):
             return controller.command(k, xi, own, x, passed)
         return controller.command(k, xi, own, x)
 
-    def _told(self, law: NeuralController, k: int, passed: float, step: int, runs: int) -> Array | None:
+    def _obstacle_motion(
+        self, law: NeuralController, k: int, passed: float, step: int, runs: int
+    ) -> Array | None:
         """Return what a network is told of bodies some seconds after the start of cell k, (R, ...)."""
         if self.bodies:
             seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
             return law.senses.seen(k * law.reference.delta + passed, seen, runs)
         if self.shares is None:
             return None
-        middle, half = (part[k, law.node(passed)] for part in law.told)
+        middle, half = (part[k, law.node(passed)] for part in law.obstacle_motion)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
     def turned(self, step: int, x: Array, error: Array, bound: Array) -> Array:
@@ -169,9 +173,13 @@ class Integrator(Firing):
 
     def estimate(self, step: int, x: Array) -> Array:
         """Return the estimates of states in a step, which controllers act on."""
-        known = x if self.eta is None else x + self.turned(step, x, self.eta[step], self.known[step, 0])
+        known = (
+            x if self.eta is None else x + self.turned(step, x, self.eta[step], self.estimate_bounds[step, 0])
+        )
         if self.eta is not None and self.left is not None:
-            flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors
+            flown = self.system.state_offset_at_nodes / np.maximum(
+                self.estimate_bounds[step], 1e-300
+            )  # not as errors
             known = x + (known - x) * (1 - flown)
         if self.failing is None:
             return np.asarray(known)
@@ -180,7 +188,7 @@ class Integrator(Firing):
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States (R, n) a step later, u being held."""
-        (Ad, Bd, Dd), sub = self.held, step % self.substeps
+        (Ad, Bd, Dd), sub = self.discrete, step % self.substeps
         return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow(sub))
 
     def period(
@@ -201,7 +209,7 @@ class Integrator(Firing):
             step = begin + sub
             x = self.move(k, step, x, u, w[sub])
             if self.failing is not None:
-                at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.held
+                at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.discrete
                 wrong = w[sub] @ Dd.T + (u - held) @ Bd.T
                 eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
                 self.failing.predict(at, Ad, wrong, eta)
@@ -264,7 +272,7 @@ class Integrator(Firing):
         own = self.own.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]
         w = w if self.eta is None else np.concatenate([w, eta], axis=2)
-        Ad, Bd, Dd = self.held
+        Ad, Bd, Dd = self.discrete
         Dd = Dd if self.eta is None else np.hstack([Dd, -Bd @ law.gain])
         forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
         carried = (Ad - Bd @ law.gain).T

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.system import Array
 
@@ -41,7 +41,7 @@ POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
 """Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Metrics:
     """Metrics of every run of one controller.

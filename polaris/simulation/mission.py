@@ -16,7 +16,7 @@ from .simulate import flown_modes
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class MissionFlights:
     """Flights of all legs; the first one starts in the middle, and nothing disturbs it."""
 
     times: Array  # of the mission [s], (N,); an instant of hand-over stands twice, once for each leg
@@ -38,7 +38,7 @@ class Flown:
         }
 
 
-def fly_on(schedules: Sequence[Schedule], leaves: Sequence[float], runs: int, seed: int) -> Flown:
+def fly_on(schedules: Sequence[Schedule], leaves: Sequence[float], runs: int, seed: int) -> MissionFlights:
     """Fly legs from end to end, a nominal flight first, others under the worst disturbance towards a joint.
 
     Parameters
@@ -65,7 +65,7 @@ def fly_on(schedules: Sequence[Schedule], leaves: Sequence[float], runs: int, se
     columns = list(zip(*parts, strict=True))
     times, states, legs, by = (np.concatenate(column) for column in columns[:4])
     each, near, used = (np.array(column) for column in columns[4:])
-    return Flown(times, states.swapaxes(0, 1), legs, by, each.T, near, used[:-1])
+    return MissionFlights(times, states.swapaxes(0, 1), legs, by, each.T, near, used[:-1])
 
 
 def attack(

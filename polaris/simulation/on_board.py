@@ -98,7 +98,7 @@ class FlightCode:
         """Controller that asks the online monitor in every step of an attack; None without a monitor."""
         return 1 if self.online else None
 
-    def of(self, schedule: Schedule) -> "FlightCode":
+    def require_schedule(self, schedule: Schedule) -> "FlightCode":
         """Return the code, unless it is that of another schedule: then raise `ScenarioError`."""
         if self.tables.seen and schedule.safety.problem.system.observer is None:
             raise ScenarioError("code", self.tables.sizes, "has an observer, and the scenario has none")

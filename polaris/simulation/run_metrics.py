@@ -7,24 +7,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
 from reach.numerics.linear import discretize
+from reach.short_repr import short_repr
 
 from ..model.checks import of_kind
-from ..model.scene.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
+from ..model.scene.distances import (
+    SampledApproach,
+    closest,
+    count_switches,
+    mode_shares,
+    ray_ttc,
+    signed_distances,
+)
 from ..model.scene.free_drift import drift_ttc
 from ..model.scene.satellite import true_states
 from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule.schedule import Schedule
-from .failing import Failing
+from .fault_times import FaultTimes
 from .metrics import Metrics
 
 PARTS = 8  # parts of a period in which limits on the whole state are looked at
 PART = 250  # runs evaluated at a time, to bound the memory used
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Runs:
     """Simulated closed loops.
@@ -48,7 +55,7 @@ class Runs:
         Mode of every step.
     bodies : dict of str to ndarray, shapes (R, N+1, n)
         True states of other satellites where a network was told of them.
-    failing : Failing, optional
+    failing : FaultTimes, optional
         What failed in each run, in nodes.
     """
 
@@ -60,7 +67,7 @@ class Runs:
     delta_v: Array
     modes: NDArray[np.int_]
     bodies: Mapping[str, Array] = field(default_factory=dict)
-    failing: Failing | None = None
+    failing: FaultTimes | None = None
 
     def some(self, chosen: slice | list[int]) -> "Runs":
         """Return some of the runs."""
@@ -179,7 +186,7 @@ def _placed(unsafe: Iterable[Any]) -> tuple[tuple[Any, ...], tuple[StateLimit, .
     return tuple(item for item in unsafe if not isinstance(item, StateLimit)), limits
 
 
-def _refined(runs: Runs, truth: Mapping[str, Array], nearest: Closest) -> Closest:
+def _refined(runs: Runs, truth: Mapping[str, Array], nearest: SampledApproach) -> SampledApproach:
     """Return a closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
@@ -199,7 +206,7 @@ def _refined(runs: Runs, truth: Mapping[str, Array], nearest: Closest) -> Closes
     )
     better = finer.distance < nearest.distance
     pairs = zip(astuple(finer), astuple(nearest), strict=True)
-    return Closest(*(np.where(better, new, old) for new, old in pairs))
+    return SampledApproach(*(np.where(better, new, old) for new, old in pairs))
 
 
 def held_path(system: LinearSystem, h: float, before: Array, after: Array, shares: Array) -> Array:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import number
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.controllers.black_box import Ask, BlackBox, FittedSegment, Statement
+from ..synthesis.controllers.black_box import Ask, BlackBox, FittedSegment, SampledBound
 from ..synthesis.controllers.controllers import Controller
 from ..synthesis.safety.get_safety import Safety, get_safety
 from ..synthesis.schedule.schedule import Schedule
@@ -35,9 +35,9 @@ FEW = slice(7, None, -1)  # of a batch, those about which boxes are asked on the
 ROUNDED = 1e-6  # by how much commands may be off then, as a share of the limits
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampledSchedules:
     """Schedules of a scenario with black boxes, proven and sampled.
 
     Attributes
@@ -82,7 +82,7 @@ def outside(runs: Runs) -> NDArray[np.float64]:
     schedule, worst = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
     system = schedule.safety.problem.system
-    moved = system.displaced_at_nodes * bool(system.timing.carried)  # bands are about errors without that
+    moved = system.state_offset_at_nodes * bool(system.timing.carried)  # bands are about errors without that
     arcs = schedule.safety.reference.fine(q)
     for step in schedule.steps:
         if isinstance(step.tube, FittedSegment):
@@ -127,7 +127,7 @@ def with_boxes(
     boxes: Mapping[str, Ask | None],
     safety: Safety | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Sampled:
+) -> SampledSchedules:
     """`synthesize_sampled` as a scenario wants it, with what is asked of its black boxes by their names."""
     scenario.check_black_boxes(boxes)
     safety = get_safety(scenario) if safety is None else safety
@@ -145,7 +145,7 @@ def synthesize_sampled(
     seed: int = 0,
     attacks: int = 1000,
     progress: Callable[[int, int], None] | None = None,
-) -> Sampled:
+) -> SampledSchedules:
     """Schedules of controllers some of which are black boxes: one by samples, and the proven one beside it.
 
     Parameters
@@ -180,7 +180,7 @@ def synthesize_sampled(
     for attempt in range(ATTEMPTS):
         schedule, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
         if not schedule.sampled_steps:
-            return Sampled(schedule if schedule.share() > proven.share() else proven, proven, None)
+            return SampledSchedules(schedule if schedule.share() > proven.share() else proven, proven, None)
         flights, left = flights_needed(probability, doubt), 0
         for first in range(0, flights, BATCH):
             drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
@@ -190,11 +190,11 @@ def synthesize_sampled(
                 begun = runs
         bound = at_most(left, flights, doubt)
         if bound <= probability:
-            said = Statement(bound, confidence, flights, left, seed, attempt + 1)
+            said = SampledBound(bound, confidence, flights, left, seed, attempt + 1)
             schedule = replace(schedule, statement=said)
             hostile = simulate(schedule, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
             repeats = _repeats(begun, seed + MOST * (attempt + 1))
-            return Sampled(schedule, proven, falsify(schedule, attacks, seed), adverse, repeats)
+            return SampledSchedules(schedule, proven, falsify(schedule, attacks, seed), adverse, repeats)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
-    return Sampled(proven, proven, None)
+    return SampledSchedules(proven, proven, None)

@@ -12,7 +12,7 @@ from ..model.system import Array
 from ..synthesis.schedule.schedule import Schedule
 from .delayed import Predicting, flies
 from .disturbances import Disturbance, disturbances, limit_rows
-from .failing import in_every_second
+from .fault_times import in_every_second
 from .integration import Integrator
 from .on_board import FlightCode
 from .run_metrics import Runs
@@ -72,7 +72,7 @@ def simulate(
         raise ScenarioError("simulation.mode", mode, rule)
     rng = np.random.default_rng(seed)
     flight = flies(schedule.safety.problem.system)(schedule, flown_modes(schedule, tail, mode), substeps)
-    flight.code = code and code.of(schedule)
+    flight.code = code and code.require_schedule(schedule)
     if isinstance(flight, Predicting):
         flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)

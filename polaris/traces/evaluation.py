@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import non_negative
 from ..model.errors import ScenarioError
 from ..model.scene.distances import UNKNOWN, count_switches, mode_shares
 from ..model.scene.free_drift import drift_ttc
-from ..model.scene.shapes import Ball, Shape
+from ..model.scene.shapes import BallShape, Shape
 from ..model.system import Array, LinearSystem
 from ..runs.files.tables import strict
 from ..simulation.run_metrics import drift_horizon
 from .model import MODE_NAMES, AgentTrace, Trace
-from .placing import Part, Placed, place
+from .placement import PlacedParts, UnsafePart, place
 from .settings import Velocity, between, doubtful, find_dims, find_velocity, interpolate, stamped_by_simulator
 from .settings import restamp as restamped
 
@@ -42,7 +42,7 @@ class Spread:
     share: float  # of the time with a finite value
 
     @classmethod
-    def of(cls, values: Array, t: Array) -> "Spread":
+    def from_samples(cls, values: Array, t: Array) -> "Spread":
         """Return the spread of values (N,) at times t (N,) [s], inf among them."""
         finite, weight = np.isfinite(values), weights(t)
         mean = float(np.sum(values * weight)) if finite.all() else np.inf
@@ -51,7 +51,7 @@ class Spread:
         return cls(float(values.min()), mean, float(values.max()), when, min(share, 1.0))
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class Separation:
     """One agent against an unsafe set, another agent (of kind ``agent``) or a limit on the whole state."""
@@ -67,7 +67,7 @@ class Separation:
         return {"kind": self.kind} | {key: None if of is None else vars(of) for key, of in spreads.items()}
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class AgentMetrics:
     """Metrics of one agent."""
@@ -95,7 +95,7 @@ class AgentMetrics:
         }
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class TraceMetrics:
     """Metrics of a trace.
@@ -156,7 +156,7 @@ def evaluate_trace(
     non_negative("--agent-radius", agent_radius, "m")
     trace = restamped(trace) if restamp else trace
     d = find_dims(trace, dims)
-    drift = None if system is None else Drift(trace, system, d)
+    drift = None if system is None else FreeDrift(trace, system, d)
     notes = [f"passed over: {place}" for place in trace.ignored]
     measurement = _Measurement(trace, d, velocity, drift, agent_radius, notes)
     agents = {name: measurement.agent(name) for name in trace.agents}
@@ -173,7 +173,7 @@ class _Measurement:
     trace: Trace
     d: int | None
     wanted: Velocity
-    drift: "Drift | None"
+    drift: "FreeDrift | None"
     radius: float
     notes: list[str]
 
@@ -195,7 +195,9 @@ class _Measurement:
             rest = [other for other in self.trace.agents if other != name]
             others = tuple(self.against_agent(agent, self.d, v, other) for other in rest)
         kept = zip(agent.limits, agent.margins, strict=True)
-        unsafe += tuple(Separation(each, LIMIT, Spread.of(row, agent.times), None) for each, row in kept)
+        unsafe += tuple(
+            Separation(each, LIMIT, Spread.from_samples(row, agent.times), None) for each, row in kept
+        )
         shares = mode_shares(agent.times, agent.known_modes)
         modes = {number: word.lower() for number, word in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
         spent = agent.running_times
@@ -213,12 +215,14 @@ class _Measurement:
     def against_set(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
         t, p, item = agent.times, agent.states[:, :d], self.trace.unsafe[name]
         placed = place(item, t, d)
-        ttc = None if v is None else Spread.of(placed.entry_time(p, v), t)
+        ttc = None if v is None else Spread.from_samples(placed.entry_time(p, v), t)
         drifting = None
         if self.drift is not None:
             chosen, values = self.drift.entry_times(agent, placed)
-            drifting = Spread.of(values, t[chosen])
-        return Separation(name, item.set_type, Spread.of(placed.signed_distance(p), t), ttc, drifting)
+            drifting = Spread.from_samples(values, t[chosen])
+        return Separation(
+            name, item.set_type, Spread.from_samples(placed.signed_distance(p), t), ttc, drifting
+        )
 
     def against_agent(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
         """Against another agent, interpolated linearly, at times when both are there."""
@@ -229,11 +233,11 @@ class _Measurement:
         left, right, share = between(other.times, t)
         rows = left[both], right[both], share[both]
         apart = agent.states[both, :d] - interpolate(other.states[:, :d], rows)
-        distance, ttc = Spread.of(np.linalg.norm(apart, axis=1), t[both]), None
+        distance, ttc = Spread.from_samples(np.linalg.norm(apart, axis=1), t[both]), None
         w, _ = find_velocity(name, other, d, self.wanted)
         if v is not None and w is not None:
             relative = v[both] - interpolate(w, rows)
-            ttc = Spread.of(Ball(self.radius).entry_time(apart, relative), t[both])
+            ttc = Spread.from_samples(BallShape(self.radius).entry_time(apart, relative), t[both])
         return Separation(name, "agent", distance, ttc)
 
 
@@ -257,7 +261,7 @@ class Moving:
         return x, self.centre, self.velocity
 
 
-class Drift:
+class FreeDrift:
     """Free drift of the agents of a trace under one system, whose states theirs must be."""
 
     def __init__(self, trace: Trace, system: LinearSystem, d: int | None) -> None:
@@ -274,14 +278,14 @@ class Drift:
         if not self.horizon > 0:
             raise ScenarioError("system", longest, "must have a trace of some duration")
 
-    def entry_times(self, agent: AgentTrace, placed: Placed) -> tuple[NDArray[np.int64], Array]:
+    def entry_times(self, agent: AgentTrace, placed: PlacedParts) -> tuple[NDArray[np.int64], Array]:
         """Samples chosen, evenly over the rows, and seconds from each until drift enters; inf if never."""
         count = len(agent.times)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_SAMPLES)).round().astype(np.int64))
         times = [self._part(agent, part, chosen) for part in placed.parts]
         return chosen, np.asarray(np.min(times, axis=0))
 
-    def _part(self, agent: AgentTrace, part: Part, chosen: NDArray[np.int64]) -> Array:
+    def _part(self, agent: AgentTrace, part: UnsafePart, chosen: NDArray[np.int64]) -> Array:
         out = []
         for rows in [chosen] if part.rigid else np.split(chosen, len(chosen)):
             body = Moving("set", part.shape(int(rows[0])), part.centre[rows], part.velocity[rows])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import one_of
 from ..model.errors import ScenarioError
@@ -21,7 +21,7 @@ from ..model.tolerances import TIME
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Export:
     """A run as a trace."""
@@ -186,7 +186,7 @@ def export_run(
     run = read_run(folder)
     option = "--method" if run.kind.name == "comparison" else "--controller"
     if option == "--method":
-        flights: Mapping[str, Any] = run.picture().shown
+        flights: Mapping[str, Any] = run.plot_data().shown
     else:
         with readable(run.path):
             flights = read_flights(run.path / "trajectories.npz")

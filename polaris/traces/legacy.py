@@ -8,7 +8,7 @@ import numpy as np
 
 from ..model.system import Array
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace, PolytopeTrace, Trace
-from .placing import Faceted, place, unit_rows
+from .placement import MovingPolytope, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
 NEVER = 1e20  # what stands for no collision between agents there
@@ -129,7 +129,7 @@ class _Agent:
         held = replace(item, times=self.agent.times, A=A, b=b)
         p = self.agent.states[:, : self.d]
         distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
-        lines = Faceted(*unit_rows(held.A, held.b)).to_nearest(p)
+        lines = MovingPolytope(*unit_rows(held.A, held.b)).to_nearest(p)
         return np.asarray(distance), lines
 
     def agent_dists(self) -> tuple[float, float, dict[str, float]]:

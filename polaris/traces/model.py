@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..model.checks import MOST_ROWS
 from ..model.errors import ScenarioError
@@ -42,7 +42,7 @@ def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]
     return array
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class AgentTrace:
     """States and modes of one agent over time.
@@ -136,7 +136,7 @@ class CentredTrace(UnsafeTrace):
         return int(self.centers.shape[1])
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PointTrace(CentredTrace):
     """A point to stay away from; `centers` has shape (M, d) [m]."""
@@ -144,7 +144,7 @@ class PointTrace(CentredTrace):
     set_type: ClassVar[str] = "point"
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BallTrace(CentredTrace):
     """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0.
@@ -166,7 +166,7 @@ class BallTrace(CentredTrace):
             object.__setattr__(self, "velocities", given)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class RectangleTrace(CentredTrace):
     """An axis-aligned box; `centers` and full `lengths` have shape (M, d) [m], lengths >= 0."""
@@ -180,7 +180,7 @@ class RectangleTrace(CentredTrace):
         self._sizes("lengths", self.lengths)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PolytopeTrace(UnsafeTrace):
     """``A p <= b``, bounded or not.
@@ -223,7 +223,7 @@ class PolytopeTrace(UnsafeTrace):
 AnySet = PointTrace | BallTrace | RectangleTrace | PolytopeTrace
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Trace:
     """Agents, at least one, and unsafe sets, by name."""

@@ -30,7 +30,7 @@ DIFFERENCES = "differences of positions"
 
 def find_dims(trace: Trace, dims: int | None) -> int | None:
     """Axes of position: as given, as the unsafe sets have, or half of 4 or 6 states; None if unused."""
-    d = dims if dims is not None else _told(trace)
+    d = dims if dims is not None else _axes_count(trace)
     if d is None:
         return None
     if d not in (1, 2, 3):
@@ -43,7 +43,7 @@ def find_dims(trace: Trace, dims: int | None) -> int | None:
     return d
 
 
-def _told(trace: Trace) -> int | None:
+def _axes_count(trace: Trace) -> int | None:
     axes = {name: item.d for name, item in trace.unsafe.items()}
     if len(set(axes.values())) > 1:
         raise ScenarioError("unsafe", axes, "must have the same number of axes; or give --dims")

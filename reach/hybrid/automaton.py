@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ..brief import brief
 from ..numerics.checks import Array, as_array, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 from ..tubes.systems import LinearSystem
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Mode:
     """One way of moving: an affine system, and the region in which it may go on.
@@ -53,7 +53,7 @@ class Mode:
             require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Transition:
     """A jump ``x+ = R x + r + w`` from one mode to another.

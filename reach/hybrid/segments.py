@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..brief import brief
 from ..numerics.checks import Array, Index
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 from ..tubes.flowpipes import Flowpipes
 from .automaton import Mode
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Segment:
     """One mode, followed from a stack of N start sets over K time steps.
@@ -69,7 +69,7 @@ class Segment:
         return np.asarray(np.where(self.alive[..., None], values, -np.inf).max(axis=(0, 1)))
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class HybridTube:
     """Segments that together hold every trajectory up to the horizon.
@@ -86,7 +86,7 @@ class HybridTube:
     horizon: float
     complete: bool
 
-    def of(self, mode: str) -> list[Segment]:
+    def in_mode(self, mode: str) -> list[Segment]:
         """Segments of one mode."""
         return [s for s in self.segments if s.mode.name == mode]
 
@@ -113,5 +113,5 @@ class HybridTube:
     def support(self, mode: str, directions: ArrayLike) -> Array:
         """Upper bound of each direction over all a mode's segments, shape (r,); -inf if never entered."""
         D = np.atleast_2d(np.asarray(directions, dtype=float))
-        bounds = [np.full(len(D), -np.inf), *(segment.support(D) for segment in self.of(mode))]
+        bounds = [np.full(len(D), -np.inf), *(segment.support(D) for segment in self.in_mode(mode))]
         return np.asarray(np.max(bounds, axis=0))

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from ..brief import brief
 from ..numerics.checks import Array, as_array, checked
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import bordered, dense
 from ..sets.polytope import HPolytope
+from ..short_repr import short_repr
 from .automaton import HybridAutomaton, Mode, Transition
 
 TOUCH = 1e-9  # a state this close to a face, relative to the terms of its row, counts as on it
@@ -23,7 +23,7 @@ MOST_SAMPLES = 10_000_000
 Policy = Literal["first", "last", "random"]
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Visit:
     """A stay in one mode.
@@ -50,7 +50,7 @@ class Visit:
     uncertain: Array | None = None
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class HybridTrajectory:
     """One trajectory: visits one after the other.

@@ -72,7 +72,7 @@ class HybridOptions:
         as_count("jumps", self.jumps)
         Zonotope.point([0.0]).reduce(self.order, self.reduction)  # refuses what it does not know
 
-    def of(self, name: str, mode: Mode) -> Any:
+    def value(self, name: str, mode: Mode) -> Any:
         """An option for a mode; None if it has none."""
         value = getattr(self, name)
         return value.get(mode.name) if isinstance(value, Mapping) else value
@@ -154,12 +154,12 @@ class Worklist:
         return [Starts(mode, start[meets], np.zeros((int(meets.sum()), 2)))] if np.any(meets) else []
 
     def _flowpipes(self, mode: Mode, sets: Zonotope, length: float, **more: Any) -> Flowpipes:
-        step = self.options.of("step", mode)
+        step = self.options.value("step", mode)
         if step is None:
             raise ReachError(f"mode {mode.name!r} has no step")
         if mode.name not in self.propagators:
             self.propagators[mode.name] = Propagator(mode.system)
-        more |= {"step": step, "tolerance": self.options.of("tolerance", mode)}
+        more |= {"step": step, "tolerance": self.options.value("tolerance", mode)}
         return flowpipes(self.propagators[mode.name], sets, length, **more)
 
     def _stay(self, starts: Starts | Segment) -> Array:
@@ -231,7 +231,7 @@ class Worklist:
     def _responding(self, sets: Zonotope, segment: Segment, until: Array) -> Zonotope:
         """Add the response to the inputs; it grows with time, as the centred inputs hold zero."""
         if np.ptp(until) == 0:
-            step = self.options.of("step", segment.mode)
+            step = self.options.value("step", segment.mode)
             return sets + input_response(segment.mode.system, float(until[0]), step)
         k = np.searchsorted(segment.flowpipes.times, until * (1 - 1e-12)) - 1
         k = np.clip(k, 0, segment.flowpipes.shape[0] - 1)
@@ -245,7 +245,7 @@ class Worklist:
             same = [s for s in entered if s.mode is mode]
             if not same:
                 continue
-            limit = self.options.of("clusters", mode)
+            limit = self.options.value("clusters", mode)
             same = [s if limit is None or len(s.sets) <= limit else _merged(s, int(limit)) for s in same]
             width = max(s.sets.order_count for s in same)
             padded = [s.sets._pad(width) for s in same]

@@ -9,13 +9,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..brief import brief
 from ..numerics.checks import Array, Index, as_count, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.clipping import clip, strips
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
+from ..short_repr import short_repr
 from ..verification.specification import Always, Never
 from .automaton import HybridAutomaton
 from .segments import HybridTube, Segment
@@ -29,7 +29,7 @@ CORNERS = 8  # directions in which corners of the initial set are tried
 PART = 20_000  # sets that are cut at once
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class HybridVerdict:
     """Answer of `verify_hybrid`; true only if proven.
@@ -121,7 +121,7 @@ def verify_hybrid(
 
 def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
     """Return a sentence on why a tube does not prove a specification in a mode; empty if it does."""
-    for segment in tube.of(mode):
+    for segment in tube.in_mode(mode):
         k, i = doubtful(segment, spec)
         if len(k):
             span = segment.span(k, i)

@@ -13,9 +13,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..brief import brief
 from ..numerics.checks import Array, check_fields, finite_fields
 from ..numerics.errors import ReachError
+from ..short_repr import short_repr
 
 SLACK = 16 * float(np.finfo(float).eps)  # relative rounding booked on the values a band is made from
 
@@ -106,7 +106,7 @@ _FUNCTIONS: dict[str, Callable[[Activation, Array], Array]] = {
 }
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Affine:
     """A layer ``W x + b``.
@@ -157,7 +157,7 @@ class Affine:
         return np.asarray(weights @ self.W)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Diagonal:
     """A layer ``scale * x + b`` that takes every component for itself.

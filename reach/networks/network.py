@@ -9,18 +9,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..brief import brief
 from ..numerics.checks import Array, as_vector, checked, per_row, require_single
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.rounding import gamma
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 from .layers import Activation, Affine, Diagonal
 from .precision import FORMATS, MORE, READ, Rounding
 
 MOST_ENTRIES = 2**26  # most numbers in the generators of one enclosure: 512 MiB
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Network:
     """A chain of affine or elementwise layers and activations.
@@ -64,7 +64,7 @@ class Network:
     @cached_property
     def rounding(self) -> Rounding | None:
         """Bounds on the rounding of its evaluation; None in real arithmetic."""
-        return Rounding.of(self.precision)
+        return Rounding.from_precision(self.precision)
 
     @property
     def inputs(self) -> int:

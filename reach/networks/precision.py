@@ -36,7 +36,7 @@ class Rounding:
     largest: float  # size up to which neither a number nor its inverse leaves the normal ones
 
     @classmethod
-    def of(cls, precision: str) -> Rounding | None:
+    def from_precision(cls, precision: str) -> Rounding | None:
         """Return the bounds of a precision; None for real arithmetic, `ReachError` for an unknown one."""
         if precision == "real":
             return None

@@ -92,7 +92,7 @@ def check() -> None:
         raise ReachError(f"{'; '.join(faults)}: pip install {DISTRIBUTION}")
 
 
-def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Attach the names of a package's stub to it; versions are checked when the first name is used.
 
     Parameters

@@ -122,13 +122,13 @@ class SetOperators(ConvexSet, ABC):
 
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
-        return self._booked(as_vector(directions, self.dim), 1)
+        return self._rounded_support(as_vector(directions, self.dim), 1)
 
     def support_down(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never above the true value, shape (..., r)."""
-        return self._booked(as_vector(directions, self.dim), -1)
+        return self._rounded_support(as_vector(directions, self.dim), -1)
 
-    def _booked(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, way: int) -> Array:
         """Support with its rounding booked upwards (1) or downwards (-1)."""
         return np.asarray(self.support(D) + way * gamma(self.terms) * weighed(D, self.extent))
 

@@ -15,7 +15,7 @@ from ..numerics.programs import maximise
 from ..numerics.rounding import gamma
 from .convex import weighed
 from .interval import Interval
-from .lazy import OfParts
+from .lazy import CompositeSet
 from .polytope import HPolytope
 from .relations.distance import nearest, unit_sizes
 from .zonotope import Zonotope
@@ -27,7 +27,7 @@ CLOSE = 1e-8  # distance from a round part, in sizes of the sets, at which the s
 DEPTH = 1e-7  # depth of the centre, in sizes of the sets, below which an intersection counts as flat
 
 
-class Intersection(OfParts):
+class Intersection(CompositeSet):
     """``{x : x in X_i for all i}``, kept unevaluated.
 
     Its support is an upper bound: any way to write ``d = d_1 + ... + d_k`` bounds it by the sum of the
@@ -71,8 +71,8 @@ class Intersection(OfParts):
         return self.proved_empty
 
     @cached_property
-    def _search(self) -> Search:
-        return Search(self.parts)
+    def _search(self) -> FurthestSearch:
+        return FurthestSearch(self.parts)
 
     @property
     def center(self) -> Array:
@@ -86,9 +86,9 @@ class Intersection(OfParts):
 
     def _support(self, D: Array) -> Array:
         """An upper bound."""
-        return self._booked(D, 1)
+        return self._rounded_support(D, 1)
 
-    def _booked(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, way: int) -> Array:
         """Up: a bound by splitting each direction. Down: at a point that passes the parts' tests, or -inf."""
         self._refuse_empty()
         rows = D.reshape(-1, self.dim)
@@ -128,7 +128,7 @@ class Intersection(OfParts):
         return np.asarray(np.all([part.contains(x, slack) for part in self.parts], axis=0))
 
 
-class Search:
+class FurthestSearch:
     """Furthest points of an intersection, one part of which is bounded, and how their direction is split."""
 
     def __init__(self, parts: tuple[Any, ...]) -> None:

@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from .polytope import HPolytope
 
 
-class OfSets(SetOperators):
+class DerivedSet(SetOperators):
     """Set made of other sets: empty as soon as one of them is, unbounded if one may be."""
 
     @property
     @abstractmethod
-    def made_of(self) -> tuple[Any, ...]:
+    def operands(self) -> tuple[Any, ...]:
         """The other sets."""
 
     @property
     def is_empty(self) -> bool:
         """Return True if one of the sets is empty."""
-        return any(getattr(part, "is_empty", False) for part in self.made_of)
+        return any(getattr(part, "is_empty", False) for part in self.operands)
 
     @property
     def proved_empty(self) -> bool:
         """Return True if one of the sets is proved to be empty."""
-        return any(getattr(part, "is_empty", False) and part.proved_empty for part in self.made_of)
+        return any(getattr(part, "is_empty", False) and part.proved_empty for part in self.operands)
 
     @property
     def is_bounded(self) -> bool:
@@ -50,7 +50,7 @@ class OfSets(SetOperators):
 
 
 @dataclass(frozen=True, eq=False)
-class AffineImage(OfSets):
+class AffineImage(DerivedSet):
     """``{M x + v : x in base}``, kept unevaluated.
 
     Parameters
@@ -77,7 +77,7 @@ class AffineImage(OfSets):
         return len(self.M)
 
     @property
-    def made_of(self) -> tuple[Any, ...]:
+    def operands(self) -> tuple[Any, ...]:
         """The base."""
         return (self.base,)
 
@@ -89,7 +89,7 @@ class AffineImage(OfSets):
     def _support(self, D: Array) -> Array:
         return np.asarray(self.base.support(D @ self.M) + D @ self.v)
 
-    def _booked(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, way: int) -> Array:
         inner = self.base.support_up(D @ self.M) if way > 0 else self.base.support_down(D @ self.M)
         return self._with_rounding(inner + D @ self.v, D, way, 2 * self.dim)
 
@@ -145,7 +145,7 @@ def inverse(M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class OfParts(OfSets):
+class CompositeSet(DerivedSet):
     """Base of sets that are made of single sets of one dimension, kept unevaluated."""
 
     parts: tuple[Any, ...]
@@ -159,7 +159,7 @@ class OfParts(OfSets):
             require_single(f"a part of a lazy {type(self).__name__}", part)
 
     @property
-    def made_of(self) -> tuple[Any, ...]:
+    def operands(self) -> tuple[Any, ...]:
         """The parts."""
         return self.parts
 
@@ -174,7 +174,7 @@ class OfParts(OfSets):
         return sum(int(part.terms) for part in self.parts)
 
 
-class MinkowskiSum(OfParts):
+class MinkowskiSum(CompositeSet):
     """``{x_1 + ... + x_k : x_i in X_i}``, kept unevaluated.
 
     Parameters
@@ -191,7 +191,7 @@ class MinkowskiSum(OfParts):
     def _support(self, D: Array) -> Array:
         return np.asarray(sum(part.support(D) for part in self.parts))
 
-    def _booked(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, way: int) -> Array:
         values = (part.support_up(D) if way > 0 else part.support_down(D) for part in self.parts)
         return self._with_rounding(np.asarray(sum(values)), D, way, len(self.parts))
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..brief import brief
 from ..numerics.checks import Array, checked, require_single
 from ..numerics.rounding import gamma
+from ..short_repr import short_repr
 from .convex import SetOperators
 from .ellipsoid import Ellipsoid
 from .interval import Interval
@@ -16,7 +16,7 @@ from .lazy import AffineImage, MinkowskiSum
 from .zonotope import Zonotope
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class NormBracket:
     """``lower <= max norm(x, 2) <= upper``.

@@ -9,7 +9,7 @@ from ..numerics.checks import Array, require_sets
 from ..numerics.errors import ReachError
 from .ellipsoid import Ellipsoid
 from .interval import Interval
-from .lazy import OfSets
+from .lazy import DerivedSet
 from .zonotope import Zonotope
 
 OUTLINE = 128  # supporting lines that a round set is drawn with; it is overestimated by 0.03 %
@@ -18,7 +18,7 @@ SAME = 1e-9  # points this close, in sizes of the set, are one vertex
 
 def is_round(X: Any) -> bool:
     """Return True if the set is an ellipsoid or made of one."""
-    return isinstance(X, Ellipsoid) or (isinstance(X, OfSets) and any(map(is_round, X.made_of)))
+    return isinstance(X, Ellipsoid) or (isinstance(X, DerivedSet) and any(map(is_round, X.operands)))
 
 
 def outline(X: Any) -> Array:

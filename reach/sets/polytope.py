@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..brief import brief
 from ..numerics.checks import Array, as_factor, as_map, as_vector, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, is_product
+from ..short_repr import short_repr
 from .bases import EXACT_MOST, Bases, mixed_level
 from .convex import SetOperators, weighed
 from .interval import Interval
@@ -22,7 +22,7 @@ from .relations.distance import unit_sizes
 FLATNESS = 1e-9  # an inscribed radius above minus this, relative to the offsets, counts as 'not empty'
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class HPolytope(SetOperators):
     """``{x : A x <= b}``; may be unbounded, flat or empty.
@@ -178,7 +178,7 @@ class HPolytope(SetOperators):
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
-    def _booked(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, way: int) -> Array:
         """Up: proved by weak duality, inf without proof. Down: at the solver's point, less its tolerance."""
         values, points, multipliers = self._answers(D)
         if way > 0:

@@ -10,11 +10,11 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..brief import brief
 from ..numerics import checks
 from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, cross, floats, gamma, integers
+from ..short_repr import short_repr
 from .convex import SetOperators
 from .interval import Interval
 from .polytope import HPolytope
@@ -23,7 +23,7 @@ from .stacks import Generated, as_center_and_sizes
 FLAT = 1e-9  # ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Zonotope(Generated):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.

@@ -23,7 +23,7 @@ from ..sets.convex import ConvexSet
 from ..sets.interval import Interval
 from ..sets.lazy import AffineImage
 from ..sets.stacks import Generated
-from .rows import Rows
+from .rows import ExponentialRows
 from .systems import LinearSystem
 
 SMALL = 2000  # entries that a product with a sparse input map must save to be worth it
@@ -52,7 +52,7 @@ class Adjoint:
 
     def __init__(self, system: LinearSystem, initial: ConvexSet) -> None:
         require_single("the initial set", initial, system.dim)
-        self.system, self.rows = system, Rows(system)
+        self.system, self.rows = system, ExponentialRows(system)
         A, s = self.rows.A, self.rows.scale
         self.initial, self.inputs = initial, system.U
         self.input_pieces = max(len(system.U), int(np.any(system.c)))
@@ -77,7 +77,7 @@ class Adjoint:
         both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
         self.weights = self.rows.weights(lags, self.rows.weights(lags, both))
 
-    def along(self, rows: Array) -> Array:
+    def row_products(self, rows: Array) -> Array:
         """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
         products = times(rows, self._force)
         return np.moveaxis(products.reshape(*rows.shape[:-1], 3, -1), -2, 0)
@@ -94,7 +94,7 @@ class Adjoint:
 
     def values(self, rows: Array) -> tuple[Array, Array]:
         """Largest absolute values along rows (m, r, n): of the first part, and the rate of inputs, (m, r)."""
-        rate, along = np.zeros(rows.shape[:2]), self.along(rows)[0]
+        rate, along = np.zeros(rows.shape[:2]), self.row_products(rows)[0]
         for i in range(self.input_pieces):
             rate += self.magnitudes(i, along)
         return _magnitude(self.initial, rows / self.rows.scale), rate
@@ -119,7 +119,7 @@ class Adjoint:
         shape = (count, self.input_pieces, R.shape[1])
         upper, lower, bend = np.empty(shape), np.empty(shape), np.zeros(shape)
         if self.system.discrete:
-            along = self.along(R[:-1])[0]
+            along = self.row_products(R[:-1])[0]
             for i in range(self.input_pieces):
                 upper[:, i] = self.supports(i, along)
                 lower[:, i] = self.supports(i, along, attained=True)
@@ -130,7 +130,7 @@ class Adjoint:
         closing = times(np.abs(self._curved(R2)[:-1]), self._grown[h])
         closing = h**2 / 8 * np.where(np.isnan(closing), np.inf, closing)
         R2 = R2 / self.rows.scale
-        along = self.along(R) if self.input_pieces else R
+        along = self.row_products(R) if self.input_pieces else R
         _in_range(R2, along)
         p2 = _ends(_magnitude(self.initial, R2)) + closing[..., 0]
         for i in range(self.input_pieces):

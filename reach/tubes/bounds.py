@@ -65,7 +65,7 @@ class RowBounds:
 
 
 @dataclass
-class Effort:
+class EffortBudget:
     """Count of what is computed, the same on every machine, and how much of it is allowed."""
 
     left: float = np.inf
@@ -106,7 +106,7 @@ def collect(
     if not np.ptp(steps):
         times = np.linspace(0, horizon, len(steps) + 1)
     starts, missed = _piece_starts(adjoint.system, times, parts)
-    rounding = _booked(adjoint, D, times, steps, states, rates)
+    rounding = _rounding(adjoint, D, times, steps, states, rates)
     # The rate of an integral between two nodes exceeds that at a node by its slope times half the step.
     slope = np.vstack([np.zeros((1, len(D))), 4 * bend.sum(axis=1) / steps[:, None]])
     rounding = rounding + missed * np.maximum.accumulate(rates + slope)
@@ -121,7 +121,7 @@ def collect(
     return RowBounds(times, first, attained, upper, lower, bow, bend, rounding, motion, kinks, kept, parts)
 
 
-def _booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
+def _rounding(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
     """Bound on both parts' rounding at nodes, (K+1, r); what a step gets wrong is carried on, and grows."""
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
     excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])

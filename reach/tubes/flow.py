@@ -11,15 +11,15 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from ..brief import brief
 from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.linear import discretize, growth, powers, require_square
 from ..sets.ellipsoid import ball_generators
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LinearFlow:
     """Motion of ``e' = A e + B u + D w + E v`` under the feedback ``u = -K e``, node by node.

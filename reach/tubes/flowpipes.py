@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from ..brief import brief
 from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import dense, times
 from ..numerics.linear import powers
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 from .adjoint import Adjoint, augmented
 from .rows import ROUNDING
 from .stepping import MAX_STEPS, substeps
@@ -24,7 +24,7 @@ ENTRIES = 1_000_000  # numbers handled at once where a stack is worked through i
 HALVINGS = 16  # a step is halved at most this often to meet a tolerance
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Flowpipes:
     """Sets that hold ``x(t)`` over time steps, for every one of N start sets.

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.exponentials import bordered, times
-from .rows import Rows
+from .rows import ExponentialRows
 from .systems import LinearSystem, Signal
 
 SNAP = 1e-14  # a knot as near to a node as this share of the horizon is the node
@@ -77,7 +77,7 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
     """The trajectory at the ends of all sub-steps, and its largest second derivative along D in each."""
     n, m = system.dim, system.inputs
     A = bordered(bordered(system.A, system.B), np.eye(n + m, m, -n))  # of states, inputs and their slopes
-    forward, across = Rows(LinearSystem(A)), Rows(LinearSystem(A.T))
+    forward, across = ExponentialRows(LinearSystem(A)), ExponentialRows(LinearSystem(A.T))
     D2 = times(times(np.hstack([D, np.zeros((len(D), 2 * m))]), A), A)
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
     y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))

@@ -22,7 +22,7 @@ from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
 from .adjoint import attained_support, driven_support, extent
-from .bounds import Effort, RowBounds
+from .bounds import EffortBudget, RowBounds
 from .rows import ROUNDING
 
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
@@ -118,7 +118,7 @@ class LTVSystem:
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class SampledMatrices:
     """A varying matrix over K steps of length h, compared with the chord between two nodes."""
 
     nodes: Array  # values, (K+1, p, q)
@@ -139,14 +139,14 @@ class Sampled:
         return np.maximum(np.abs(self.nodes[1:]), np.abs(self.nodes[:-1])) + self.off
 
 
-def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
+def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> SampledMatrices:
     """Evaluate a constant or varying matrix, vectors as one column; its bounds must hold at the nodes."""
     column = (*shape, 1)[:2]
     h, count = np.diff(times), len(times)
     if not isinstance(M, Varying):
         value = as_array(name, M, *shape).reshape(column)
         zero = np.zeros((count - 1, *column))
-        return Sampled(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
+        return SampledMatrices(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
     with np.errstate(all="ignore"):  # what is not finite is refused with its name and time
         values = [M.value(float(t)) for t in times]
     named = zip(values, times, strict=True)
@@ -161,7 +161,7 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> Sampled:
         # The second difference is a mean of the second derivative over two steps.
         second = np.abs(np.diff(chord, axis=0)) - 4 * noise / step[:-1]
         _consistent(f"bend of {name}", second / step[:-1], np.maximum(bend[1:], bend[:-1]))
-    return Sampled(
+    return SampledMatrices(
         nodes,
         chord,
         np.minimum(step / 2 * slope, step**2 / 8 * bend),
@@ -236,7 +236,7 @@ class Sweep:
         slide = size @ driven + Y @ (size @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def run(self, D: Array, effort: Effort) -> RowBounds:
+    def run(self, D: Array, effort: EffortBudget) -> RowBounds:
         """Bounds along rows D, which are kept; rows along the axes and against them bound the states."""
         K, n, h, r = len(self.P), self.n, self.h, len(D)
         axes = np.vstack([np.eye(n), -np.eye(n)])

@@ -45,7 +45,7 @@ def balance(A: Array) -> Array:
     return np.asarray(np.exp2(np.round(np.clip(logs, -60, 60))))
 
 
-class Rows:
+class ExponentialRows:
     """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
 
     Carried through a dense, a thin or no exponential (its action). `work` are roundings per unit of time.

@@ -13,7 +13,7 @@ from ..numerics.checks import Array, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint, Block, Overflow, augmented
-from .bounds import Effort, RowBounds, collect
+from .bounds import EffortBudget, RowBounds, collect
 from .known_input import known_response
 from .ltv import LTVSystem, Sweep
 from .rows import ROUNDING
@@ -42,7 +42,7 @@ class Steps:
     tolerance: ArrayLike | None = None
     limit: ArrayLike | None = None
     keep: bool = False
-    effort: Effort = field(default_factory=Effort)
+    effort: EffortBudget = field(default_factory=EffortBudget)
 
 
 def row_bounds(
@@ -155,7 +155,7 @@ def _halved(
 
 
 def _adaptive(
-    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, effort: Effort
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, effort: EffortBudget
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from ..brief import brief
 from ..numerics.checks import Array, as_array, as_numbers, finite_fields, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import bordered
+from ..short_repr import short_repr
 
 FILLED = 0.25  # share of entries from which a matrix in a sparse container is handled as a dense one
 FILLED_MOST = 1000  # most states for which it is: beyond, exponentials cost more than they save
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Signal:
     """Values joined by straight lines, constant before the first and after the last.
@@ -85,7 +85,7 @@ def _require_pairs(t: Array, values: Array) -> None:
         raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """``x' = A x + B (u_0(t) + u) + c`` with an unknown input ``u(t)`` in U at every instant.

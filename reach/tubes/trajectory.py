@@ -11,11 +11,11 @@ from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
-from ..brief import brief
 from ..numerics.checks import Array, as_array, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import bordered, dense, times
 from ..sets.convex import ConvexSet
+from ..short_repr import short_repr
 from .known_input import known_response
 from .stepping import Steps, row_bounds
 from .systems import LinearSystem
@@ -24,7 +24,7 @@ DENSE_MOST = 400  # states up to which a simulation forms exponentials
 STEPS = 256  # steps of a worst case if no tolerance is given
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """One motion of a system.

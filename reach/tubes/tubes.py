@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..brief import brief
 from ..numerics.checks import Array, as_directions, as_frame, as_numbers, checked, per_row, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
+from ..short_repr import short_repr
 from .adjoint import augmented, is_symmetric
-from .bounds import Effort
+from .bounds import EffortBudget
 from .ltv import LTVSystem
 from .rows import ROUNDING
 from .stepping import Steps, row_bounds, warn_if_wide
 from .systems import LinearSystem
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class SupportTube:
     """Bounds on ``d x(t)`` for rows d, at nodes and over every interval between them.
@@ -113,7 +113,7 @@ def support_tube(
     Unresolved
         If the tolerance cannot be met, or not with the effort allowed, or a bound is beyond floating point.
     """
-    steps = Steps(step, tolerance, limit, effort=Effort(max_effort))
+    steps = Steps(step, tolerance, limit, effort=EffortBudget(max_effort))
     return tube_of(system, initial, horizon, directions, steps)
 
 
@@ -130,7 +130,7 @@ def tube_of(
     return SupportTube(coarse.times, D, upper, attained, between, coarse.bow + coarse.bend)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ZonotopeTube:
     """Zonotopes that hold ``x(t)`` at nodes and over every interval between them.

@@ -11,7 +11,7 @@ from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
-from ..tubes.bounds import Effort
+from ..tubes.bounds import EffortBudget
 from ..tubes.stepping import Steps
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import Trajectory, worst_case
@@ -32,7 +32,7 @@ class Motions:
     system: LinearSystem
     initial: ConvexSet
     window: tuple[float, float]
-    effort: Effort  # of all tubes and trajectories together
+    effort: EffortBudget  # of all tubes and trajectories together
 
     def sizes(self, rows: Array, limits: Array) -> Array:
         """Sizes in which rows (r, n) are measured, shape (r,): of their limits and over the initial set."""

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from ..brief import brief
 from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
 from ..sets.polytope import HPolytope
+from ..short_repr import short_repr
 from ..tubes.trajectory import Trajectory
 
 
@@ -41,7 +41,7 @@ class Never(Specification):
     """The state never enters a polytope (its boundary belongs to it)."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """Answer of `verify`; true only if proven.

@@ -21,7 +21,7 @@ from ..sets.convex import ConvexSet
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
 from ..sets.relations.distance import nearest, unit_sizes
-from ..tubes.bounds import Effort
+from ..tubes.bounds import EffortBudget
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
 from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions, verify_always
@@ -70,7 +70,7 @@ def verify(
     window = _window(system, spec, horizon)
     require_single("the initial set", initial)
     begun, region = perf_counter(), spec.region
-    motions = Motions(system, initial, window, Effort(max_effort))
+    motions = Motions(system, initial, window, EffortBudget(max_effort))
     if len(region.b) == 0:
         verdict = _without_limits(motions, spec)
     elif isinstance(spec, Always):

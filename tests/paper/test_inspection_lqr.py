@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from polaris.inspection.backup.tracker import Tracker, augmented
+from polaris.inspection.backup.tracker import BackupTracker, augmented
 from polaris.inspection.inspection import Inspection
 
 PROBLEM = Inspection(deputies=1)
@@ -46,7 +46,7 @@ def test_item_15_riccati_equation_of_the_whole_error_has_no_stabilising_solution
 def test_item_15_integral_of_the_position_error_is_controllable_and_the_loop_is_stable():
     A, B = augmented(PROBLEM)
     assert hautus_rank(A, B, 0.0) == len(A) == 9
-    tracker = Tracker(PROBLEM)
+    tracker = BackupTracker(PROBLEM)
     assert np.linalg.eigvals(A - B @ tracker.gain).real.max() < -1e-3
 
 
@@ -57,8 +57,8 @@ def test_eq_41_leaves_no_position_error_to_integrate(y):
     printed = np.array([x[0], x[1], x[2], n * x[1] / 2, -2 * n * x[0], x[5]])
     assert not (x - printed)[:3].any()
     # Ours has a reference of its own, and it moves freely.
-    tracker = Tracker(PROBLEM)
+    tracker = BackupTracker(PROBLEM)
     memory = tracker.start(x[None])
     after = tracker.thrust(x[None], memory)[1]
     assert np.abs(x[:3] - memory[0, :3]).max() > 0.1
-    np.testing.assert_allclose(after[0, :6], PROBLEM.held(1.0)[0] @ memory[0, :6], rtol=1e-12)
+    np.testing.assert_allclose(after[0, :6], PROBLEM.discretize(1.0)[0] @ memory[0, :6], rtol=1e-12)

@@ -12,7 +12,7 @@ from polaris.model.scene.timed_polytope import TimedPolytope
 from polaris.planning.goals import EllipticalNMT, ellipse_polygon
 from polaris.planning.problem import PlanProblem
 from polaris.planning.recheck import recheck
-from polaris.planning.rows import Rows
+from polaris.planning.rows import PlanRows
 from polaris.planning.solve import plan
 
 ETA = 0.0012
@@ -110,7 +110,7 @@ def test_note_11_one_big_m_hides_a_violation_of_a_metre():
     # ours: M per row from what the thrusters can do, always less, and no M in the answer:
     # the facets are fixed, the program is solved again and the path re-checked
     task = problem(box((-250, -600, 0), 120, 40), extra_margin=20.0)
-    rows = Rows(task)
+    rows = PlanRows(task)
     worst = max(
         float(np.max(facets.need + rows.extreme(facets.a, budget=1.0))) * rows.length
         for k in range(40)

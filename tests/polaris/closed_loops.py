@@ -120,7 +120,7 @@ class Loop:
         """Return how far states may be displaced when they are measured."""
         off = self.system.timing.delay / (self.dt * self.parts)
         between = abs(off - round(off)) > 1e-9
-        away = self.system.displaced if between else self.system.displaced_at_nodes
+        away = self.system.state_offset if between else self.system.state_offset_at_nodes
         return away - self.system.carried_away if self.remembers else away  # what is carried is flown
 
     def fire(self, told: Array, rest: Array, off: Array) -> tuple[Array, Array]:

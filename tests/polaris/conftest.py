@@ -81,7 +81,7 @@ def small_controllers(period=None, w_max=1e-5):
 def few_slices():
     """Write run folders with few slices of recoverable sets: all of them cost more than a small flight."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("polaris.runs.picturing.SLICES", 1)
+        patch.setattr("polaris.runs.build_plot_data.SLICES", 1)
         yield
 
 

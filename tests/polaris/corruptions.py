@@ -4,9 +4,9 @@ import copy
 import math
 from contextlib import suppress
 
-from polaris.certificate.assumptions import Premises
+from polaris.certificate.assumptions import Assumptions
 from polaris.certificate.files.document import digest
-from polaris.certificate.files.parts import last_instant
+from polaris.certificate.files.entries import last_instant
 
 
 def plain(value):
@@ -31,7 +31,7 @@ def restate(data):
         data["horizon"], sampling["steps"], len(data["facets"]), float.fromhex(sampling["step"])
     )
     period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
-    data["assumptions"] = Premises(
+    data["assumptions"] = Assumptions(
         float.fromhex(data["system"]["disturbance_max"]),
         period,
         resting=any(all(b == pairs[0][0] for pair in pairs for b in pair) for pairs in offsets),
@@ -39,7 +39,7 @@ def restate(data):
         horizon=data["horizon"],
         until=until,
         position=plain(data["system"]["C"]),
-    ).told()
+    ).sentences()
 
 
 class Corruptor:

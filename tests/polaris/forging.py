@@ -20,8 +20,8 @@ import numpy as np
 
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.entries import last_instant
 from polaris.certificate.files.file_keys import REPEATED
-from polaris.certificate.files.parts import last_instant
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from tests.polaris.corruptions import restate

@@ -10,4 +10,4 @@ def loop_of_errors(plant, gain):
     """Build the loop of a law that sees its error exactly and at once, under a disturbance alone."""
     n = plant.A.nrows()
     nothing = [arb(0)] * n
-    return States.of(plant).closed(gain, [plant.disturbance], (identity(n), nothing), nothing)
+    return States.from_plant(plant).closed(gain, [plant.disturbance], (identity(n), nothing), nothing)

@@ -230,7 +230,7 @@ def wrong_calls():
         "a schedule to evaluate": lambda: polaris.evaluate(schedule),
         "a scenario to compare": lambda: polaris.compare(scenario),
         "a scenario to compare_methods": lambda: polaris.compare_methods(scenario),
-        "a scenario to DecisionGrid.of": lambda: polaris.DecisionGrid.of(scenario),
+        "a scenario to DecisionGrid.of": lambda: polaris.DecisionGrid.from_schedule(scenario),
         "a scenario to falsify": lambda: polaris.falsify(scenario),
         "a scenario to plot_schedule": lambda: polaris.plot_schedule(scenario),
         "a schedule to plot_reference": lambda: polaris.plot_reference(schedule),

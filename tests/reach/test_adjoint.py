@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from reach import Interval, LinearSystem, Unresolved, Zonotope, support_tube
 from reach.numerics.exponentials import Action, exponential, flushed, thin_expm
 from reach.tubes.adjoint import Adjoint
-from reach.tubes.rows import Rows, balance
+from reach.tubes.rows import ExponentialRows, balance
 from tests.reach import truth
 
 Exact = np.longdouble
@@ -86,7 +86,7 @@ def test_rounding_is_booked_for_systems_of_every_kind(size_of_sparse, case, step
 def test_every_carrier_carries_rows_exactly(make, steps):
     rng = np.random.default_rng(3)
     A = rng.normal(size=(6, 6)) * 3
-    rows = Rows(LinearSystem(make(A)))
+    rows = ExponentialRows(LinearSystem(make(A)))
     D = rng.normal(size=(2, 6))
     out = rows.carry(D * rows.scale, 1 / steps, steps) / rows.scale
     assert np.allclose(out[-1], D @ expm(A), rtol=1e-11, atol=1e-9)
@@ -168,7 +168,7 @@ def test_large_sparse_systems_are_followed_as_dense_ones(kind):
     D = np.vstack([np.eye(2 * m)[3], rng.normal(size=2 * m)])
     thin = support_tube(LinearSystem(A.tocsr(), B, U), X, 3.0, D, step=1 / 50)
     dense = support_tube(LinearSystem(A.toarray(), B.toarray(), U), X, 3.0, D, step=1 / 50)
-    assert Rows(LinearSystem(A.tocsr())).action is not None
+    assert ExponentialRows(LinearSystem(A.tocsr())).action is not None
     for name in ("upper", "attained", "interval"):
         a, b = getattr(thin, name), getattr(dense, name)
         assert np.all(np.abs(a - b) <= 1e-7 * np.abs(b).max(axis=0))  # as rounding is booked
@@ -180,7 +180,7 @@ def test_large_sparse_systems_are_followed_as_dense_ones(kind):
 def test_closing_bounds_the_exponential_within_a_step(case, h):
     A = case[0].A
     for kept in (A, sparse.csr_matrix(A)):
-        rows = Rows(LinearSystem(kept))
+        rows = ExponentialRows(LinearSystem(kept))
         v = np.abs(case[2].normal(size=(len(A), 2)))
         bound = rows.closing(h, v)
         balanced = A * rows.scale / rows.scale[:, None]
@@ -190,7 +190,7 @@ def test_closing_bounds_the_exponential_within_a_step(case, h):
 
 
 def test_closing_that_overflows_is_infinite_not_nan():
-    rows = Rows(LinearSystem([[0.0, 1e6], [-1e6, 0.0]]))
+    rows = ExponentialRows(LinearSystem([[0.0, 1e6], [-1e6, 0.0]]))
     assert np.all(np.isinf(rows.closing(1.0, np.ones((2, 1)))))
 
 
@@ -216,7 +216,7 @@ def test_balancing_is_finite_and_never_makes_a_norm_much_larger(A):
 
 def test_a_constant_of_any_size_leaves_the_norm_alone():
     A = np.array([[0.0, 1.0, 1e6], [-1.0, -0.1, 1e8], [0.0, 0.0, 0.0]])
-    assert Rows(LinearSystem(A)).norm < 4
+    assert ExponentialRows(LinearSystem(A)).norm < 4
 
 
 def test_flushing_compares_entries_with_their_own_row():
@@ -248,7 +248,9 @@ def test_parts_of_a_block_bound_what_they_say(case, steps):
         if adjoint.input_pieces:
             fine = h / 200
             rows = np.array([D @ expm(system.A * (k * h + (j + 0.5) * fine)) for j in range(200)])
-            rate = np.array([adjoint.supports(0, adjoint.along(row * adjoint.rows.scale)[0]) for row in rows])
+            rate = np.array(
+                [adjoint.supports(0, adjoint.row_products(row * adjoint.rows.scale)[0]) for row in rows]
+            )
             total, spread = rate.sum(axis=0) * fine, np.abs(np.diff(rate, axis=0)).sum(axis=0) * fine / 50
             assert np.all(total <= block.upper[k, 0] + spread + slack)
             assert np.all(block.lower[k, 0] <= total + spread + slack)

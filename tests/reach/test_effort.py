@@ -21,7 +21,7 @@ from reach import (
     zonotope_tube,
 )
 from reach.numerics.exponentials import Action, thin_expm
-from reach.tubes.rows import Rows
+from reach.tubes.rows import ExponentialRows
 from tests.reach import truth
 
 
@@ -103,7 +103,7 @@ def test_long_steps_of_stiff_systems_are_cut_or_warned_of():
 def test_short_steps_are_not_squared_up_from_nothing():
     """The exponential of a step is as exact after those of much shorter ones were asked for."""
     A = truth.matrix("random", 4, np.random.default_rng(3))
-    fresh, used = Rows(LinearSystem(A)), Rows(LinearSystem(A))
+    fresh, used = ExponentialRows(LinearSystem(A)), ExponentialRows(LinearSystem(A))
     for i in range(40, 0, -1):
         used.map(0.1 * 2.0**-i)
     assert np.allclose(used.map(0.1), fresh.map(0.1), rtol=0, atol=4e-16)

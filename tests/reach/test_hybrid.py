@@ -45,7 +45,7 @@ def outside(tube, path, rng, looks=5):
     for visit, k in chosen:
         t, x = visit.times[k], visit.states[k]
         held = False
-        for segment in tube.of(visit.mode):
+        for segment in tube.in_mode(visit.mode):
             k_, i_ = segment.steps
             span = segment.span(k_, i_)
             now = (span[:, 0] <= t + 1e-6) & (t - 1e-6 <= span[:, 1])
@@ -250,7 +250,7 @@ def test_a_guard_that_holds_at_the_start():
         [Transition("a", "b", guard=half([1, 0], 0.0))],
     )
     tube = hybrid_tube(automaton, BOX, 1.0, HybridOptions(step=0.1))
-    assert tube.of("b")[0].entered[:, 0].min() == 0.0
+    assert tube.in_mode("b")[0].entered[:, 0].min() == 0.0
     holds_all(automaton, BOX, 1.0, tube)
 
 
@@ -260,8 +260,8 @@ def test_a_window_at_time_zero_of_no_width():
         [Transition("a", "b", window=(0, 0), urgent=True)],
     )
     tube = hybrid_tube(automaton, BOX, 1.0, HybridOptions(step=0.1))
-    assert np.all(tube.of("b")[0].entered == 0.0)
-    start = tube.of("b")[0].flowpipes.start
+    assert np.all(tube.in_mode("b")[0].entered == 0.0)
+    start = tube.in_mode("b")[0].flowpipes.start
     assert np.allclose(start[0].interval_hull().hi, BOX.interval_hull().hi, atol=1e-12)
     holds_all(automaton, BOX, 1.0, tube)
 

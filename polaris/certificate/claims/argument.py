@@ -7,7 +7,7 @@ from flint import arb, arb_mat
 
 from ..code.check import check_plausible, read_code
 from ..code.online import check_online
-from ..files.artefacts import Stated
+from ..files.artefacts import FileClaims
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
@@ -16,12 +16,12 @@ from ..kernel.zonotopes import Directions, Merging, Zonotope
 from ..model.craft.states import craft_of
 from ..model.limits import Barrier
 from ..model.plants import plant_of, within_limits
-from ..model.transients import moved
+from ..model.transients import wrong_thrust
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path
 from .continuation import Continuation, HandOver, Tracker
 from .drift import Departures, Drifts
-from .flights import Flown, Pilot, fly
+from .flights import ControllerModel, FlownStep, enclose_step
 from .joint import check_joint
 from .powered import check_aborts
 from .spending import spent
@@ -43,17 +43,21 @@ class Argument:
     """
 
     def __init__(
-        self, document: Document, record: Record, stated: Stated | None = None, code: FilePath | None = None
+        self,
+        document: Document,
+        record: Record,
+        stated: FileClaims | None = None,
+        code: FilePath | None = None,
     ) -> None:
-        self.document, self.record, self.stated, self.code = document, record, stated or Stated(), code
+        self.document, self.record, self.stated, self.code = document, record, stated or FileClaims(), code
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
         assert document.laws[0].gain is not None  # as of every safety controller
         self.gain = matrix(document.laws[0].gain)
         self.craft = craft_of(document, self.plant, self.gain)
-        self.pilots = [Pilot.of(law, self.craft, document) for law in document.laws]
+        self.pilots = [ControllerModel.for_law(law, self.craft, document) for law in document.laws]
         networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
-        self.upsets = moved(document, self.craft, networks)
+        self.upsets = wrong_thrust(document, self.craft, networks)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds."""
@@ -76,7 +80,7 @@ class Argument:
         doc = self.document
         sets, flown = self.tubes(path, merging)
         within = [z for step in flown for z in step.nodes]
-        tracker = Tracker.of(doc, self.craft, self.upsets, [*sets, *within])
+        tracker = Tracker.from_sets(doc, self.craft, self.upsets, [*sets, *within])
         flight = Continuation(doc, path, tracker)
         self.recoverability(flight, sets, flown)
         if self.code is not None:
@@ -120,22 +124,24 @@ class Argument:
         )
         return path
 
-    def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[Flown]]:
+    def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[FlownStep]]:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
         doc = self.document
         start = self.craft.start(Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose()))
         sets, flown, known = [start], [], dict[Any, Directions]()
         for k, mode in enumerate(doc.modes):
-            barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k], known) if mode else None
+            barrier = Barrier.for_cell(doc, self.plant.C, k, doc.facets[k], known) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets))
+            flown.append(
+                enclose_step(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets)
+            )
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them U's, stay clear")
         return sets, flown
 
-    def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[Flown]) -> None:
+    def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[FlownStep]) -> None:
         """Check that S keeps all limits to the end if it takes over before or after any experimental step."""
         doc = self.document
         margins = self.stated.margins or [0.0] * self.K

@@ -24,10 +24,10 @@ from ..kernel.balls import (
 )
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging
-from ..model.craft.needs import Needs
+from ..model.craft.tightening import Tightening
 from .continuation import Continuation, HandOver
-from .flights import Flown, Pilot, fly
-from .goal_rows import Weighted
+from .flights import ControllerModel, FlownStep, enclose_step
+from .goal_rows import WeightedRows
 from .recovery import TOLD_SLACK
 from .spending import spent
 
@@ -50,10 +50,10 @@ class Arrival:
     flight: Continuation
     held: tuple[HandOver, ...]
     spent: arb
-    pilot: Pilot | None = None  # S, where it is flown on
+    pilot: ControllerModel | None = None  # S, where it is flown on
     merging: Merging | None = None  # of the sets that it flies
-    before: Sequence[Flown] = ()  # steps until T
-    _flown: list[Flown] = field(default_factory=list, repr=False)
+    before: Sequence[FlownStep] = ()  # steps until T
+    _flown: list[FlownStep] = field(default_factory=list, repr=False)
     _until: dict[int, arb] = field(default_factory=dict, repr=False)
     _apart: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
@@ -72,8 +72,8 @@ class Arrival:
         reached, by = claim["reached"] is True, claim["by_s"]
         if reached == (by is None):
             raise Rejected("goal", "by_s must be given exactly where the goal is claimed to be reached")
-        rows = Weighted.of(spec, self.soon, self.document)
-        needs = Needs(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
+        rows = WeightedRows.from_goal(spec, self.velocity_time, self.document)
+        needs = Tightening(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
         self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(needs))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
@@ -87,13 +87,13 @@ class Arrival:
         for node in nodes:
             try:
                 distance = self.distance(rows, needs, node)
-                self.no_less("distance from the goal", claim["distance_m"], distance)
+                self.require_bound("distance from the goal", claim["distance_m"], distance)
                 if reached:
                     spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
                     require("goal", spare, f"{plain(distance)} m off, more than is tolerated")
                 self._drift(claim["drift_m_per_orbit"], node)
-                spent = self.until(node) if reached else self.spent + self.correcting(node)
-                self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
+                spent = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
+                self.require_bound("velocity change", claim["delta_v_max_m_s"], spent)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
@@ -104,7 +104,7 @@ class Arrival:
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
         """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
         if claim["reached"] is True:
-            spent, until = self.until(self.node_at(claim["by_s"])), "the goal"
+            spent, until = self.delta_v_until(self.node_at(claim["by_s"])), "the goal"
         else:
             spent, until = self.spent, "T: the goal is not claimed to be reached"
         text = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
@@ -112,14 +112,14 @@ class Arrival:
         return f"at most {text}"
 
     @property
-    def soon(self) -> arb:
+    def velocity_time(self) -> arb:
         """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
 
-    def holding(self, needs: Needs) -> arb:
+    def holding(self, needs: Tightening) -> arb:
         """Return the need of S along rows for ever, without the jump into the tail, with a fault if any."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
-        need = sums(needs.settled, off, *needs.upset[-1:])
+        need = sums(needs.settled_need, off, *needs.upset[-1:])
         return largest(
             sums(need, self.flight.from_thrust(needs, self._first + self._last))
             if self.flight.scheduled
@@ -152,7 +152,7 @@ class Arrival:
         """Return the last node of the tail."""
         return (self.document.cells - self.document.steps) * self.document.q
 
-    def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
+    def _likely(self, rows: WeightedRows, needs: Tightening, claim: dict[str, Any]) -> list[int]:
         """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
         limit, far = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
         while far < self._last and not self.spent + self.correcting(far) > limit:
@@ -166,23 +166,23 @@ class Arrival:
 
         return sorted(every[: max(late, 1)], key=near)[:MOST]
 
-    def no_less(self, what: str, claimed: float, derived: arb) -> None:
+    def require_bound(self, what: str, claimed: float, derived: arb) -> None:
         """Refuse a bound that is told as less than what is derived, by more than figures are exact to."""
         spare = arb(claimed) * (1 + TOLD_SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
-    def after(self, nodes: int) -> list[Flown]:
+    def fly_tail(self, nodes: int) -> list[FlownStep]:
         """S from T on, for at least so many periods."""
         doc = self.document
         jump = diagonal(self.flight.jump.entries())
-        reached = self.held[-1].errors.grown(self.flight.tracker.craft.lifted(jump))
+        reached = self.held[-1].errors.plus(self.flight.tracker.craft.lifted(jump))
         assert self.pilot is not None and self.merging is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
-            self._flown.append(fly(self.pilot, start, k, self.flight.path, None, self.merging))
+            self._flown.append(enclose_step(self.pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
-    def at(self, needs: Needs, node: int) -> list[arb]:
+    def error_bounds(self, needs: Tightening, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
         least = self.flight.need(needs, self.held, self._first + node)
         if self.pilot is None or not self.document.profile or node == self._last:
@@ -193,7 +193,7 @@ class Arrival:
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
         """Bound errors along rows at a node after T by the sets that S flies then."""
         cell, place = divmod(node, self.document.q)
-        step = self.after(node + 1)[cell]
+        step = self.fly_tail(node + 1)[cell]
         z = step.nodes[place - 1] if place else step.start
         whole = self.flight.tracker.craft.whole(rows)
         return sums(z.support(whole), (magnitude(rows) * column(self.document.at_nodes)).entries())
@@ -204,9 +204,9 @@ class Arrival:
         arcs, at = self.flight.path.arcs, self.document.steps + cell
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
-    def distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
+    def distance(self, rows: WeightedRows, needs: Tightening, node: int) -> arb:
         """Return the largest distance of a flight from the goal at a node."""
-        return rows.distance(sums(rows.over(self.state(node)), self.at(needs, node)))
+        return rows.distance(sums(rows.over(self.state(node)), self.error_bounds(needs, node)))
 
     def _drift(self, claimed: float | None, node: int) -> None:
         if claimed is None:
@@ -214,31 +214,31 @@ class Arrival:
         if self.document.system_kind != "clohessy_wiltshire":
             raise Rejected("goal", "a drift per orbit needs Hill's frame")
         both = self._drifting.rows
-        bound = largest(sums((both * self.state(node)).entries(), self.at(self._drifting, node)))
-        self.no_less("drift per orbit", claimed, 6 * arb.pi() * bound)
+        bound = largest(sums((both * self.state(node)).entries(), self.error_bounds(self._drifting, node)))
+        self.require_bound("drift per orbit", claimed, 6 * arb.pi() * bound)
 
     @cached_property
-    def _drifting(self) -> Needs:
+    def _drifting(self) -> Tightening:
         row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
         tracker = self.flight.tracker
-        return Needs(tracker.craft, tracker.memory, above(matrix([row]), -matrix([row])))
+        return Tightening(tracker.craft, tracker.memory, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T, each for itself [m/s]."""
         for node in range(len(self._summed) - 1, nodes):
             more = self.flight.spent(self._commands, self.held, self._first + node)
             self._summed.append(self._summed[-1] + more)
-        flown = self.after(nodes)
+        flown = self.fly_tail(nodes)
         for node in range(len(self._apart) - 1, nodes):
             step, place = divmod(node, self.document.q)
             self._apart.append(self._apart[-1] + flown[step].spells[place].spent)
         return smallest([self._summed[nodes], self._apart[nodes]]) / self.document.mass
 
-    def until(self, node: int) -> arb:
+    def delta_v_until(self, node: int) -> arb:
         """Bound on the velocity change until a node after T [m/s]."""
         if node not in self._until:
             flown, jump = (
-                [*self.before, *self.after(node)],
+                [*self.before, *self.fly_tail(node)],
                 self.flight.tracker.craft.lifted(self.flight.jump),
             )
             given = self._first + node, self.document.weights, (self.document.steps, jump)
@@ -247,7 +247,7 @@ class Arrival:
             self._until[node] = smallest([apart, whole])
         return self._until[node]
 
-    def tops(self, node: int) -> list[arb]:
+    def max_commands(self, node: int) -> list[arb]:
         """Bound S's commands in the period after a node [N]."""
         return self.flight.commanded(self._commands, self.held, self._first + node)
 
@@ -257,10 +257,10 @@ class Arrival:
         if not craft.lag < node:
             return craft.plant.u_max
         last = max(node, self.flight.tracker.memory.periods + 1)
-        tops = maxima(*map(self.tops, range(node - craft.lag - 1, last + 1)))
+        tops = maxima(*map(self.max_commands, range(node - craft.lag - 1, last + 1)))
         return [smallest(pair) for pair in zip(tops, craft.plant.u_max, strict=True)]
 
-    def states(self, needs: Needs, node: int) -> list[arb]:
+    def states(self, needs: Tightening, node: int) -> list[arb]:
         """Bounds along rows of the loop state at a node long after T, from boxes of what S took over."""
         return self.flight.need(needs, self.boxes, self._first + node, around=True)  # not displaced
 
@@ -270,5 +270,5 @@ class Arrival:
         return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
 
     @cached_property
-    def _commands(self) -> Needs:
-        return Needs(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)
+    def _commands(self) -> Tightening:
+        return Tightening(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)

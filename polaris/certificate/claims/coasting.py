@@ -5,12 +5,12 @@ from dataclasses import replace
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import UnsafeSet, Vector
+from ..files.entries import UnsafeSet, Vector
 from ..kernel.arcs import Arc, Path
 from ..kernel.balls import column, largest, magnitude, require
 from ..kernel.motion import Plant
 from ..kernel.verdict import Imprecise, Rejected
-from ..model.craft.memory import Memory
+from ..model.craft.settling import Settling
 
 PATH_SLACK = 1e-9
 """Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
@@ -27,7 +27,7 @@ def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
     return Path.propagate(plant, column(document.center), document.inputs, document.steps, coasts)
 
 
-def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
+def prolonged(document: Document, path: Path, memory: Settling) -> tuple[Path, list[list[int]]]:
     """Return the path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
@@ -36,7 +36,7 @@ def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, lis
     doc, chosen, arcs = document, list(document.facets), list(path.arcs)
     missing = doc.steps * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
     for _ in range(-(-missing // doc.q)):
-        arcs.append(Arc.of(path.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
+        arcs.append(Arc.from_state(path.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
         chosen.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])
     last = arcs[-1].nodes[-1]
     if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
@@ -59,7 +59,7 @@ def check_end(document: Document, path: Path) -> str:
         _closes(doc, path, tail)
     elif doc.horizon == "one_period" and not tail:
         raise Rejected("end", "safety for one more period is claimed, but the reference ends at T")
-    return doc.horizon if doc.until is None else f"{doc.horizon}, until {doc.until:.6g} s"
+    return doc.horizon if doc.claim_end is None else f"{doc.horizon}, until {doc.claim_end:.6g} s"
 
 
 def _closes(doc: Document, path: Path, tail: int) -> None:

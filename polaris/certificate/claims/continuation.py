@@ -12,11 +12,11 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, column, diagonal, largest, magnitude, maxima, smallest, sums
 from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.craft import Craft
-from ..model.craft.memory import Memory
-from ..model.craft.needs import Bows, Differences, Needs
-from ..model.craft.scheduled import Scheduled
+from ..model.craft.feedforward import Feedforward
+from ..model.craft.settling import Settling
+from ..model.craft.tightening import Differences, SetIntersample, Tightening
 from ..model.limits import Limits
-from ..model.transients import lost, upset
+from ..model.transients import outage_differences, transient_need
 from .coasting import prolonged
 from .recovery import Recovery
 
@@ -27,31 +27,31 @@ class Tracker:
 
     document: Document
     craft: Craft
-    memory: Memory
+    memory: Settling
     upsets: Sequence[arb_mat]  # boxes, one of which holds what a fault adds until it is isolated
-    _known: dict[Any, Needs] = field(default_factory=dict, repr=False)
+    _known: dict[Any, Tightening] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(
+    def from_sets(
         cls, document: Document, craft: Craft, upsets: Sequence[arb_mat], sets: Sequence[Zonotope]
     ) -> "Tracker":
         """Build the tracker from errors within any of the sets."""
-        memory = Memory.of(craft, widest([*sets], upsets), document.q, document.profile)
+        memory = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.profile)
         return cls(document, craft, memory, upsets)
 
-    def needs(self, of: Any, rows: arb_mat) -> Needs:
+    def needs(self, of: Any, rows: arb_mat) -> Tightening:
         """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
         if of not in self._known:
-            doc, needs = self.document, Needs(self.craft, self.memory, rows)
+            doc, needs = self.document, Tightening(self.craft, self.memory, rows)
             if doc.transients:
-                needs = replace(needs, upset=upset(needs, [*self.upsets], self.outages))
+                needs = replace(needs, upset=transient_need(needs, [*self.upsets], self.outages))
             self._known[of] = needs
         return self._known[of]
 
     @cached_property
     def outages(self) -> list[Differences]:
         """Differences that losses of navigation make of the loop state."""
-        return lost(self.document, self.craft, self.memory)
+        return outage_differences(self.document, self.craft, self.memory)
 
     @property
     def commands(self) -> arb_mat:
@@ -67,24 +67,24 @@ class HandOver:
     first: int
     last: int
     box: arb_mat | None = None  # its size (N, 1), which alone bounds what bends between nodes
-    _since: dict[tuple[Needs, int, bool], list[arb]] = field(default_factory=dict, repr=False)
-    _bows: dict[Needs, Bows] = field(default_factory=dict, repr=False)
+    _since: dict[tuple[Tightening, int, bool], list[arb]] = field(default_factory=dict, repr=False)
+    _bows: dict[Tightening, SetIntersample] = field(default_factory=dict, repr=False)
 
     @classmethod
     def within(cls, size: arb_mat, first: int, last: int) -> "HandOver":
         """Build the hand-over from any loop state up to a size (N, 1)."""
         return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
 
-    def need(self, needs: Needs, lag: int, around: bool) -> list[arb]:
+    def need(self, needs: Tightening, lag: int, around: bool) -> list[arb]:
         """Bound the errors alone along rows after `lag` periods; if `around`, next to that node, too."""
         key = needs, lag, around
         if key not in self._since:
             if lag > needs.memory.periods:
-                self._since[key] = needs.still(self.errors.size())
+                self._since[key] = needs.need_after_settling(self.errors.size())
             elif around and self.box is not None:
                 self._since[key] = needs.boxed(self.box, lag)
             else:
-                bows = self._bows.setdefault(needs, Bows(needs, self.errors))
+                bows = self._bows.setdefault(needs, SetIntersample(needs, self.errors))
                 more = [bows.next_to(lag)] if around else []
                 self._since[key] = sums(self.errors.support(needs.carried[lag]), *more)
         return self._since[key]
@@ -99,9 +99,11 @@ class Continuation:
     tracker: Tracker
     facets: Sequence[list[int]] = ()  # others of the same tracker, so that rows of limits are the same
     _known: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
-    _caused: dict[tuple[Needs, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
+    _caused: dict[tuple[Tightening, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
 
-    def need(self, needs: Needs, handed: tuple[HandOver, ...], node: int, around: bool = False) -> list[arb]:
+    def need(
+        self, needs: Tightening, handed: tuple[HandOver, ...], node: int, around: bool = False
+    ) -> list[arb]:
         """Bound errors along rows at a node and, if `around`, in the periods on both sides of it.
 
         Each of the sets holds all errors that S may have taken over.
@@ -124,18 +126,18 @@ class Continuation:
             self._known[key] = sums(*parts)
         return self._known[key]
 
-    def from_thrust(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
+    def from_thrust(self, needs: Tightening, node: int, around: bool = False) -> list[arb]:
         """Bound errors by the time of the flight along rows: at a node; in the tail, from it on."""
         if (key := (needs, around)) not in self._caused:
             assert self.scheduled is not None
-            cells, T = self.scheduled.along(needs, around), self.document.steps * self.document.q
+            cells, T = self.scheduled.response(needs, around), self.document.steps * self.document.q
             nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
             for at in range(len(nodes) - 2, T - 1, -1):
                 nodes[at] = maxima(nodes[at], nodes[at + 1])
             self._caused[key] = nodes
         return self._caused[key][min(node, len(self._caused[key]) - 1)]
 
-    def commanded(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> list[arb]:
+    def commanded(self, needs: Tightening, handed: tuple[HandOver, ...], period: int) -> list[arb]:
         """Bound S's commands in a period [N]; `needs` are those of `Tracker.commands`."""
         doc, m = self.document, len(self.document.u_max)
         cell, ends = period // doc.q, [self.need(needs, handed, period + i, around=True) for i in (0, 1)]
@@ -143,7 +145,7 @@ class Continuation:
         tops = [largest([end[i] for end in ends for i in (axis, m + axis)]) for axis in range(m)]
         return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, known, strict=True)]
 
-    def spent(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> arb:
+    def spent(self, needs: Tightening, handed: tuple[HandOver, ...], period: int) -> arb:
         """Bound on what S spends in a period [N s]."""
         plant = self.tracker.craft.plant
         pairs = zip(plant.u_max, self.commanded(needs, handed, period), strict=True)
@@ -160,22 +162,22 @@ class Continuation:
         return prolonged(self.document, self.path, self.tracker.memory)
 
     @cached_property
-    def scheduled(self) -> Scheduled | None:
+    def scheduled(self) -> Feedforward | None:
         """Errors by the time of the flight, if there are any."""
         by_step = self.document.error_by_step and self.tracker.craft.base is not None
         if not (self.document.profile or by_step):
             return None
-        return Scheduled(self.document, self.tracker.craft, self.tracker.memory, self.further[0])
+        return Feedforward(self.document, self.tracker.craft, self.tracker.memory, self.further[0])
 
     @cached_property
     def recovery(self) -> Recovery:
         """Return the limits of the path against what errors need along their rows."""
         path, chosen = self.further
         chosen = [*chosen, *self.facets]
-        limits = Limits.of(self.document, path, self.tracker.craft, chosen)
+        limits = Limits.for_path(self.document, path, self.tracker.craft, chosen)
         asked = frozenset(pair for row in chosen for pair in enumerate(row))
         needs = self.tracker.needs(asked, limits.rows)
-        return Recovery.of(self.document, path, limits, needs, self.scheduled)
+        return Recovery.from_limits(self.document, path, limits, needs, self.scheduled)
 
     def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> float:
         """Check that every limit is kept to the end from sets at nodes, by a share of its room.

@@ -29,11 +29,11 @@ from ..kernel.balls import (
     widths,
 )
 from ..kernel.zonotopes import Zonotope, times
-from ..model.craft.needs import Differences, Needs, difference_along
 from ..model.craft.states import remembers
+from ..model.craft.tightening import Differences, Tightening, difference_along
 from ..model.plants import WHOLE
 from .continuation import Tracker
-from .mean_commands import MeanCommands
+from .mean_spending import MeanCommands
 
 NEAR = 2
 """Part of the settling horizon, one over it, in which generators of a set are followed; then its box is."""
@@ -60,12 +60,14 @@ class Corrections:
         plant, lasting = self.tracker.craft.plant, self._loop.lasting()
         if lasting is None or self._amplified is None:
             return None
-        return lasting.cost + plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(plant.u_max))))
+        return lasting.cost + plant.weighted(
+            list(map(arb, plant.without_delay.bits or [0.0] * len(plant.u_max)))
+        )
 
     @cached_property
-    def _needs(self) -> Needs:
+    def _needs(self) -> Tightening:
         """Needs of commands."""
-        return Needs(self.tracker.craft, self.tracker.memory, self.tracker.craft.commands)
+        return Tightening(self.tracker.craft, self.tracker.memory, self.tracker.craft.commands)
 
     @cached_property
     def _summed(self) -> arb_mat:
@@ -79,7 +81,7 @@ class Corrections:
         craft, needs, columns = self.tracker.craft, self._needs, list[arb_mat]()
         for unit in identity(craft.plant.entering.ncols()).tolist():
             box = craft.thrust_gains(identity(craft.F.nrows())) * column(unit)
-            columns.append(column(sums(needs.thrust.always(unit), needs.late(box))))
+            columns.append(column(sums(needs.thrust.always(unit), needs.tail_bound(box))))
         return beside(*columns)
 
     @cached_property
@@ -99,7 +101,7 @@ class Corrections:
     def _later(self, size: arb_mat, count: int) -> list[arb]:
         """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
         more = max(count - self.tracker.memory.periods, 0)
-        return [x * more for x in self._needs.still(size)]
+        return [x * more for x in self._needs.need_after_settling(size)]
 
     def planned(self, inputs: Sequence[Sequence[float]], q: int) -> arb:
         """Bound the thrust of inputs of a path, and of corrections of their errors [N].
@@ -137,12 +139,12 @@ class Corrections:
             spent.append(self._spent(sums(answered, (far * size).entries(), self._later(size, count))))
         return largest(spent)
 
-    def moved(self, size: arb_mat, count: int) -> arb:
+    def answer_bound(self, size: arb_mat, count: int) -> arb:
         """Bound the thrust that answers to errors up to some size, shape (n, 1) [N]."""
         size = self.tracker.craft.lifted(size)
         return self._spent(sums((self._summed * size).entries(), self._later(size, count)))
 
-    def late(self, count: int) -> arb:
+    def late_fault_thrust(self, count: int) -> arb:
         """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
 
         Until then every command answers to no more than what it has moved by then. What an observer that
@@ -175,5 +177,5 @@ class Corrections:
                 yield fault, next(lost), arb(0)
             for push in fault.get("pushes") or []:
                 box, size = tracker.craft.lifted(next(boxes)), list(map(arb, push))
-                wrong = sum(sums(size, plant.prompt.thruster_part(size)), arb(0))
+                wrong = sum(sums(size, plant.without_delay.thruster_part(size)), arb(0))
                 yield fault, [(diagonal(box.entries()), arb_mat(box.nrows(), 0))], wrong

@@ -13,7 +13,7 @@ from itertools import accumulate
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import Abort, Departure
+from ..files.entries import Departure, DriftClaim
 from ..kernel.arcs import Arc
 from ..kernel.balls import (
     beside,
@@ -80,9 +80,9 @@ class Departures:
         A, h, first, last = self.plant.A, self.plant.h, base.nodes[i], base.nodes[i + 1]
         group = self.groups[self._group[i]]
         inverse, centre = self._inverses[self._group[i]], column(group.center)
-        ends = d.moved(first), end.moved(last)
+        ends = d.translate(first), end.translate(last)
         size = column(maxima(*(z.size().entries() for z in ends)))
-        apart = moved.moved(last - first).size()
+        apart = moved.translate(last - first).size()
         bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
         beyond = (
             magnitude(inverse * self._back[i]) * (self._over * (column(bow) + column(self.displaced) + bent))
@@ -106,7 +106,7 @@ class Drifts:
     )
 
     @cached_property
-    def _claim(self) -> Abort:
+    def _claim(self) -> DriftClaim:
         drift = self.document.drift
         assert drift is not None
         return drift

@@ -11,7 +11,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import Law
+from ..files.entries import Law
 from ..kernel.arcs import Arc, Path
 from ..kernel.balls import (
     beside,
@@ -28,42 +28,42 @@ from ..kernel.balls import (
     smallest,
     sums,
 )
-from ..kernel.motion import Plant, Push
+from ..kernel.motion import InputSet, Plant
 from ..kernel.periods import Period, Spell, around, clip, command_ranges, secant
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Directions, Merging, Zonotope
-from ..model.bodies import Whereabouts
 from ..model.craft.craft import Craft
 from ..model.limits import Barrier
 from ..model.networks import Policy
+from ..model.obstacle_boxes import ObstacleBoxes
 from .drift import Departures
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class PeriodCommand:
     """Command of a law in a period: the input of a base arc, and ``c + K z + v`` with v held."""
 
     K: arb_mat
     c: arb_mat
-    v: list[Push]  # of the inputs
+    v: list[InputSet]  # of the inputs
     bounds: list[arb]  # on |u|, at most the thrust limits
 
 
 @dataclass(frozen=True, eq=False)
-class Pilot:
+class ControllerModel:
     """A controller as reachability sees it."""
 
     law: Law
     craft: Craft  # the loop under its gain; unused of laws without one
     document: Document
-    told: Whereabouts | None = None
+    told: ObstacleBoxes | None = None
     """Of the bodies that a network reads."""
 
     @classmethod
-    def of(cls, law: Law, craft: Craft, document: Document) -> "Pilot":
+    def for_law(cls, law: Law, craft: Craft, document: Document) -> "ControllerModel":
         """Build the model of a controller from the loop under any law."""
-        loop = craft if law.gain is None else craft.under(matrix(law.gain))
-        return cls(law, loop, document, Whereabouts.of(document, law, craft.plant))
+        loop = craft if law.gain is None else craft.with_gain(matrix(law.gain))
+        return cls(law, loop, document, ObstacleBoxes.from_document(document, law, craft.plant))
 
     @property
     def plant(self) -> Plant:
@@ -77,19 +77,19 @@ class Pilot:
         return Policy(self.law, self.plant, self.told)
 
     @cached_property
-    def fed(self) -> Directions:
+    def feedback_rows(self) -> Directions:
         """Rows of what it feeds back."""
         return Directions(self.craft.commands)
 
     def base(self, k: int, path: Path) -> Arc:
         """Return the arc of a step about which its motion is described."""
         if self.law.kind == "any_thrust":  # free motion, and every thrust is an uncertain input about zero
-            return Arc.of(self.plant, path.arcs[k].nodes[0], arb_mat(self.plant.B.ncols(), 1))
+            return Arc.from_state(self.plant, path.arcs[k].nodes[0], arb_mat(self.plant.B.ncols(), 1))
         if self.law.states is None or self.law.inputs is None:
             return path.arcs[k]
-        return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
+        return Arc.from_state(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
-    def unseen(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
+    def estimate_bounds(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
         """Bounds on errors of estimates in step k beyond those of the loop, from commands earlier in it."""
 
         def most(periods: int) -> Sequence[arb]:
@@ -105,14 +105,14 @@ class Pilot:
         `before` bounds the commands of the periods of this step before it. Errors that grow with commands are
         those of the commands of the period itself, which were made at its start.
         """
-        craft, plant, more = self.craft, self.plant, self.unseen(k, before)
+        craft, plant, more = self.craft, self.plant, self.estimate_bounds(k, before)
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
         v, error = answer.v, plant.thruster_error(answer.bounds)
         held = [] if self.law.kind == "any_thrust" else v  # that need not be held
         free = [] if held else v
         period = Period(
-            craft.free + craft.held * answer.K,
+            craft.free + craft.held_map * answer.K,
             craft.lifted(craft.motion.gamma * g),
             Directions(craft.drifts + plant.B * answer.K),
             g,
@@ -127,28 +127,28 @@ class Pilot:
             bands = sums(bands, push.along(identity(len(bands))))
         return period, Spell(plant.spent(answer.bounds), middle, answer.bounds, answer.K, bands)
 
-    def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
+    def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> PeriodCommand:
         """Enclose the command from a set; errors of estimates exceed those of the loop by `more` (n)."""
         craft, plant, u, kind = self.craft, self.plant, base.u, self.law.kind
         n, states, tops = plant.A.nrows(), craft.free.nrows(), plant.u_max
         if kind == "any_thrust":
-            return Answer(arb_mat(len(tops), states), 0 * u, [Push.in_box(plant.B, tops)], tops)
+            return PeriodCommand(arb_mat(len(tops), states), 0 * u, [InputSet.in_box(plant.B, tops)], tops)
         missed = craft.missed(more)
         spread = craft.carry * diagonal(missed) if any(x > 0 for x in missed) else arb_mat(n, 0)
         if kind == "neural":
-            read, rest = self.policy.known(base, k, i)
+            read, rest = self.policy.reference_input(base, k, i)
             command = self.policy.command(z.image(craft.sees), read, beside(rest, self.policy.reads * spread))
             bounds = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
-            held = [Push.in_zonotope(plant.B, command.V)]
-            return Answer(command.K * craft.sees, command.c - u, held, bounds)
+            held = [InputSet.in_zonotope(plant.B, command.V)]
+            return PeriodCommand(command.K * craft.sees, command.c - u, held, bounds)
         fit = self.document.fits[k] if kind == "black_box" else None
         if fit is not None:
             K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
             bands = [arb(row[n + 1]) for row in fit[i]]
             met = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
             bounds = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
-            return Answer(K, c - u, [Push.in_box(plant.B, bands)], bounds)
-        ranges, noise = command_ranges(u, self.fed, z), craft.noise(more)
+            return PeriodCommand(K, c - u, [InputSet.in_box(plant.B, bands)], bounds)
+        ranges, noise = command_ranges(u, self.feedback_rows, z), craft.noise(more)
         sizes = list(zip(ranges, tops, noise, strict=True))
         bounds = [smallest((top, (largest((-lo, hi)) + off).upper())) for (lo, hi), top, off in sizes]
         inside = kind == "safety" or all(max(-lo, hi) <= top - off for (lo, hi), top, off in sizes)
@@ -156,30 +156,30 @@ class Pilot:
         # safety controller keeps to the limits, as is shown of it elsewhere.
         if inside or (kind != "affine" and all(max(-lo, hi) <= top for (lo, hi), top, _ in sizes)):
             seen = -(craft.gain * spread)
-            v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
-            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], bounds)
+            v = [InputSet.in_zonotope(plant.B, seen) if inside else InputSet.in_box(plant.B, noise)]
+            return PeriodCommand(-craft.commands, 0 * u, v if spread.ncols() else [], bounds)
         if kind == "affine":
             text = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             raise Rejected("controllers", text)
         step = self.document.slopes[k]
         slopes, known, bands = _clipped(ranges, tops, u, None if step is None else step[i])
-        v = [Push.in_box(plant.B, sums(bands, noise))]
-        return Answer(-scaled(slopes, craft.commands), known, v, bounds)
+        v = [InputSet.in_box(plant.B, sums(bands, noise))]
+        return PeriodCommand(-scaled(slopes, craft.commands), known, v, bounds)
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class FlownStep:
     """One step flown."""
 
-    pilot: Pilot
+    pilot: ControllerModel
     start: Zonotope  # loop states at its start
     end: Zonotope  # loop states at its end
     spells: list[Spell]
     nodes: list[Zonotope]  # loop states at the nodes within it
 
 
-def fly(
-    pilot: Pilot,
+def enclose_step(
+    pilot: ControllerModel,
     start: Zonotope,
     k: int,
     path: Path,
@@ -187,7 +187,7 @@ def fly(
     merging: Merging,
     departures: Departures | None = None,
     upsets: Sequence[arb_mat] = (),
-) -> Flown:
+) -> FlownStep:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
     `start` are loop states about the safe reference at its start. There is no barrier of separating facets
@@ -195,14 +195,14 @@ def fly(
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
     base, craft = pilot.base(k, path), pilot.craft
-    room, (unit, whole) = list[list[arb]](), craft.along(craft.unit)
+    room, (unit, whole) = list[list[arb]](), craft.intersample(craft.unit)
     bows = base.bows(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
         weights = magnitude(craft.whole(rows))
         needs = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
         room = [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
-    z = start.moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
+    z = start.translate(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
         z = merging.at_start(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
@@ -212,20 +212,20 @@ def fly(
         spells.append(spell)
         end = period.ends(z)
         if departures is not None:
-            moved = z.image(whole.M * period.F - whole.M).moved(whole.M * period.moved)
+            moved = z.image(whole.M * period.F - whole.M).translate(whole.M * period.moved)
             extra = zip(*period.extra(unit, z, held=False), bows, strict=True)
             held = [whole.M * each for each in period.held]
-            ends = z.through(whole), moved.grown(*held), end.through(whole).grown(*held)
+            ends = z.through(whole), moved.plus(*held), end.through(whole).plus(*held)
             departures.check(i, base, *ends, [largest((a, b)) + bow[i] for a, b, bow in extra])
         if barrier is not None:
             where = f"step {k}, part {i}, under {pilot.law.name}"
-            along, rows_of = craft.along(barrier.rows)
+            along, rows_of = craft.intersample(barrier.rows)
             for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
                 _separate(barrier, rows_of, x, more, room[place], where)
-        z = merging.within(period.after(end))
-        nodes.append(z.moved(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
-    leave = z.moved(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
-    return Flown(pilot, start, leave, spells, nodes[:-1])
+        z = merging.within(period.next_set(end))
+        nodes.append(z.translate(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
+    leave = z.translate(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
+    return FlownStep(pilot, start, leave, spells, nodes[:-1])
 
 
 def _separate(

@@ -22,7 +22,7 @@ Row = tuple[list[arb], arb]  # coefficients of the states, and what they may com
 
 
 @dataclass(frozen=True)
-class Goal:
+class GoalRows:
     """``row x <= side`` for all rows, and for one of each group."""
 
     rows: list[Row]
@@ -56,7 +56,7 @@ def _within(n: int, entries: dict[int, Any], middle: Any, half: Any = 0) -> list
     return [_row(n, entries, arb(middle) + half), _row(n, opposite, arb(half) - middle)]
 
 
-def _state_rows(document: Document, spec: dict[str, Any]) -> Goal:
+def _state_rows(document: Document, spec: dict[str, Any]) -> GoalRows:
     middle, half = spec.get("center") or spec["state"], spec.get("half_widths")
     n, rate = len(middle), arb(document.mean_motion or USUAL_RATE)
     weights = [s / rate if s > 0 else arb(1) for s in speeds(document)]
@@ -65,7 +65,7 @@ def _state_rows(document: Document, spec: dict[str, Any]) -> Goal:
     for i, (weight, c, h) in enumerate(zip(weights, middle, half, strict=True)):
         if not math.isinf(h):
             rows += _within(n, {i: weight}, weight * c, weight * h)
-    return Goal(rows, [], max(1.0, *(abs(c) for c in middle)))
+    return GoalRows(rows, [], max(1.0, *(abs(c) for c in middle)))
 
 
 def _angles(sides: int) -> list[tuple[arb, arb]]:
@@ -73,17 +73,17 @@ def _angles(sides: int) -> list[tuple[arb, arb]]:
     return [(angle.cos(), angle.sin()) for angle in turns]
 
 
-def _linear_rows(document: Document, spec: dict[str, Any]) -> Goal:
+def _linear_rows(document: Document, spec: dict[str, Any]) -> GoalRows:
     per, sides = 1 / arb(document.mean_motion or 0), 16
     amplitude, along = spec["amplitude_max_m"], spec.get("along_track_m", 0.0)
     rows = [*_within(6, {0: 1}, 0), *_within(6, {1: 1}, along)]
     rows += [*_within(6, {3: per}, 0), *_within(6, {4: per}, 0)]
     room = arb(amplitude) * (arb.pi() / sides).cos()
     rows += [_row(6, {2: c, 5: s * per}, room) for c, s in _angles(sides)]
-    return Goal(rows, [], max(amplitude, abs(along), 1.0))
+    return GoalRows(rows, [], max(amplitude, abs(along), 1.0))
 
 
-def _elliptical_rows(document: Document, spec: dict[str, Any]) -> Goal:
+def _elliptical_rows(document: Document, spec: dict[str, Any]) -> GoalRows:
     per, sides = 1 / arb(document.mean_motion or 0), spec.get("sides", 16)
     rows = [*_within(6, {4: per, 0: 2}, 0), *_within(6, {3: per, 1: arb(-1) / 2}, 0)]
     across = spec.get("cross_track_max_m", 0.0)
@@ -94,7 +94,7 @@ def _elliptical_rows(document: Document, spec: dict[str, Any]) -> Goal:
         length = (c**2 + s**2 / 4).sqrt()
         rows.append(_row(6, {0: c / length, 1: s / 2 / length}, outer / length))
         group.append(_row(6, {0: -c / length, 1: -s / 2 / length}, -arb(inner) / length))
-    return Goal(rows, [group] if inner > 0 else [], spec["outer_semi_minor_m"], 4)
+    return GoalRows(rows, [group] if inner > 0 else [], spec["outer_semi_minor_m"], 4)
 
 
 GOALS = {
@@ -107,7 +107,7 @@ GOALS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Weighted:
+class WeightedRows:
     """A goal's rows one below the other, groups last; those of velocities alone weighed less.
 
     Such a row counts for no more than the length that the velocity makes in some time [s], or, where
@@ -122,7 +122,7 @@ class Weighted:
     seconds: arb | None = None  # time in which velocities make the length that they count for [s]
 
     @classmethod
-    def of(cls, spec: dict[str, Any], soon: arb, document: Document) -> "Weighted":
+    def from_goal(cls, spec: dict[str, Any], soon: arb, document: Document) -> "WeightedRows":
         """Weigh the rows of the scenario's goal."""
         goal, own = GOALS[spec["kind"]](document, spec), spec.get("velocity_tolerance_m_s")
         if own is not None and "tolerance_m" not in spec:

@@ -7,7 +7,7 @@ from flint import arb, arb_mat
 
 from ..kernel.balls import above, absolute, column, exponential, identity, largest, magnitude, require, sums
 from ..kernel.verdict import Rejected
-from ..model.craft.needs import Needs
+from ..model.craft.tightening import Tightening
 from .arrival import Arrival
 
 Windows = list[list[int]]
@@ -37,9 +37,9 @@ class _Check:
         return (doc.cells - doc.steps) * doc.q
 
     @cached_property
-    def needs(self) -> Needs:
+    def needs(self) -> Tightening:
         one, tracker = identity(len(self.joint.center)), self.arrival.flight.tracker
-        return Needs(tracker.craft, tracker.memory, above(one, -one))
+        return Tightening(tracker.craft, tracker.memory, above(one, -one))
 
     @cached_property
     def off(self) -> list[arb]:
@@ -75,7 +75,7 @@ class _Check:
                 raise Rejected("joint", f"nodes {first} to {final} are not in the tail")
         for first, final in spec.first:
             for node in range(first, final + 1):
-                self.inside(node, self.arrival.at(self.needs, node), f"{node} periods after T")
+                self.inside(node, self.arrival.error_bounds(self.needs, node), f"{node} periods after T")
         if spec.later:
             if doc.horizon != "infinite":
                 raise Rejected("joint", "GO in later revolutions needs safety for all time")

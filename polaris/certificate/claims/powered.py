@@ -11,27 +11,27 @@ from typing import Any
 
 from flint import arb
 
-from ..files.artefacts import Stated
+from ..files.artefacts import FileClaims
 from ..files.document import Document
-from ..files.parts import Branch, Way
+from ..files.entries import AbortBranch, AbortStep
 from ..kernel.balls import largest, magnitude, plain, require, smallest
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope, widest
-from ..model.craft.needs import Needs
+from ..model.craft.tightening import Tightening
 from ..model.plants import within_limits
-from ..model.timing import owed
+from ..model.timing import carried_impulse
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, check_end, flown_path
 from .continuation import Continuation, HandOver, Tracker
 from .corrections import Corrections
-from .flights import Flown
-from .goal_rows import Weighted
+from .flights import FlownStep
+from .goal_rows import WeightedRows
 from .recovery import TOLD_SLACK
 
 CLAIM = "powered_abort"
 
 
-def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], stated: Stated) -> str:
+def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[FlownStep], stated: FileClaims) -> str:
     """Check that S keeps all limits in every claimed abort, and reaches the orbit, if known, as is claimed.
 
     It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
@@ -53,7 +53,7 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
     for place, branch in enumerate(powered.branches):
         served = [taken for taken in takeovers if taken.way.branch == place]
         if served:
-            along = Along.of(branched(document, branch), branch, corrections, facets, stated)
+            along = BranchMotion.for_branch(branched(document, branch), branch, corrections, facets, stated)
             along.flight.keeps(
                 {taken.handed.first + i: z for taken in served for i, z in enumerate(taken.sets)}
             )
@@ -67,7 +67,7 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
 class Takeover:
     """Nodes, one after another, and sets from which S may take over if step k is aborted."""
 
-    way: Way
+    way: AbortStep
     k: int
     sets: list[Zonotope]
     handed: HandOver  # a box of all errors there
@@ -75,18 +75,23 @@ class Takeover:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class BranchMotion:
     """S along one branch, which the document of its flight has in the place of the reference."""
 
     flight: Continuation
-    branch: Branch
+    branch: AbortBranch
     corrections: Corrections
     orbit: dict[str, Any] | None
 
     @classmethod
-    def of(
-        cls, doc: Document, branch: Branch, corrections: Corrections, facets: list[list[int]], stated: Stated
-    ) -> "Along":
+    def for_branch(
+        cls,
+        doc: Document,
+        branch: AbortBranch,
+        corrections: Corrections,
+        facets: list[list[int]],
+        stated: FileClaims,
+    ) -> "BranchMotion":
         """Build the exact motion under the inputs; check that these are within limits, and it may coast."""
         tracker = corrections.tracker
         path = flown_path(doc, tracker.craft.plant, branch.tail)
@@ -98,12 +103,12 @@ class Along:
         return cls(Continuation(doc, path, tracker, facets), branch, corrections, stated.orbit)
 
     @cached_property
-    def _orbit(self) -> tuple[Weighted, Needs]:
+    def _orbit(self) -> tuple[WeightedRows, Tightening]:
         """Rows of the orbit, and what errors need along them."""
         doc, spec = self.flight.document, self.orbit
         assert spec is not None
         arrival = Arrival(self.flight, (), arb(0))
-        rows = Weighted.of(spec, arrival.soon, doc)
+        rows = WeightedRows.from_goal(spec, arrival.velocity_time, doc)
         needs = self.flight.tracker.needs(("orbit", doc.steps), rows.rows)
         arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(needs))
         return rows, needs
@@ -114,7 +119,7 @@ class Along:
             off, where = self.distance(taken, taken.way.cell), f"abort in step {taken.k}"
             require(CLAIM, self.branch.tolerance - off, f"{where}: {plain(off)} m off the orbit")
 
-    def affords(self, taken: Takeover, budget: float | None, stated: Stated) -> None:
+    def affords(self, taken: Takeover, budget: float | None, stated: FileClaims) -> None:
         """Check what S spends against the budget, the tank, and the figure that is told."""
         spent, claimed = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
         limits = {"claimed": claimed, "the budget of": budget, "the tank of": stated.tank}
@@ -146,11 +151,13 @@ class Along:
         total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
-            wrong = [sum(push, arb(0)) + sum(plant.prompt.thruster_part(push), arb(0)) for push in pushes]
+            wrong = [
+                sum(push, arb(0)) + sum(plant.without_delay.thruster_part(push), arb(0)) for push in pushes
+            ]
             unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
         total += largest(unasked)
         total = total if together is None else smallest([total, together])
-        return (total + owed(plant)) / doc.mass
+        return (total + carried_impulse(plant)) / doc.mass
 
     def _together(self, taken: Takeover, cell: int) -> arb | None:
         """Bound the same by all periods at once since S may have taken over, what is owed apart [N s]."""
@@ -163,14 +170,14 @@ class Along:
             count * corrections.mean,
             corrections.once(taken.sets, count),
             corrections.planned(inputs, doc.q),
-            corrections.moved(self.flight.jump, count),
-            corrections.late(count),
+            corrections.answer_bound(self.flight.jump, count),
+            corrections.late_fault_thrust(count),
         )
         longest = 1 + 2 * arb(plant.jitter) / plant.h
         return longest * sum(parts, arb(0)) * plant.h
 
 
-def branched(document: Document, branch: Branch) -> Document:
+def branched(document: Document, branch: AbortBranch) -> Document:
     """Return the certificate with a branch in the place of the reference from its first step on."""
     least, doc = document.calmest, copy.copy(document)
     doc.steps, doc.cells = branch.step + len(branch.inputs), len(branch.facets)

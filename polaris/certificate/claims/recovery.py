@@ -13,9 +13,9 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, beside, plain, require, rows_of, spans, sums
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope
-from ..model.craft.needs import Bows, Needs
-from ..model.craft.scheduled import Scheduled
-from ..model.limits import Limits, Target, levels_of
+from ..model.craft.feedforward import Feedforward
+from ..model.craft.tightening import SetIntersample, Tightening
+from ..model.limits import Limits, NodeLimit, levels_of
 
 TOLD_SLACK = 1e-2
 """Exactness of told figures, as a share of the room or of themselves; demands have no such slack."""
@@ -27,18 +27,18 @@ class Recovery:
 
     document: Document
     limits: Limits
-    needs: Needs
-    levels: list[list[Target]] = field(default_factory=list)
+    needs: Tightening
+    levels: list[list[NodeLimit]] = field(default_factory=list)
     """What feedback may command l periods after a hand-over; the last ones hold from then on."""
 
     @classmethod
-    def of(
-        cls, document: Document, path: Path, limits: Limits, needs: Needs, scheduled: Scheduled | None
+    def from_limits(
+        cls, document: Document, path: Path, limits: Limits, needs: Tightening, scheduled: Feedforward | None
     ) -> "Recovery":
         """Build it of limits around a path, less the jump and the errors by the time of the flight."""
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
-            limits = limits.less(scheduled.along(needs))
+            limits = limits.less(scheduled.response(needs))
         return cls(document, limits, needs, levels_of(document, needs, path))
 
     @property
@@ -55,9 +55,9 @@ class Recovery:
         return min(self.needs.memory.periods, self.nodes - node)
 
     @cached_property
-    def _least(self) -> list[dict[int, Target]]:
+    def _least(self) -> list[dict[int, NodeLimit]]:
         """Return for each cell the limits of least room, by row, of those of that cell and all later ones."""
-        by_cell: list[dict[int, Target]] = [{}]
+        by_cell: list[dict[int, NodeLimit]] = [{}]
         for nodes in reversed(self.limits.targets[: self.document.cells]):
             least = dict(by_cell[-1])
             for target in (target for met in nodes for target in met):
@@ -87,7 +87,7 @@ class Recovery:
         coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in each]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
-            close: dict[tuple[int, int], list[Target]] = {}
+            close: dict[tuple[int, int], list[NodeLimit]] = {}
             for lag in range(self.lags(k) + 1):
                 of, needed, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
@@ -104,10 +104,10 @@ class Recovery:
     def _disturbed(self) -> list[list[float]]:
         return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
 
-    def _all(self, node: int, lag: int) -> list[Target]:
+    def _all(self, node: int, lag: int) -> list[NodeLimit]:
         """Limits that a set at a node must keep to some periods later."""
         booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
-        return self.limits.at(node + lag, first=lag == 0) + booked
+        return self.limits.at_node(node + lag, first=lag == 0) + booked
 
     def _of(self, share: float, node: int, lag: int) -> float:
         """Return the share claimed of limits some periods after a node: none of those flown on to."""
@@ -115,13 +115,13 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """Check that the share claimed at a set is left of all limits beyond the memory, too."""
-        late = self.needs.still(z.size())
+        late = self.needs.need_after_settling(z.size())
         for row, target in self._least[self._far_cell(k)].items():
             need = late[row] + self.needs.disturbed[-1][row]
             where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
-    def _leaves(self, share: float, target: Target, need: arb, where: str) -> None:
+    def _leaves(self, share: float, target: NodeLimit, need: arb, where: str) -> None:
         """Check that a need, that of a jump included, leaves a share of the room as it is told."""
         room, whole = target.room, target.whole
         if not room - need >= (share - TOLD_SLACK) * whole:
@@ -130,9 +130,9 @@ class Recovery:
             raise Rejected("margins", f"{text}: needs {plain(need)}, available {plain(room)}", share - left)
 
     def _check_close(
-        self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
+        self, k: int, z: Zonotope, close: dict[tuple[int, int], list[NodeLimit]], share: float
     ) -> float:
-        needs, worst, bows = self.needs, 1.0, Bows(self.needs, z)
+        needs, worst, bows = self.needs, 1.0, SetIntersample(self.needs, z)
         support = z.support(above(*(rows_of(needs.carried[lag], row) for lag, row in close)))
         booked = above(*(rows_of(needs.bend[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):

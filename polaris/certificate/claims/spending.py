@@ -7,14 +7,14 @@ from itertools import groupby
 
 from flint import arb, arb_mat
 
-from ..files.parts import Vector
+from ..files.entries import Vector
 from ..kernel.balls import smallest
-from .flights import Flown
+from .flights import FlownStep
 from .storage import together
 
 
 def spent(
-    flights: Sequence[Flown],
+    flights: Sequence[FlownStep],
     periods: int,
     weights: Sequence[Vector | None] = (),
     jump: tuple[int, arb_mat] | None = None,

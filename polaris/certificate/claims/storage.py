@@ -10,12 +10,12 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from ..files.parts import Vector
+from ..files.entries import Vector
 from ..kernel.balls import above, beside, diagonal, magnitude, maxima, rows_of, scaled, smallest
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Zonotope
-from .flights import Flown
-from .mean_commands import MeanCommands, Period, TurnedCommands, carried_across, pivots
+from .flights import FlownStep
+from .mean_spending import MeanCommands, TurnedCommands, WeightedPeriod, carried_across, pivots
 
 GROWN, APART = 1e-7, 1e-4
 """Share by which a storage grows in every period, to hold what its numbers are rounded by; and at a jump of
@@ -46,7 +46,7 @@ class Storage:
                 bounds.append((sum(map(arb, sizes), arb(0)) * arb(LOOSER) ** i + paid) / 2)
         return self.cost + smallest(bounds)
 
-    def before(self, period: Period, middle: arb_mat) -> Storage:
+    def before(self, period: WeightedPeriod, middle: arb_mat) -> Storage:
         """Return the storage before a period, in whose middle a command is given (m, 1)."""
         spare, N = period.spare(self.P), self.P.nrows()
         if pivots(spare) is None:
@@ -101,13 +101,13 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in off), arb(0)))
 
 
-def _periods(step: Flown, weights: Vector, count: int) -> list[tuple[Period, arb_mat]]:
+def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[WeightedPeriod, arb_mat]]:
     """Return the first periods of a step as those of its loop about the middle, with middles of commands."""
     if step.pilot.law.kind not in ("safety", "affine", "saturated_affine"):
         raise Rejected("goal", "weights must be left out in steps without an affine law")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    periods, known = list[tuple[Period, arb_mat]](), dict[Any, MeanCommands]()
+    periods, known = list[tuple[WeightedPeriod, arb_mat]](), dict[Any, MeanCommands]()
     for spell in step.spells[:count]:
         key = tuple(part.man_exp() for x in (*spell.bands, *spell.K.entries()) for part in (x.mid(), x.rad()))
         if key not in known:
@@ -117,7 +117,7 @@ def _periods(step: Flown, weights: Vector, count: int) -> list[tuple[Period, arb
             loop, middle = TurnedCommands(craft, loop, middle), above(middle, arb_mat(m, 1))
         sizes = list(map(float, map(abs, middle.mid().entries())))
         r = [x + y for x, y in zip(weights[: len(sizes)], sizes, strict=True)]
-        periods.append((Period(loop, r, _columns(loop, weights[len(sizes) :])), middle))
+        periods.append((WeightedPeriod(loop, r, _columns(loop, weights[len(sizes) :])), middle))
     return periods
 
 
@@ -133,7 +133,10 @@ def _columns(loop: MeanCommands, weights: Vector) -> list[float]:
 
 
 def together(
-    flights: Sequence[Flown], weights: Sequence[Vector], count: int, jump: tuple[int, arb_mat] | None = None
+    flights: Sequence[FlownStep],
+    weights: Sequence[Vector],
+    count: int,
+    jump: tuple[int, arb_mat] | None = None,
 ) -> arb:
     """Bound the integral of the thrust in the first periods of linear steps on end.
 
@@ -156,5 +159,5 @@ def together(
             after = after.before(*periods[j])
         if jump is not None and jump[0] == i > 0:
             after = after.jumped(jump[1])
-    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(plant.u_max))))
+    bits = plant.weighted(list(map(arb, plant.without_delay.bits or [0.0] * len(plant.u_max))))
     return (after.largest(start) + count * bits) * (plant.h + 2 * arb(plant.jitter))

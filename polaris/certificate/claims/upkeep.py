@@ -6,7 +6,7 @@ from typing import Any
 
 from flint import arb
 
-from ..files.artefacts import Stated
+from ..files.artefacts import FileClaims
 from ..kernel.balls import (
     above,
     absolute,
@@ -20,11 +20,11 @@ from ..kernel.balls import (
     sums,
 )
 from ..kernel.verdict import Rejected, Undecided
-from ..model.craft.needs import Needs
-from ..model.timing import owed
+from ..model.craft.tightening import Tightening
+from ..model.timing import carried_impulse
 from .arrival import Arrival
-from .flights import Flown
-from .mean_commands import MeanCommands
+from .flights import FlownStep
+from .mean_spending import MeanCommands
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
@@ -37,7 +37,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     if any(any(u) for u in doc.inputs[doc.steps :]):
         raise Rejected("upkeep", "the tail must coast, but has thrust")
     later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
-    tops = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
+    tops = list(map(largest, zip(*map(arrival.max_commands, later), strict=True)))
     for top, x in zip(plant.u_max, tops, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
     thrust = plant.spent(tops) / plant.h, arb(0)
@@ -48,7 +48,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
-def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> str:
+def check_estimate(arrival: Arrival, stated: FileClaims, flown: Sequence[FlownStep]) -> str:
     """Check bounds on the errors of an observer's estimates, by state: while others than S fly, and later."""
     craft, memory, doc = arrival.flight.tracker.craft, arrival.flight.tracker.memory, arrival.document
     n, claim, checked = len(doc.A), stated.estimate or {}, []
@@ -63,7 +63,7 @@ def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> 
         if stated.upkeep is None:
             raise Rejected("goal", "settled estimate errors must be given exactly with an upkeep")
         first, T = arrival.node_at(stated.upkeep["settled_s"]), doc.steps * doc.q
-        along, later = Needs(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
+        along, later = Tightening(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
         needs = [arrival.flight.need(along, arrival.boxes, T + node) for node in later]
         checked.append(("once S has settled", claimed, maxima(*needs), arrival.tops_before(first)))
     for when, bounds, need, most_before in checked:
@@ -71,7 +71,7 @@ def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> 
         error = sums(maxima(need[:n], need[n:]), off.entries())
         errors = sums(map(smallest, zip(error, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
         for i, (bound, x) in enumerate(zip(bounds, errors, strict=True)):
-            arrival.no_less(f"error of the estimate of state {i} {when}", bound, x)
+            arrival.require_bound(f"error of the estimate of state {i} {when}", bound, x)
     return ", ".join(when for when, *_ in checked) or "nothing claimed"
 
 
@@ -87,10 +87,10 @@ def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | 
     lasting = MeanCommands(craft, plant.thruster_error(tops), seen).lasting()
     if lasting is None:
         return None
-    needs = Needs(craft, arrival.flight.tracker.memory, lasting.rows)
+    needs = Tightening(craft, arrival.flight.tracker.memory, lasting.rows)
     sizes = zip(*(arrival.states(needs, node) for node in later), strict=True)
     once = sum((x * x for x in map(largest, sizes)), arb(0)) / 2
-    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(tops))))
+    bits = plant.weighted(list(map(arb, plant.without_delay.bits or [0.0] * len(tops))))
     longest = 1 + 2 * arb(plant.jitter) / plant.h
     return (lasting.cost + bits) * longest, once * longest
 
@@ -101,19 +101,19 @@ def _check(
     """Refuse a claim that does not follow from what commands are at most and what thrust is on average."""
     doc, plant = arrival.document, arrival.flight.tracker.craft.plant
     rate, once = (part / doc.mass for part in thrust)
-    arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
+    arrival.require_bound("velocity change per second", claim["rate_m_s2"], rate)
     ahead = once * plant.h
     if doc.fired:  # a pulse ends before its period does
         ahead += plant.spent(tops) / doc.mass
-    until = arrival.until(arrival.node_at(claim["settled_s"])) + ahead
-    arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
+    until = arrival.delta_v_until(arrival.node_at(claim["settled_s"])) + ahead
+    arrival.require_bound("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
     if orbit is not None:
         if doc.system_kind != "clohessy_wiltshire":
             raise Rejected("upkeep", "per_orbit_m_s needs Hill's frame")
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-        before = owed(plant) / doc.mass  # what an orbit may find left
-        arrival.no_less("velocity change per orbit", orbit, rate * turn + ahead + before)
+        before = carried_impulse(plant) / doc.mass  # what an orbit may find left
+        arrival.require_bound("velocity change per orbit", orbit, rate * turn + ahead + before)
     if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
         raise Rejected("upkeep", "the tank differs from that of the scenario")
     if tank is not None:

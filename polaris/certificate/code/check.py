@@ -15,7 +15,7 @@ from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
 from .answers import calls_of, selftest
 from .observer import OnBoard
-from .rounding import UNIT, command_error, disturbance_taken, tops
+from .rounding import UNIT, command_error, disturbance_taken, row_maxima
 from .text import FARTHEST, PRECISIONS, PREFIX, Table, Tables, parsed, rounded
 
 BESIDE = re.compile(
@@ -172,8 +172,8 @@ def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
     Errors are at most of those sizes (N, 1) where S takes over, at any time.
     """
     needs = flight.tracker.needs("states", identity(len(flight.document.A)))
-    errors = column(sums(needs.ever(tops(sizes)), maxima(*needs.disturbed)))
-    reference = tops([node for arc in flight.path.arcs for node in arc.nodes])
+    errors = column(sums(needs.need_at_any_time(row_maxima(sizes)), maxima(*needs.disturbed)))
+    reference = row_maxima([node for arc in flight.path.arcs for node in arc.nodes])
     states, seen = reference + errors, flight.document.observer or {"measures": [], "noise": []}
     measured = magnitude(matrix(seen["measures"], states.nrows())) * states + column(seen["noise"])
     for i, size in enumerate((*states.entries(), *measured.entries())):

@@ -27,7 +27,7 @@ from ..kernel.balls import (
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected
 from ..model.plants import WHOLE
-from .rounding import UNIT, least, several
+from .rounding import UNIT, least, rounding_factor
 from .text import CENTRE, Table, Tables
 
 FEWEST, LONGEST, LEFT = 8, 4096, 0.01
@@ -168,7 +168,9 @@ def _lost(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat
     """
     rows = ([x for table in tables for x in table[i]] for i in range(len(tables[0])))
     terms = (sum(x != 0 for x in row) + before for row in rows)
-    return column([x * several(count - 1, precision) for x, count in zip(size.entries(), terms, strict=True)])
+    return column(
+        [x * rounding_factor(count - 1, precision) for x, count in zip(size.entries(), terms, strict=True)]
+    )
 
 
 Added = list[tuple[arb_mat, arb_mat]]

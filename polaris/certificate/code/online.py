@@ -30,13 +30,13 @@ from ..kernel.balls import (
     sums,
     widths,
 )
-from ..kernel.motion import Push
+from ..kernel.motion import InputSet
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Directions
-from ..model.craft.needs import part
-from ..model.limits import Target
+from ..model.craft.tightening import part
+from ..model.limits import NodeLimit
 from .check import check_plausible
-from .rounding import UNIT, gap_error, least, several, tops
+from .rounding import UNIT, gap_error, least, rounding_factor, row_maxima
 from .text import Tables
 
 CLAIM = "monitor"
@@ -45,7 +45,7 @@ NEAR = 64  # roundings by which stored rows may be off, relative to the largest 
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
+class DecisionBound:
     """Bounds that a decision for U rests on, along the rows of all limits, node by node."""
 
     flight: Continuation
@@ -53,10 +53,10 @@ class Decision:
     precision: str
 
     @cached_property
-    def fed(self) -> arb_mat:
+    def max_reference_input(self) -> arb_mat:
         """Largest input of the reference up to T (m, 1), with that of the tables."""
         K = self.flight.document.steps
-        return tops([column(u) for u in [*self.flight.document.inputs[:K], *self.tables.feed]])
+        return row_maxima([column(u) for u in [*self.flight.document.inputs[:K], *self.tables.feed]])
 
     @cached_property
     def off(self) -> arb_mat:
@@ -90,10 +90,10 @@ class Decision:
         return column(self.tables.apart) * (1 + 4 * arb(UNIT[self.precision]))
 
     @cached_property
-    def pushes(self) -> list[Push]:
+    def pushes(self) -> list[InputSet]:
         """Return all that thrust may do in a period beside the reference's input."""
         plant = self.flight.tracker.craft.plant
-        return [Push.in_box(plant.B, plant.u_max), *plant.push(plant.thruster_error(plant.u_max))]
+        return [InputSet.in_box(plant.B, plant.u_max), *plant.push(plant.thruster_error(plant.u_max))]
 
     @cached_property
     def added(self) -> arb_mat:
@@ -105,7 +105,9 @@ class Decision:
     def end(self, share: int) -> arb_mat:
         """Size of the loop state at the next node, affine in the share, (N, 1)."""
         craft = self.flight.tracker.craft
-        moved = magnitude(craft.free) * self.start(share) + magnitude(craft.held) * self.fed
+        moved = (
+            magnitude(craft.free) * self.start(share) + magnitude(craft.held_map) * self.max_reference_input
+        )
         return magnitude(moved + column(widths(self.added)))
 
     @cached_property
@@ -119,11 +121,12 @@ class Decision:
         if not count:
             return [([], [])] * 2
         rows = part(rows_of(needs.given, *range(count)), plant.A.nrows())
-        along, whole = craft.along(Directions(rows))
+        along, whole = craft.intersample(Directions(rows))
         bows = []
         for share in (0, 1):
             rates, turned = (
-                magnitude(M * craft.drifts) * self.start(share) + magnitude(M * plant.B) * self.fed
+                magnitude(M * craft.drifts) * self.start(share)
+                + magnitude(M * plant.B) * self.max_reference_input
                 for M in (identity(plant.A.nrows()), plant.A)
             )
             bows.append(((along.bends[0] * rates).entries(), (along.bends[1] * turned).entries()))
@@ -168,26 +171,28 @@ class Decision:
         return nearest
 
     @cached_property
-    def lost(self) -> list[list[arb]]:
+    def rounding_loss(self) -> list[list[arb]]:
         """Bound on what rounding changes of the value along every row, node by node."""
         craft, needs, tables = self.flight.tracker.craft, self.flight.recovery.needs, self.tables
         n, m, precision = len(tables.apart), len(tables.limit), self.precision
         held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
-        free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held, craft.F))
+        free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held_map, craft.F))
         free, F = part(free, n), part(F, n)
-        apart, fed = self.apart, tops([column(u) for u in tables.feed])
+        apart, fed = self.apart, row_maxima([column(u) for u in tables.feed])
         inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
-        wrong = tops([column(u) - column(v) for u, v in inputs])
+        wrong = row_maxima([column(u) - column(v) for u, v in inputs])
         first = magnitude(held) * apart + magnitude(force) * fed
-        rounded = first * several(n + m, precision) + least(n, n + m, precision)
+        rounded = first * rounding_factor(n + m, precision) + least(n, n + m, precision)
         off = magnitude(free) * self.off + magnitude(held - free) * apart
         off += magnitude(force - push) * fed + magnitude(push) * wrong + rounded
         known = needs.memory.powers[: len(tables.booked)]
         powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in known]
         spread = [magnitude(part(carried, n)) for carried in needs.carried[: len(tables.booked)]]
-        each = magnitude(loop) * several(n, precision) + magnitude(loop - F)
+        each = magnitude(loop) * rounding_factor(n, precision) + magnitude(loop - F)
         stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
-        along = above(*(magnitude(row) for row in stored)) * (several(n, precision) + 4 * UNIT[precision])
+        along = above(*(magnitude(row) for row in stored)) * (
+            rounding_factor(n, precision) + 4 * UNIT[precision]
+        )
         along += above(*(off_row for *_, off_row in self.stored))
         under = least(len(stored), n, precision)
         lost, added = [spread[0] * self.off + along * apart + under], list[arb_mat]()
@@ -208,7 +213,7 @@ class Decision:
                     base, more = (arb(table[self.stored[row][0]]) for table in (booked, sized))
                     stated = base + more * share - (abs(base) + abs(more)) * (8 * u)
                     where = f"row {row}, {lag} nodes on, errors of share {share}"
-                    spare = stated - need - self.lost[lag][row]
+                    spare = stated - need - self.rounding_loss[lag][row]
                     require(CLAIM, spare, f"{where}: needs {plain(need)}, {plain(stated)} is booked")
         return f"S can take over wherever U may fly, {len(tables.booked)} nodes ahead and beyond"
 
@@ -224,7 +229,7 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
         raise Rejected(CLAIM, f"the tables look {len(tables.booked)} nodes ahead, which is not supported")
     if len(tables.room) <= last // doc.q:
         raise Rejected(CLAIM, f"the tables have {len(tables.room)} steps, but use {last // doc.q + 1}")
-    decision = Decision(flight, tables, precision)
+    decision = DecisionBound(flight, tables, precision)
     check_plausible(flight, [decision.start(1), decision.end(1)])
     confirmed = decision.check()
     _check_rooms(decision)
@@ -271,12 +276,12 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     doc.profile, doc.error_by_step = [], []
     plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
     craft = replace(craft, plant=plant, off=off, base=None, _along={})
-    memory = replace(tracker.memory, profile=[], rates=[])
+    memory = replace(tracker.memory, feedback_bound=[], rates=[])
     tracker = Tracker(doc, craft, memory, tracker.upsets)
     return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
 
 
-def _check_rooms(decision: Decision) -> None:
+def _check_rooms(decision: DecisionBound) -> None:
     """Check that each room, as it is computed, is at most that of the limit."""
     tables, u = decision.tables, UNIT[decision.precision]
     for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.room)]):
@@ -289,11 +294,11 @@ def _check_rooms(decision: Decision) -> None:
                 require(CLAIM, target.room - room, f"{where}: room {plain(room)} of {plain(target.room)}")
 
 
-def _check_later(decision: Decision) -> None:
+def _check_later(decision: DecisionBound) -> None:
     """Check limits further ahead than a decision looks, for every error with which U may fly."""
     flight = decision.flight
     doc, recovery, needs = flight.document, flight.recovery, flight.recovery.needs
-    least_of = [dict[int, Target]()]
+    least_of = [dict[int, NodeLimit]()]
     for nodes in reversed(recovery.limits.targets):
         rooms = dict(least_of[-1])
         for target in (target for met in nodes for target in met):
@@ -304,7 +309,7 @@ def _check_later(decision: Decision) -> None:
     periods, end = flight.tracker.memory.periods, decision.end(1)
     for at in range(len(decision.tables.booked) - 1, periods + 2):
         beyond = at > periods
-        grown = needs.still(end) if beyond else needs.boxed(end, at)
+        grown = needs.need_after_settling(end) if beyond else needs.boxed(end, at)
         need = sums(grown, needs.disturbed[at])
         cell = periods // doc.q if beyond else at // doc.q
         cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)

@@ -28,11 +28,15 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
     """
     n, m = len(document.A), len(document.u_max)
     exact = arb(0) if precision == "double" else arb(UNIT[precision])  # of numbers that are handed over
-    gain, limit, feed = matrix(tables.gain), column(tables.limit), tops([column(u) for u in tables.feed])
+    gain, limit, feed = (
+        matrix(tables.gain),
+        column(tables.limit),
+        row_maxima([column(u) for u in tables.feed]),
+    )
     worst = [arb(0)] * m
     for error, apart in _gaps(document, tables, precision, path):
         spread = magnitude(gain) * (apart + error) + feed + limit
-        total = magnitude(gain) * error + spread * (several(n + 1, precision) + 2 * exact)
+        total = magnitude(gain) * error + spread * (rounding_factor(n + 1, precision) + 2 * exact)
         total += least(m, n + 1, precision)
         worst = [largest(pair) for pair in zip(worst, total.entries(), strict=True)]
     return largest(worst)
@@ -40,7 +44,7 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
 
 def gap_error(document: Document, tables: Tables, precision: str, path: Path) -> arb_mat:
     """Bound on what rounding changes of a state's error, for states within the range, (n, 1)."""
-    return tops([error for error, _ in _gaps(document, tables, precision, path)])
+    return row_maxima([error for error, _ in _gaps(document, tables, precision, path)])
 
 
 def _gaps(
@@ -52,7 +56,7 @@ def _gaps(
     handed = exact * (not tables.seen)  # the observer's estimate is apart
     reach, starts = column(tables.range), [column(x) for x in tables.waypoints]
     feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(starts) - len(tables.feed))
-    top = tops(starts), tops(feeds)
+    top = row_maxima(starts), row_maxima(feeds)
     for part, rows in enumerate(zip(tables.moved, tables.pushed, strict=True)):
         moved, pushed = map(matrix, rows)
         sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
@@ -60,18 +64,18 @@ def _gaps(
             arc.nodes[part] - moved * x - pushed * u
             for arc, x, u in zip(path.arcs[: len(starts)], starts, feeds, strict=True)
         ]
-        error = tops(off) + sizes * several(n + m, precision) + least(n, n + m, precision)
+        error = row_maxima(off) + sizes * rounding_factor(n + m, precision) + least(n, n + m, precision)
         apart = sizes + error + reach
         yield error + apart * arb(UNIT[precision]) + reach * handed, apart
 
 
-def tops(columns: list[arb_mat]) -> arb_mat:
+def row_maxima(columns: list[arb_mat]) -> arb_mat:
     """Largest magnitude of every entry of some columns."""
     rows = zip(*(absolute(one).entries() for one in columns), strict=True)
     return column([largest(row) for row in rows])
 
 
-def several(count: int, precision: str) -> arb:
+def rounding_factor(count: int, precision: str) -> arb:
     """Bound on the relative error of so many roundings in a row."""
     lost = arb(UNIT[precision]) * (count + 1)
     return lost / (1 - lost)

@@ -16,7 +16,7 @@ from .file_keys import FLOWN
 from .file_keys import SUMMARY as SUMMARY_KEYS
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
 from .scenario_keys import check_keys
-from .structure import LARGEST_SCENARIO, conform, contents, every, found, sha256, strict_json
+from .structure import LARGEST_SCENARIO, conform, contents, every, exists, sha256, strict_json
 
 NEEDED = (
     *("scenario.toml", "schedule.json", "schedule.csv", "reference.csv", "gains.json"),
@@ -37,7 +37,7 @@ SUMMARY = "summary.json"  # has wall times, so it has no hash; what it claims is
 
 def has_artefacts(document: Document, folder: Path) -> bool:
     """Return True if any file of a run folder lies beside the certificate, named in it or not."""
-    return any(found(folder / name) for name in (*NEEDED, SUMMARY, *document.artefacts))
+    return any(exists(folder / name) for name in (*NEEDED, SUMMARY, *document.artefacts))
 
 
 def check_hashes(document: Document, folder: Path, record: Record) -> None:
@@ -81,7 +81,7 @@ def read_scenario(folder: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Stated:
+class FileClaims:
     """Claims of the other files that the certificate itself does not make."""
 
     start_margin: float | None = None  # share of the room left to the initial set
@@ -97,7 +97,7 @@ class Stated:
     joint: Any = None  # to the next leg of a mission
 
 
-def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> Stated:
+def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> FileClaims:
     """Compare the certificate with the files that can be read; returns what remains to be confirmed.
 
     A file that says something else is `Rejected` under the claim that it is about, one that cannot be read
@@ -109,7 +109,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
         check_reference(document, folder / "reference.csv")
         check_gains(document, folder / "gains.json")
         record.holds("schedule", "modes, margins, reference and gains agree with the other files")
-        if found(folder / SUMMARY):
+        if exists(folder / SUMMARY):
             summary = check_summary(document, scenario, claimed, folder / SUMMARY)
             start = summary["synthesis"]["start_margin"]
             record.holds("summary", "claims no more than the certificate")
@@ -117,7 +117,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
     orbit = scenario.get("abort", {}).get("orbit")
     aborts = claimed.get("powered_abort") or {"steps": []}
-    return Stated(
+    return FileClaims(
         start,
         margins,
         least=claimed.get("abort", {}).get("least_m"),
@@ -141,7 +141,7 @@ def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> lis
     asked = "the share proven without black boxes, and attacks on them, in summary.json"
     boxes = any(item["kind"] == "black_box" for item in specs)
     reasons = "reasons in schedule.json for margins, colliding drifts, missing aborts, lost steps"
-    lines = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
+    lines = [flown, bound, *[asked] * boxes] * exists(folder / SUMMARY)
     others = "choices in certificate.json, which readers of a schedule prove again"
     return [*[cheapest] * bool(plans), reasons, *lines, *[others] * bool(document.choices)]
 

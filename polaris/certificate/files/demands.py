@@ -100,18 +100,18 @@ def listed(tables: Mapping[str, str]) -> list[str]:
     return [f"{table}.{key}".lstrip(".") for table, keys in tables.items() for key in keys.split()]
 
 
-def given(table: Mapping[str, Any], at: str = "") -> Iterator[str]:
+def given_keys(table: Mapping[str, Any], at: str = "") -> Iterator[str]:
     """Yield the paths of the keys that a scenario gives; those of lists of tables may come more than once."""
     for key, value in table.items():
         for each in value if isinstance(value, list) else [value]:
             if isinstance(each, dict):
-                yield from given(each, f"{at}{key}.")
+                yield from given_keys(each, f"{at}{key}.")
         yield at + key
 
 
 def unchecked_demands(scenario: Mapping[str, Any]) -> list[str]:
     """Return what a scenario demands and no check confirms, one line for each group of keys."""
-    known, lines = set(given(scenario)), []
+    known, lines = set(given_keys(scenario)), []
     for demand, tables in UNCHECKED.items():
         keys = [key for key in listed(tables) if key in known]
         named = keys if len(keys) <= 4 else [f"[{table}]" for table in tables]

@@ -7,10 +7,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from ..assumptions import SATELLITES, Premises
+from ..assumptions import SATELLITES, Assumptions
 from ..kernel.verdict import Rejected, Undecided
-from .file_keys import CERTIFICATE, REPEATED
-from .parts import (
+from .entries import (
     Law,
     Matrix,
     Powered,
@@ -22,6 +21,7 @@ from .parts import (
     powered_of,
     unsafe_set,
 )
+from .file_keys import CERTIFICATE, REPEATED
 from .structure import Lengths, conform, contents, strict_json
 
 FORMAT = "polaris-certificate"
@@ -150,7 +150,7 @@ class Document:
         self.drift = None if drift is None else abort_of(drift, self.q)
         sets, powered = [len(item["normals"]) for item in read["unsafe_sets"]], read.get("powered")
         self.powered: Powered | None = None if powered is None else powered_of(powered, self.delta, sets)
-        self.laws = [Law.of(law) for law in read["controllers"]]
+        self.laws = [Law.from_item(law) for law in read["controllers"]]
 
     @property
     def longest(self) -> int:
@@ -159,7 +159,7 @@ class Document:
         return max(self.cells, *(len(branch.facets) for branch in branches), 0)
 
     @property
-    def until(self) -> float | None:
+    def claim_end(self) -> float | None:
         """Last instant of the claim [s]; None if it is for ever."""
         return last_instant(self.horizon, self.steps, self.cells, self.delta)
 
@@ -219,7 +219,7 @@ class Document:
         self.choices: dict[str, Any] = read.get("choices") or {}
         self._check_claims()
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
-        self.assumptions = Premises(
+        self.assumptions = Assumptions(
             self.w_max,
             self.delta / self.q,
             self.bias,
@@ -227,7 +227,7 @@ class Document:
             satellites=self.satellites,
             of_state=any(item.of_state for item in self.unsafe),
             horizon=self.horizon,
-            until=self.until,
+            until=self.claim_end,
             estimate=self.measured,
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
@@ -248,7 +248,7 @@ class Document:
             sampled=self.statement or None,
             position=self.C,
             networks=[(law.name, law.precision) for law in self.laws if law.kind == "neural"],
-        ).told()
+        ).sentences()
         if read["assumptions"] != self.assumptions:
             text = "the certificate rests on other assumptions than those of its format"
             raise Rejected("assumptions", text)

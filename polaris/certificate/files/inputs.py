@@ -10,11 +10,11 @@ from ..kernel.balls import largest, matrix, require, row_sums
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import inner_radius
 from ..model.allocation import Nozzles, check_allocation, per_axis
-from ..model.bodies import bodies_of
 from ..model.lqr import check_gain, positive_definite
 from ..model.navigation import measured_errors
-from ..model.own import check_goal, check_own
+from ..model.obstacle_boxes import bodies_of
 from ..model.perception import check_unsafe
+from ..model.references import check_goal, check_references
 from ..model.timing import check_timing
 from ..model.transients import check_transients
 from .document import ROUNDED, Document
@@ -154,7 +154,7 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     turned = turn.sin() * (1 + magnitude)
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
-    period, layout = arb(document.delta) / document.q, Nozzles.of(document)
+    period, layout = arb(document.delta) / document.q, Nozzles.from_document(document)
     carried = spec.get("remainder", "dropped") == "carried"
     if layout is None:
         left = spec.get("impulse_bit_N_s", 0.0) * carried
@@ -165,7 +165,7 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         bits = [bit / (2 * period) * (2 * share if carried else 1 + along + share)] * len(document.u_max)
         wanted = along, turned, arb(0)
     else:
-        bits, least = layout.dropped(bit, period, carried), layout.left(bit * carried)
+        bits, least = layout.dropped(bit, period, carried), layout.max_carried(bit * carried)
         wanted = magnitude + (1 - magnitude) * 2 * (turn / 2).sin() ** 2, turned, mass
         require("system", document.carried - least * (1 - ROUNDED), f"impulses left: {document.carried}")
     for name, least, value in zip(("along", "across", "of the mass"), wanted, document.shares, strict=True):
@@ -255,13 +255,13 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
             _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)
             _need("controllers", "scale of the outputs", law.output_scale, tops)
-            check_own(document, law, scenario, spec)
+            check_references(document, law, scenario, spec)
             continue
         if spec.get("gain") is not None:
             _need("controllers", f"gain of {law.name}", law.gain, spec["gain"])
         else:
             check_gain(document, law, spec)
-        check_own(document, law, scenario, spec)
+        check_references(document, law, scenario, spec)
     if document.statement:
         _check_asked(document.statement, scenario)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..kernel.verdict import Rejected
-from ..model.transients import check_withheld
+from ..model.transients import check_attribution
 from .document import ROUNDED, Document, canonical
 from .file_keys import GAINS, SCHEDULE
 from .structure import conform, contents, shown, strict_json
@@ -103,14 +103,16 @@ def check_schedule(
         "guarantee": {
             "kind": document.guarantee,
             "horizon": document.horizon,
-            "until_s": document.until,
+            "until_s": document.claim_end,
             "assumptions": [*document.assumptions, ARITHMETIC],
             **({"statement": document.statement} if document.statement else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             **({"estimate": stored["guarantee"].get("estimate")} if document.observer else {}),  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
-            "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
+            "withheld": check_attribution(
+                document, stored["guarantee"].get("withheld"), limit_names(document)
+            ),
             "powered_abort": _powered(document, stored["guarantee"].get("powered_abort")),
         },
     }
@@ -172,7 +174,7 @@ def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any
                     f"the abort in step {k} takes {spent} m/s, the budget is {powered.budget} m/s",
                 )
             values = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
-            values["safe_until_s"] = branch.until(document.delta)
+            values["safe_until_s"] = branch.claim_end(document.delta)
         steps.append({"step": k, **values, "why": row["why"]})
     return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}
 
@@ -221,7 +223,7 @@ def _check_reason(document: Document, reason: str) -> None:
     if words is None:
         raise Rejected("end", f"{shown(reason)} is no reason for the claim {document.horizon}")
     true = {
-        "until": f"{document.until:g}" if document.until is not None else "",
+        "until": f"{document.claim_end:g}" if document.claim_end is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
         "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }

@@ -11,7 +11,7 @@ from typing import Any
 from ..assumptions import ALLOCATIONS
 from ..kernel.verdict import Rejected
 from .file_keys import READ
-from .structure import Either, Items, Kinds, Real, Text, Whole, conform, every
+from .structure import AnyOf, Int, Items, OneOf, Real, Text, conform, every
 
 STEPS = 100_000  # most steps of a horizon
 
@@ -25,16 +25,16 @@ WIDTHS = Items(NOT_NEGATIVE, 1, 100)
 OPEN_WIDTHS = Items(Real(least=0, most=math.inf), 1, 100)
 LIMITS = Items(POSITIVE, 1, 100)
 MATRIX = Items(VECTOR, 1, 1000, even=True)
-WEIGHT = Either((VECTOR, MATRIX))
-PER_AXIS = Either((POSITIVE, LIMITS))
-SIZES = Either((NOT_NEGATIVE, WIDTHS))
+WEIGHT = AnyOf((VECTOR, MATRIX))
+PER_AXIS = AnyOf((POSITIVE, LIMITS))
+SIZES = AnyOf((NOT_NEGATIVE, WIDTHS))
 SHARE = Real(least=0, below=1)
 WORTH = Real(above=0, most=1e6)
-FACETS = Whole(3, 64)
+FACETS = Int(3, 64)
 
 
 # fmt: off
-_REFERENCE = Kinds({
+_REFERENCE = OneOf({
     "shared": {},
     "setpoint": {"state": VECTOR},
     "nmt": {"semi_minor_m": NOT_NEGATIVE, "phase_rad?": NUMBER,
@@ -49,7 +49,7 @@ _SIGHT = {"range_error_m?": NOT_NEGATIVE, "bearing_error_deg?": Real(least=0, mo
 _GOAL = every(POSITIVE, "tolerance_m? velocity_tolerance_m_s?")
 _ORBITS: dict[str, dict[str, Any]] = {
     "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
-                       "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
+                       "sides?": Int(4, 64), "cross_track_max_m?": POSITIVE},
     "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
     "stationary": {**_GOAL, "state": VECTOR},
 }
@@ -59,17 +59,17 @@ _STATES = {"name": NAME, "rows": MATRIX, "bounds": VECTOR, **_WINDOW}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
 
 SCENARIO = {
-    "schema_version": Whole(1, 1),
+    "schema_version": Int(1, 1),
     "name": NAME,
     "title": Text(pattern=r"(?s:.{1,200})"),
     "description?": Text(pattern=r"(?s:.{0,5000})"),
-    "system": Kinds({
+    "system": OneOf({
         "clohessy_wiltshire": {"mean_motion_rad_s": Real(above=0, most=0.01), "mass_kg": MASS,
                                "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE,
                                "bias_max_m_s2?": WIDTHS},
         "linear": {**every(MATRIX, "A B D C?"), "input_max": PER_AXIS, "disturbance_max?": NOT_NEGATIVE,
                    "bias_max?": WIDTHS,
-                   "position_states?": Items(Whole(0, 99), 1, 3), "mass_kg?": MASS},
+                   "position_states?": Items(Int(0, 99), 1, 3), "mass_kg?": MASS},
     }),
     "orbit?": {
         **every(NOT_NEGATIVE, "radius_deviation_max_m radial_rate_max_m_s density_kg_m3"
@@ -102,10 +102,10 @@ SCENARIO = {
         "varies?": Text(("always", "never")),
     },
     "timing?": {
-        "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
+        "delay_s?": Real(least=0, most=1e4), "missed_periods?": Int(0, 1000),
         **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
-    "faults?": Items(Kinds({
+    "faults?": Items(OneOf({
         "stuck_off": {"isolation_s?": NOT_NEGATIVE}, "stuck_on": {"isolation_s": POSITIVE},
         "loss": {"share": Real(above=0, below=1), "isolation_s?": NOT_NEGATIVE},
         "navigation_lost": {"lasts_s": Real(above=0, most=1e4)},
@@ -114,10 +114,10 @@ SCENARIO = {
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {
         "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
-        "orbit?": Kinds({"goal": {}, **_ORBITS}), **every(POSITIVE, "within_s? delta_v_max_m_s?"),
+        "orbit?": OneOf({"goal": {}, **_ORBITS}), **every(POSITIVE, "within_s? delta_v_max_m_s?"),
     },
     "feedback?": {"period_s?": POSITIVE},
-    "initial_set": Kinds({
+    "initial_set": OneOf({
         "box": {"center": VECTOR, "half_widths": WIDTHS},
         "ball": {"center": VECTOR, **every(NOT_NEGATIVE, "position_radius_m velocity_radius_m_s")},
         "zonotope": {"center": VECTOR, "generators": MATRIX},
@@ -126,22 +126,22 @@ SCENARIO = {
     "tracking": {
         "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
         "thrust_share?": Real(above=0, most=1),
-        "weight?": Either((Text(("auto", "identity")), LIMITS)),
+        "weight?": AnyOf((Text(("auto", "identity")), LIMITS)),
     },
     "recoverable?": {
         "kind?": Text(("polytope", "ball")),
         "recourse?": Text(("in_view", "none")),
     },
-    "goal": Kinds({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),
+    "goal": OneOf({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),
     "planner?": {
         "objective?": Text(("margin_then_fuel", "distance", "fuel")),
         "extra_margin_m?": NOT_NEGATIVE,
         "solver?": Text(("facets", "highs", "gurobi")),
-        **every(Whole(1, 10**9), "max_linear_programs? max_nodes?"),
+        **every(Int(1, 10**9), "max_linear_programs? max_nodes?"),
         "time_limit_s?": Real(above=0, most=1e6),
         **every(SHARE, "thrust_reserve? gap?"),
     },
-    "obstacles?": Items(Kinds({
+    "obstacles?": Items(OneOf({
         "box": {**_BODY, "center_m": VECTOR, "half_widths_m": WIDTHS},
         "ball": {**_BODY, "center_m": VECTOR, "radius_m": POSITIVE, "facets?": FACETS},
         "polytope": {**_BODY, **_POLYTOPE, "unbounded?": bool},
@@ -149,7 +149,7 @@ SCENARIO = {
                       "thrust_accel_max_m_s2?": NOT_NEGATIVE, "facets?": FACETS},
         "states": _STATES,
     }), 0, 64),
-    "keep_in?": Items(Kinds({
+    "keep_in?": Items(OneOf({
         "polytope": _POLYTOPE,
         "cone": {"name": NAME, "apex_m": VECTOR, "axis": VECTOR, "half_angle_deg": Real(least=0.1, most=89),
                  "facets?": FACETS, "length_m?": POSITIVE},
@@ -159,10 +159,10 @@ SCENARIO = {
         "turning": {**_POLYTOPE, "rate_rad_s": NUMBER, "until_s": POSITIVE, "axis?": VECTOR,
                     **every(NOT_NEGATIVE, "rate_error_rad_s? from_s?"),
                     "angle_error_deg?": Real(least=0, most=45)},
-        "speed_polygon": {"name": NAME, "max_m_s": POSITIVE, "sides?": Whole(3, 64),
-                          "axes?": Items(Whole(0, 99), 2, 2), **_WINDOW},
+        "speed_polygon": {"name": NAME, "max_m_s": POSITIVE, "sides?": Int(3, 64),
+                          "axes?": Items(Int(0, 99), 2, 2), **_WINDOW},
     }), 0, 16),
-    "experimental": Items(Kinds({
+    "experimental": Items(OneOf({
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
@@ -175,13 +175,13 @@ SCENARIO = {
     }), 1, 8),
     "schedule?": {
         "strategy?": Text(("greedy", "look_ahead")),
-        "min_dwell_steps?": Whole(1, STEPS),
-        "max_switches?": Whole(0),
-        "beam?": Whole(1, 1000),
-        "bound_programs?": Whole(0, 10**9),
+        "min_dwell_steps?": Int(1, STEPS),
+        "max_switches?": Int(0),
+        "beam?": Int(1, 1000),
+        "bound_programs?": Int(0, 10**9),
         **every(NOT_NEGATIVE, "delta_v_price? switch_price?"), "delta_v_max_m_s?": POSITIVE,
     },
-    "simulation?": {"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)},
+    "simulation?": {"runs?": Int(1, 1_000_000), "seed?": Int(0, 2**63 - 1)},
 }
 # fmt: on
 """The whole file."""

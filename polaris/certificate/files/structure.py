@@ -40,7 +40,7 @@ class Real:
 
 
 @dataclass(frozen=True)
-class Whole:
+class Int:
     """A whole number: 2, neither 2.0 nor true."""
 
     least: int = 0
@@ -89,14 +89,14 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Kinds:
+class OneOf:
     """One of several tables, told apart by the word under ``kind``, which stands in each besides."""
 
     tables: Mapping[str, dict[str, Shape]]
 
 
 @dataclass(frozen=True)
-class Either:
+class AnyOf:
     """Any of several shapes."""
 
     shapes: tuple[Shape, ...]
@@ -122,7 +122,7 @@ def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
     match shape:
         case dict():
             return _read_table(value, shape, where, lengths)
-        case Kinds(tables):
+        case OneOf(tables):
             kind = value.get("kind") if isinstance(value, dict) else None
             if not isinstance(kind, str) or kind not in tables:
                 raise ValueError(f"{where}.kind: {shown(kind)} is not one of {', '.join(tables)}")
@@ -139,7 +139,7 @@ def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
             if size:
                 lengths.setdefault(size, {})[len(items)] = where
             return items
-        case Either(shapes):
+        case AnyOf(shapes):
             reasons = []
             for one in shapes:
                 try:
@@ -178,7 +178,7 @@ def _is(value: Any, shape: Shape) -> bool:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
                 return False  # NaN is within no limits
             return (above is None or value > above) and (below is None or value < below)
-        case Whole(least, most):
+        case Int(least, most):
             return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
         case Text(known, pattern):
             if not isinstance(value, str) or (known and value not in known):
@@ -255,7 +255,7 @@ def contents(path: Path, most: int = LARGEST_READ) -> bytes:
     return data
 
 
-def found(path: Path) -> bool:
+def exists(path: Path) -> bool:
     """Return True if a folder has an entry of this name, be it a link that leads nowhere."""
     return path.exists() or path.is_symlink()
 

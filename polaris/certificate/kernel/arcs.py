@@ -18,7 +18,7 @@ class Arc:
     rates: arb_mat  # x' at the start of each period, shape (n, q)
 
     @classmethod
-    def of(cls, plant: Plant, start: arb_mat, u: arb_mat) -> "Arc":
+    def from_state(cls, plant: Plant, start: arb_mat, u: arb_mat) -> "Arc":
         """Return the exact zero-order-hold step that starts at a state."""
         nodes, push = [start, *(phi * start + gamma * u for phi, gamma in plant.steps)], plant.B * u
         return cls(plant, u, nodes, beside(*(plant.A * x + push for x in nodes[:-1])))
@@ -68,7 +68,7 @@ class Path:
         for k, u in enumerate(inputs):
             if k == K:
                 jump, at = tail - at, tail
-            arcs.append(Arc.of(plant, at, column(u)))
+            arcs.append(Arc.from_state(plant, at, column(u)))
             at = arcs[-1].nodes[-1]
         return cls(plant, K, arcs, jump)
 

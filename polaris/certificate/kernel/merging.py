@@ -15,7 +15,7 @@ TINY = 1e-300  # length of generators that rows do not see
 Column = Sequence[float]
 
 
-class Group(NamedTuple):
+class GeneratorGroup(NamedTuple):
     """Generators and their sum, each turned by its sign so that they point the same way."""
 
     members: tuple[int, ...]
@@ -27,7 +27,9 @@ class Group(NamedTuple):
     direction: float  # a number of the image, nearly the same for nearly parallel ones
 
     @classmethod
-    def of(cls, members: tuple[int, ...], shares: tuple[float, ...], column: Column, image: Column) -> Group:
+    def from_members(
+        cls, members: tuple[int, ...], shares: tuple[float, ...], column: Column, image: Column
+    ) -> GeneratorGroup:
         """Turn a sum so that the largest number of its image is positive."""
         if max(image, key=abs, default=0.0) < 0:
             shares = tuple(-a for a in shares)
@@ -40,20 +42,20 @@ class Group(NamedTuple):
         """Return the growth of extents along rows if the box around the sum replaces it."""
         return sum(map(abs, self.column)) - sum(map(abs, self.image))
 
-    def joined(self, other: Group) -> float:
+    def joined(self, other: GeneratorGroup) -> float:
         """Return the growth of extents along rows if both become one generator and a box of the rests."""
         apart: float = sum(map(abs, map(sub, self.unit, other.unit)))
         return 2 * apart * self.length * other.length / (self.length + other.length)
 
-    def plus(self, other: Group) -> Group:
+    def plus(self, other: GeneratorGroup) -> GeneratorGroup:
         """Return the group of both, of which each has a share by its length."""
         a, b = (each.length / (self.length + other.length) for each in (self, other))
         shares = *(a * x for x in self.shares), *(b * x for x in other.shares)
         column, image = map(add, self.column, other.column), map(add, self.image, other.image)
-        return Group.of(self.members + other.members, shares, [*column], [*image])
+        return GeneratorGroup.from_members(self.members + other.members, shares, [*column], [*image])
 
 
-def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> list[Group]:
+def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> list[GeneratorGroup]:
     """Return at most so many groups of generators to be merged; a box is to replace all others.
 
     Columns are generators by coordinate, in shares of extents along rows that a box of that size adds; images
@@ -63,19 +65,19 @@ def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> l
     total = 0.0
     while order and (total := total + sum(map(abs, columns[order[-1]]))) <= NOTHING:
         order.pop()
-    groups = [Group.of((j,), (1.0,), columns[j], images[j]) for j in order]
+    groups = [GeneratorGroup.from_members((j,), (1.0,), columns[j], images[j]) for j in order]
     while len(groups) > max(most, 0):
         groups = _fewer(groups, min(len(groups) - max(most, 0), len(groups) // ROUND + 1))
     return groups
 
 
-def _fewer(groups: list[Group], surplus: int) -> list[Group]:
+def _fewer(groups: list[GeneratorGroup], surplus: int) -> list[GeneratorGroup]:
     """Drop or merge the groups with which least is lost, each at most once."""
     options = [(group.boxed(), i, i) for i, group in enumerate(groups)]
     order = sorted(range(len(groups)), key=lambda i: (groups[i].direction, i))
     for place, i in enumerate(order):
         options += [(groups[i].joined(groups[j]), i, j) for j in order[place + 1 : place + 1 + ALIKE]]
-    made, touched = list[Group](), set[int]()
+    made, touched = list[GeneratorGroup](), set[int]()
     for _, i, j in sorted(options):
         if len(touched) - len(made) == surplus:
             break

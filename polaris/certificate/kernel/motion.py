@@ -30,7 +30,7 @@ from .balls import (
     sums,
     widths,
 )
-from .leads import Lead
+from .pulse_lead import Lead
 from .zonotopes import Directions, Zonotope, ball_cover
 
 PARTS = 32
@@ -38,7 +38,7 @@ PARTS = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class InputSet:
     """An uncertain input ``V v``, v measurable and at every instant in a convex set about zero."""
 
     V: arb_mat
@@ -47,17 +47,17 @@ class Push:
     radius: arb | None = None  # of the set, if it is a ball
 
     @classmethod
-    def in_box(cls, V: arb_mat, bounds: list[arb]) -> Push:
+    def in_box(cls, V: arb_mat, bounds: list[arb]) -> InputSet:
         """``|v_i| <= bounds[i]``."""
         return cls(V, diagonal(bounds), lambda rows: (magnitude(rows) * column(bounds)).entries())
 
     @classmethod
-    def in_zonotope(cls, V: arb_mat, generators: arb_mat) -> Push:
+    def in_zonotope(cls, V: arb_mat, generators: arb_mat) -> InputSet:
         """``v = generators b``, every ``|b_i| <= 1``."""
         return cls(V, generators, lambda rows: widths(rows * generators))
 
     @classmethod
-    def in_ball(cls, V: arb_mat, radius: arb) -> Push:
+    def in_ball(cls, V: arb_mat, radius: arb) -> InputSet:
         """``norm(v, 2) <= radius``."""
         return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in lengths(rows)], radius)
 
@@ -84,7 +84,7 @@ class Plant:
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
-    bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
+    bias: list[InputSet] = field(default_factory=list)  # inputs that are constant in a whole flight
     unseen: list[tuple[int, arb_mat]] = field(default_factory=list)
     """Bounds on what a unit error of thrusters, of up to so many periods before a command, adds to errors of
     estimates, (n, k), where commands of the meantime are told apart."""
@@ -104,23 +104,23 @@ class Plant:
         return Directions(self.A)
 
     @cached_property
-    def carry(self) -> list[Push]:
+    def carry(self) -> list[InputSet]:
         """Return the pushes of impulses carried to the next period, and of those that jitter moves."""
         left, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
         rates += [self.A * self.B * self.along] if self.along > 0 else []
-        return [*(Push.in_box(rate, left) for rate in rates if self.carried), *self.shifting]
+        return [*(InputSet.in_box(rate, left) for rate in rates if self.carried), *self.shifting]
 
     @property
-    def shifting(self) -> list[Push]:
+    def shifting(self) -> list[InputSet]:
         """Return the pushes of impulses that jitter moves, if there are any."""
-        return [Push.in_box(self.A * self.B, list(self.shifted))] if self.shifted else []
+        return [InputSet.in_box(self.A * self.B, list(self.shifted))] if self.shifted else []
 
     @property
-    def prompt(self) -> Plant:
+    def without_delay(self) -> Plant:
         """Return the plant without what stands for jitter and pulses in errors of the inputs."""
         return self.on_time or self
 
-    def disturbances(self, error: list[arb]) -> list[Push]:
+    def disturbances(self, error: list[arb]) -> list[InputSet]:
         """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
         return [self.disturbance, *self.bias, *self.carry, *self.push(error)]
 
@@ -175,17 +175,17 @@ class Plant:
 
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
-        applied = sums(most, self.prompt.thruster_error(most))
+        applied = sums(most, self.without_delay.thruster_error(most))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
     def weighted(self, sizes: Sequence[arb]) -> arb:
         """Sum of what inputs take, each by its weight."""
         return dot(sizes, self.weights or [1.0] * len(sizes))
 
-    def push(self, error: list[arb]) -> list[Push]:
+    def push(self, error: list[arb]) -> list[InputSet]:
         """Errors of thrusters (k), or of inputs alone (m), as what pushes, if there are any."""
         rates = self.B if len(error) == self.B.ncols() else self.entering
-        return [Push.in_box(rates, error)] if any(x > 0 for x in error) else []
+        return [InputSet.in_box(rates, error)] if any(x > 0 for x in error) else []
 
     @cached_property
     def open(self) -> Motion:
@@ -193,9 +193,9 @@ class Plant:
         return Motion(self)
 
     @cached_property
-    def disturbance(self) -> Push:
+    def disturbance(self) -> InputSet:
         """Return the disturbance."""
-        return Push.in_ball(self.D, self.w_max)
+        return InputSet.in_ball(self.D, self.w_max)
 
     @cached_property
     def steps(self) -> list[tuple[arb_mat, arb_mat]]:
@@ -244,7 +244,7 @@ class Motion:
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
-    def pushed(self, *pushes: Push) -> arb_mat:
+    def pushed(self, *pushes: InputSet) -> arb_mat:
         """Generators that enclose the sum of ``int_0^h e^{A s} V v(s) ds`` for measurable v of each push.
 
         The mean of v lies in its (convex) set; the rest is in a box, `uneven`.
@@ -252,12 +252,12 @@ class Motion:
         means = (self.gamma * push.V * push.cover for push in pushes)
         return beside(*means, diagonal(self.uneven(*pushes).entries()))
 
-    def uneven(self, *pushes: Push) -> arb_mat:
+    def uneven(self, *pushes: InputSet) -> arb_mat:
         """Bound on what varies about the means of pushes adds, ``(h^2/3) |A| sup|e^{A s}| |V v|``, (n, 1)."""
         size = column(sums(*(push.along(push.V) for push in pushes)))
         return magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
 
-    def push_gain(self, rows: arb_mat, push: Push) -> list[arb]:
+    def push_gain(self, rows: arb_mat, push: InputSet) -> list[arb]:
         """Bound on ``int_0^s |row e^{A r} V v| dr`` for every row, and any s of the period.
 
         The bound on ``|row e^{A r} V v|`` lies below its chord plus what ``row e^{A r} V`` bends:
@@ -268,7 +268,7 @@ class Motion:
         bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
-    def constant_gain(self, rows: arb_mat, push: Push, later: int) -> list[arb]:
+    def constant_gain(self, rows: arb_mat, push: InputSet, later: int) -> list[arb]:
         """Bound what a constant does along rows, which follow one another by a period, by any time of each.
 
         It begins at the start, or up to so many periods `later`. At the ends of periods it is the sum of the
@@ -280,7 +280,7 @@ class Motion:
         each_part = sums([largest(pair) for pair in pairwise(ends)], self.push_bend(rows, push))
         return [largest(each_part[max(j - later, 0) : j + 1]) for j in range(len(each_part))]
 
-    def gains_over(self, rows: arb_mat, pushes: Sequence[Push], count: int) -> tuple[list[arb], arb_mat]:
+    def gains_over(self, rows: arb_mat, pushes: Sequence[InputSet], count: int) -> tuple[list[arb], arb_mat]:
         """`push_gain` of several over so many periods, and the rows carried over all of them."""
         gains = [arb(0)] * rows.nrows()
         for _ in range(count):
@@ -290,10 +290,10 @@ class Motion:
 
     def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
         """Bound what a unit of each error of thrusters alone adds, shape (r, k)."""
-        units = (Push.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
+        units = (InputSet.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
         return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
 
-    def push_bend(self, rows: arb_mat, push: Push) -> list[arb]:
+    def push_bend(self, rows: arb_mat, push: InputSet) -> list[arb]:
         """Bound on how far `push_gain` over a part of the period exceeds that part of the whole period's.
 
         ``P(s) = int_0^s |row e^{A r} V v| dr`` starts at 0, and its slope changes by no more than
@@ -304,12 +304,12 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class RowIntersample:
     """Intersample bounds of a motion along rows, and what pushes in every period."""
 
     motion: Motion
     rows: arb_mat
-    pushes: Sequence[Push] = ()
+    pushes: Sequence[InputSet] = ()
 
     @cached_property
     def bends(self) -> tuple[arb_mat, arb_mat]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from flint import arb, arb_mat
 
 from .balls import largest, sums
-from .motion import Along, Push
+from .motion import InputSet, RowIntersample
 from .zonotopes import Directions, Zonotope
 
 
@@ -23,8 +23,8 @@ class Period:
     g: arb_mat
     held: list[arb_mat]
     added: list[arb_mat]
-    constant: list[Push]  # that are held, and others; besides those of every period
-    pushes: list[Push]
+    constant: list[InputSet]  # that are held, and others; besides those of every period
+    pushes: list[InputSet]
     bounds: list[arb]  # on the commands
 
     @property
@@ -34,13 +34,13 @@ class Period:
 
     def ends(self, z: Zonotope) -> Zonotope:
         """Return the set at the end of the period without uncertain inputs."""
-        return z.image(self.F).moved(self.moved)
+        return z.image(self.F).translate(self.moved)
 
-    def after(self, end: Zonotope) -> Zonotope:
+    def next_set(self, end: Zonotope) -> Zonotope:
         """Return the set at the next node, from `ends`: what is known of one along rows serves the other."""
-        return end.grown(*self.held, *self.added)
+        return end.plus(*self.held, *self.added)
 
-    def extra(self, along: Along, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
+    def extra(self, along: RowIntersample, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
         """Bounds on how far rows of the error exceed the chord of its undisturbed end values in the period.
 
         They belong to the start and the end of the period; in between, their chord is a bound: what uncertain
@@ -48,7 +48,7 @@ class Period:
         """
         motion, rows = along.motion, along.rows
         bend, last = along.disturbance
-        first = sums(along.bow(z.through(self.rates).moved(self.g)), bend)
+        first = sums(along.bow(z.through(self.rates).translate(self.g)), bend)
         for push in (*self.constant, *self.pushes):
             first = sums(first, motion.push_bend(rows, push))
         for push in (*(self.constant if held else ()), *self.pushes):

@@ -26,7 +26,7 @@ from .balls import (
     sums,
     widths,
 )
-from .merging import Group, grouped
+from .merging import GeneratorGroup, grouped
 
 BITS = 64  # precision of products with generators, a word: more would not show beside what merging adds
 PARTS = 8  # most parts in which generators are mapped; with fewer, more are copied in every period
@@ -118,11 +118,11 @@ class Zonotope:
     def _made(self) -> Generators:
         return self.of if isinstance(self.of, Generators) else Generators(self.of)
 
-    def moved(self, v: arb_mat) -> Zonotope:
+    def translate(self, v: arb_mat) -> Zonotope:
         """Return the set moved by a vector (n, 1)."""
         return Zonotope(self.c + v, self._made)
 
-    def grown(self, *generators: arb_mat) -> Zonotope:
+    def plus(self, *generators: arb_mat) -> Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
         return Zonotope(self.c, Generators(self._made, *generators))
 
@@ -181,7 +181,9 @@ def _corners(extents: Sequence[arb]) -> arb_mat:
     return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
 
 
-def _groups(columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, count: int) -> list[Group]:
+def _groups(
+    columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, count: int
+) -> list[GeneratorGroup]:
     """Choose at most so many groups of generators (columns of G) to be merged."""
     along = times(rows, G)
     shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(along))]

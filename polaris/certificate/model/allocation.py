@@ -133,7 +133,7 @@ class Nozzles:
     mass: float
 
     @classmethod
-    def of(cls, document: Document) -> "Nozzles | None":
+    def from_document(cls, document: Document) -> "Nozzles | None":
         """Return None without a layout."""
         made = document.allocation
         return cls(made, *document.shares) if made is not None and made["layout"] else None
@@ -270,7 +270,7 @@ class Nozzles:
             wrong = [[x / 2 for x in row] for row in self.largest]
         return [bit / period * x for x in self.at_once(wrong)]
 
-    def left(self, bit: arb) -> arb:
+    def max_carried(self, bit: arb) -> arb:
         """Return the most of an input's impulse that may be left in all thrusters, of bits [N s]."""
         columns = list(zip(*self.allocation["directions"], strict=True))
         sides = [

@@ -9,19 +9,19 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import UnsafeSet
+from ..files.entries import UnsafeSet
 from ..kernel.arcs import Path
 from ..kernel.balls import TINY, above, magnitude, sums
 from ..kernel.zonotopes import Directions
 from .craft.craft import Craft
-from .craft.needs import Needs
-from .craft.scheduled import Along
+from .craft.feedforward import Along
+from .craft.tightening import Tightening
 
 SPARE = 1e-12  # of rooms in doubles, which tell where a need is certainly within: far above their rounding
 
 
 @dataclass(frozen=True)
-class Target:
+class NodeLimit:
     """One limit at one node."""
 
     row: int  # which of the rows
@@ -29,9 +29,9 @@ class Target:
     name: str  # unsafe set or input
     whole: arb  # the room before a jump of the reference took its part: what shares refer to
 
-    def less(self, taken: arb) -> Target:
+    def less(self, taken: arb) -> NodeLimit:
         """Return the limit with less room."""
-        return Target(self.row, (self.room - taken).lower(), self.name, self.whole)
+        return NodeLimit(self.row, (self.room - taken).lower(), self.name, self.whole)
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
@@ -49,7 +49,7 @@ class Barrier:
     offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
 
     @classmethod
-    def of(
+    def for_cell(
         cls, document: Document, position: arb_mat, cell: int, chosen: list[int], known: dict[Any, Directions]
     ) -> Barrier:
         """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end.
@@ -77,10 +77,10 @@ class Limits:
     """Limits of every cell: distinct rows, and the room along them at the nodes."""
 
     rows: arb_mat  # an error e keeps to a limit if row e <= room
-    targets: list[list[list[Target]]]  # [cell][node]; one that need not be met at a node is missing there
+    targets: list[list[list[NodeLimit]]]  # [cell][node]; one that need not be met at a node is missing there
 
     @classmethod
-    def of(cls, document: Document, path: Path, craft: Craft, chosen: list[list[int]]) -> Limits:
+    def for_path(cls, document: Document, path: Path, craft: Craft, chosen: list[list[int]]) -> Limits:
         """Limits around a path, with one facet per cell and unsafe set."""
         plant = path.plant
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
@@ -88,17 +88,17 @@ class Limits:
         facets = _against([(document.unsafe[o], f) for o, f in pairs], plant.C)
         targets, known = [], dict[Any, Directions]()
         for cell, arc in enumerate(path.arcs):
-            barrier = Barrier.of(document, plant.C, cell, chosen[cell], known)
+            barrier = Barrier.for_cell(document, plant.C, cell, chosen[cell], known)
             error = craft.noise_in(document, cell) * 2
             thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
-                Target(len(pairs) + j, room, name, room)
+                NodeLimit(len(pairs) + j, room, name, room)
                 for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
             ]
             nodes = []
             for i, rooms in enumerate(arc.room(barrier.rows.M, barrier.offsets)):
                 met = [
-                    Target(index[o, f], room, barrier.names[o], room)
+                    NodeLimit(index[o, f], room, barrier.names[o], room)
                     for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
                 ]
                 # A held input is renewed at the end of its period.
@@ -106,10 +106,13 @@ class Limits:
             targets.append(nodes)
         return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
-    def less_jump(self, needs: Needs, path: Path) -> Limits:
+    def less_jump(self, needs: Tightening, path: Path) -> Limits:
         """Return the limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
-        cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
+        cost, late = (
+            [needs.boxed(size, lag) for lag in range(len(needs.carried))],
+            needs.need_after_settling(size),
+        )
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
@@ -128,7 +131,7 @@ class Limits:
         ]
         return Limits(self.rows, targets)
 
-    def at(self, node: int, first: bool) -> list[Target]:
+    def at_node(self, node: int, first: bool) -> list[NodeLimit]:
         """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
         q = len(self.targets[0]) - 1
         cell, place = divmod(node, q)
@@ -138,15 +141,15 @@ class Limits:
         return met
 
 
-def levels_of(document: Document, needs: Needs, path: Path) -> list[list[Target]]:
+def levels_of(document: Document, needs: Tightening, path: Path) -> list[list[NodeLimit]]:
     """Return the profile of commands as limits l periods after a hand-over, whatever room is left."""
     noise = needs.craft.noise(needs.craft.lagged(needs.craft.plant.u_max))
     first = needs.rows.nrows() - 2 * len(noise)
-    jumps = needs.ever(magnitude(path.jump))[first:]
+    jumps = needs.need_at_any_time(magnitude(path.jump))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]
     return [
         [
-            Target(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
+            NodeLimit(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
             for j, top in enumerate(map(arb, commands * 2))
         ]
         for commands in document.profile

@@ -5,7 +5,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import Law
+from ..files.entries import Law
 from ..kernel.balls import diagonal, identity, largest, magnitude, matrix, require, root
 from ..kernel.verdict import Rejected, Undecided
 

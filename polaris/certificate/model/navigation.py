@@ -10,7 +10,7 @@ from ..files.document import ROUNDED, Document
 from ..kernel.balls import require, sums
 from ..kernel.verdict import Rejected
 from .allocation import per_axis
-from .craft.observer import Filtering, settled_errors
+from .craft.observer import ObserverErrors, settled_errors
 from .plants import plant_of
 
 INSTANT = 1e-9  # share of a step by which instants may differ and count as one
@@ -132,7 +132,7 @@ def _observed(
         raise Rejected("system", "the observer is not the scenario's")
     if ("settled" in stated) != bool(initial):
         raise Rejected("system", "settled errors are stated apart from those of the observer's estimates")
-    filtering = Filtering.of(document, plant_of(document))
+    filtering = ObserverErrors.from_document(document, plant_of(document))
     alone, settled = filtering.check_settled(document), settled_errors(document)
     if not initial:
         return [document.measured or [0.0] * n]

@@ -10,7 +10,7 @@ from operator import mul
 
 from flint import arb, arb_mat
 
-from ..files.parts import Law, Layer
+from ..files.entries import Law, Layer
 from ..kernel.arcs import Arc
 from ..kernel.balls import (
     above,
@@ -29,7 +29,7 @@ from ..kernel.balls import (
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope
-from .bodies import Whereabouts
+from .obstacle_boxes import ObstacleBoxes
 
 FLATTEST = 1e-30  # slopes of bands below it are taken for 0
 OWN = 3  # generators per input that stand for what all bands of a network leave open
@@ -40,7 +40,7 @@ CURVED = 8  # error of tanh and sigmoid in unit roundoffs
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
+class CommandBound:
     """``u = K d + c + V v`` with every ``|v_i| <= 1``, and bounds on ``|u|``."""
 
     K: arb_mat
@@ -58,7 +58,7 @@ class Rounding:
     top: arb  # size up to which neither a number nor its inverse leaves the normal ones
 
     @classmethod
-    def of(cls, precision: str) -> "Rounding | None":
+    def from_precision(cls, precision: str) -> "Rounding | None":
         """Return the bounds of a precision; None for real arithmetic."""
         if precision == "real":
             return None
@@ -99,7 +99,7 @@ class Policy:
 
     law: Law
     plant: Plant
-    told: Whereabouts
+    told: ObstacleBoxes
 
     @cached_property
     def reads(self) -> arb_mat:
@@ -113,7 +113,7 @@ class Policy:
     @cached_property
     def rounding(self) -> Rounding | None:
         """Bounds on the rounding of its evaluation; None in real arithmetic."""
-        return Rounding.of(self.law.precision)
+        return Rounding.from_precision(self.law.precision)
 
     @cached_property
     def layers(self) -> list["Weights | Layer"]:
@@ -132,7 +132,7 @@ class Policy:
         into = [arb(x) / top for x, top in zip(self.law.output_scale, tops, strict=True)]
         return [*own, Weights(into, none), Layer("clip", low=-1.0, high=1.0), Weights(list(tops), none)]
 
-    def known(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
+    def reference_input(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
         """Return what it reads on its reference itself, at node i of step k, and generators of that."""
         n = self.plant.A.nrows()
         time = self.plant.h * self.plant.q * k
@@ -140,13 +140,13 @@ class Policy:
         parts["reference_input"] = base.u
         spread = {name: arb_mat(part.nrows(), self.told.width) for name, part in parts.items()}
         for name in (name for name in self.law.reads if ":" in name):
-            middle, spread[name] = self.told.at(name, k * self.plant.q + i)
+            middle, spread[name] = self.told.at_node(name, k * self.plant.q + i)
             parts[name] = middle + self.told.less(name, base.nodes[i])
         scale = diagonal(self.law.input_scale)
         read, rest = (scale * above(*(table[name] for name in self.law.reads)) for table in (parts, spread))
         return read, rest
 
-    def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
+    def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> CommandBound:
         """Enclose the command over a set of estimated states relative to the reference."""
         M, c, V = self.reads, known, rest
         own, exact = self.rounding, self.layers[-1]
@@ -175,7 +175,7 @@ class Policy:
         spread, middle = sums(row_sums(M * d.G), row_sums(V)), (M * d.c + c).entries()
         bounds = [largest([abs(at) + x]) for at, x in zip(middle, spread, strict=True)]
         few = Zonotope(arb_mat(M.nrows(), 1), V).reduced(OWN * M.nrows()).G
-        return Command(M, c, few, bounds)
+        return CommandBound(M, c, few, bounds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files.parts import Law, Layer
+from ..files.entries import Law, Layer
 from ..files.structure import contents
 from ..kernel.verdict import Rejected, Undecided
 

@@ -11,7 +11,7 @@ from typing import Any
 from flint import arb
 
 from ..files.document import ROUNDED, Document
-from ..files.parts import UnsafeSet
+from ..files.entries import UnsafeSet
 from ..kernel.balls import absolute, absolute_dot, column, cross, dot, matrix, norms, require
 from ..kernel.verdict import Rejected
 from .allocation import per_axis
@@ -32,7 +32,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
     obstacles, kept = (
         [
-            _grown(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
+            _inflated(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
             for spec in scenario.get(key, ())
         ]
         for key, sign in (("obstacles", arb(1)), ("keep_in", arb(-1)))
@@ -81,7 +81,7 @@ def _speed(spec: dict[str, Any], clock: arb) -> arb:
     return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
 
 
-def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
+def _inflated(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
     """Return the scenario's entry of a set, its facets moved outwards, or inwards if negative."""
     if radius == 0 or spec["kind"] in KINDS:
         return spec

@@ -21,8 +21,8 @@ from ..kernel.balls import (
     require,
     sums,
 )
-from ..kernel.leads import Lead
-from ..kernel.motion import Plant, Push
+from ..kernel.motion import InputSet, Plant
+from ..kernel.pulse_lead import Lead
 from ..kernel.verdict import Rejected, Undecided
 from .allocation import Nozzles
 
@@ -50,13 +50,13 @@ def plant_of(document: Document) -> Plant:
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)
     plant = replace(plant, bits=document.prompt_bits)
-    if (layout := Nozzles.of(document)) is not None:
+    if (layout := Nozzles.from_document(document)) is not None:
         plant = replace(plant, shares=layout.shares, weights=layout.weights)
     else:
         along, across, _ = document.shares
         constant = document.same_shares and along < 1 and jitter == 0
         plant = replace(plant, along=along, across=across, constant=constant)
-    bias = [Push.in_box(*_constant(D, document.bias))] if any(document.bias) else []
+    bias = [InputSet.in_box(*_constant(D, document.bias))] if any(document.bias) else []
     plant = replace(plant, bias=bias, unmeasured=delay + missed * h)
     plant = _out_of_time(document, plant)
     if document.transients:
@@ -111,13 +111,13 @@ def _out_of_time(document: Document, on_time: Plant) -> Plant:
 
 def _lead(document: Document, plant: Plant) -> Lead:
     """Bound the leads of pulses: at most ``h/2 f g (1 - g)`` of one of thrust f that takes a share g."""
-    m, half, layout = len(document.u_max), plant.h / 2, Nozzles.of(document)
+    m, half, layout = len(document.u_max), plant.h / 2, Nozzles.from_document(document)
     fired = [plant.h / 8 * x for x in document.fired]
     if layout is None:
         rows = (identity(m) + plant.table).tolist()
         fixed = sums([sum(row, arb(0)) * plant.carried / plant.h for row in rows], map(arb, plant.bits))
     else:
-        rows, size = layout.pushed, plant.carried / (layout.left(arb(1)) * plant.h)
+        rows, size = layout.pushed, plant.carried / (layout.max_carried(arb(1)) * plant.h)
         fixed = [
             x + size * y for x, y in zip(map(arb, plant.bits), layout.at_once(layout.sizes), strict=True)
         ]

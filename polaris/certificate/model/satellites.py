@@ -5,7 +5,7 @@ from typing import Any
 from flint import arb, arb_mat, fmpq, fmpq_mat
 
 from ..files.document import Document
-from ..files.parts import UnsafeSet
+from ..files.entries import UnsafeSet
 from ..kernel.balls import (
     absolute,
     column,

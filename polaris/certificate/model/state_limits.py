@@ -7,7 +7,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
-from ..files.parts import UnsafeSet
+from ..files.entries import UnsafeSet
 from ..kernel.balls import absolute_dot, cross, dot, identity, magnitude, matrix, require
 from ..kernel.verdict import Rejected
 from .navigation import holding

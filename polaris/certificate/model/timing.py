@@ -77,7 +77,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", f"pulses are placed {document.placed}, in the scenario {placed}")
     if placed == "staggered":  # each has the thrust of all together
         fired = [x * len(fired) for x in fired]
-    if pulsed and (layout := Nozzles.of(document)) is not None:
+    if pulsed and (layout := Nozzles.from_document(document)) is not None:
         fired = layout.fired()
         if placed == "staggered":
             bit = arb(thrusters.get("impulse_bit_N_s", 0.0)) / plant.h
@@ -111,7 +111,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
             require("system", bound - needed, f"displacement of state {i}: {bound}")
     if (len(measured) > 1) != bool(document.error_by_step):
         raise Rejected("system", "only one of certificate and scenario has estimate errors by step")
-    away = displaced(document, delay)
+    away = state_offset(document, delay)
     carried = [_carried(plant, delay + plant.h * i, nothing) for i in range(missed + 1)]
     full = column(plant.thruster_part(plant.u_max))
     unseen = (sum((added for _, added in older(document, plant)), plant.predicted) * full).entries()
@@ -131,7 +131,7 @@ def by_command(document: Document, error: arb_mat) -> arb_mat:
     return (by_age[0] - by_age[-1]) * error if by_age else arb_mat(len(document.A), 1)
 
 
-def displaced(document: Document, delay: float) -> list[arb]:
+def state_offset(document: Document, delay: float) -> list[arb]:
     """Bound how far states may be displaced when they are measured, as the certificate has it."""
     periods = arb(delay) * document.q / arb(document.delta)
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
@@ -145,10 +145,10 @@ def carried_away(plant: Plant) -> list[arb]:
     return row_sums((held + absolute(plant.B) * plant.along) * plant.carried)
 
 
-def owed(plant: Plant) -> arb:
+def carried_impulse(plant: Plant) -> arb:
     """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
     sides, longest = 2 if plant.weights else 1, 1 + 2 * arb(plant.jitter) / plant.h
-    return sides * plant.B.ncols() * longest * plant.carried * (1 + arb(plant.prompt.along))
+    return sides * plant.B.ncols() * longest * plant.carried * (1 + arb(plant.without_delay.along))
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
@@ -172,7 +172,7 @@ def _pulses(plant: Plant, fired: list[float], placed: str) -> tuple[arb, list[ar
     A, B, h, m = plant.A, plant.B, plant.h, len(fired)
     inverse, growth, bent = _spreading(plant), (absolute(A) * h).exp(), A * A * B
     each = ([x * (h**power / by) for x in fired] for power, by in enumerate(PLACES[placed], 1))
-    speed, way, lasting = (column(sums(part, plant.prompt.thruster_part(part))) for part in each)
+    speed, way, lasting = (column(sums(part, plant.without_delay.thruster_part(part))) for part in each)
     shape = absolute(inverse * bent) + absolute(inverse) * absolute(A) * growth * absolute(bent) * (h / 2)
     both = (shape * lasting).entries()
     spread = column(sums(both[:m], both[m:]))

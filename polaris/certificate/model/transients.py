@@ -25,10 +25,10 @@ from ..kernel.balls import (
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected
 from .craft.craft import Craft
-from .craft.memory import Memory
-from .craft.needs import Differences, Needs, difference_along
-from .craft.observer import Filtering
+from .craft.observer import ObserverErrors
+from .craft.settling import Settling
 from .craft.states import craft_of, remembers
+from .craft.tightening import Differences, Tightening, difference_along
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
 from .timing import carried_away, predicted
@@ -61,7 +61,7 @@ def _lasts(fault: dict[str, Any]) -> float:
     return float(fault["lasts_s"] if fault["kind"] == "navigation_lost" else fault.get("isolation_s", 0.0))
 
 
-def check_withheld(
+def check_attribution(
     document: Document, stored: list[dict[str, Any]] | None, limits: set[str]
 ) -> list[dict[str, Any]] | None:
     """Check what is told of faults: steps of S, names and times that there are; what is short is no claim."""
@@ -80,7 +80,7 @@ def check_withheld(
     return stored
 
 
-def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_mat]:
+def wrong_thrust(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_mat]:
     """Return bounds on what each kind of wrong thrust has added to the loop state, (N, 1) each.
 
     They hold at the node where S takes over, until no command rests on an older state, and for states of the
@@ -102,7 +102,7 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
         while len(first) < count + hidden:
             rows = above(power, craft.sees * power)
             first.append(magnitude(begun.thrust_gains(rows)))
-            later.append(magnitude(beside(rows * craft.held, craft.thrust_gains(rows))))
+            later.append(magnitude(beside(rows * craft.held_map, craft.thrust_gains(rows))))
             power = power * craft.free
         for push in fault["pushes"]:
             size = [arb(x) for x in push]
@@ -163,7 +163,7 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
     return [largest(each).upper() for each in zip(*lists, strict=True)]
 
 
-def lost(document: Document, craft: Craft, memory: Memory) -> list[Differences]:
+def outage_differences(document: Document, craft: Craft, memory: Settling) -> list[Differences]:
     """Return what the loss of navigation adds to the loop state; in no more than one of them it is lost."""
     outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
     if document.observer is not None and remembers(document):
@@ -173,7 +173,7 @@ def lost(document: Document, craft: Craft, memory: Memory) -> list[Differences]:
     return [[(diagonal(box), arb_mat(len(box), 0))] for box in boxes]
 
 
-def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
+def _predicted(document: Document, craft: Craft, memory: Settling, lasts: float) -> list[arb]:
     """Return errors of predictions while navigation is lost, and what is left of the first estimate's."""
     plant, n = craft.plant, craft.plant.A.nrows()
     age = arb(lasts) + document.timing.get("delay", 0.0)
@@ -181,16 +181,18 @@ def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -
     estimate = column(document.estimate or [0.0] * n)
     first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
     measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
-    return sums(predicted(plant, measured, age), Needs(craft, memory, identity(n)).ever(first))
+    return sums(
+        predicted(plant, measured, age), Tightening(craft, memory, identity(n)).need_at_any_time(first)
+    )
 
 
-def _unlearned(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
+def _unlearned(document: Document, craft: Craft, memory: Settling, lasts: float) -> list[arb]:
     """Return what estimates of an observer that misses an outage make of the state, where a box holds them.
 
     They are compared with those it would have made if only as many periods had been missed as may be, with
     measurements as close to what it expects as their errors allow.
     """
-    plant, filtering, count = craft.plant, Filtering.of(document, craft.plant), memory.periods
+    plant, filtering, count = craft.plant, ObserverErrors.from_document(document, craft.plant), memory.periods
     n, late, stated = plant.A.nrows(), filtering.late, document.observer or {}
     M, noise = absolute(matrix(stated["measures"])), column(stated["noise"])
     measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
@@ -213,8 +215,8 @@ def _unlearned(document: Document, craft: Craft, memory: Memory, lasts: float) -
     carried = arb_mat(n, n, maxima(*ages))
     known = [maxima(left[0], apart.entries())] * (missing - late) + [left[0]] * late + left
     off = [(carried * column(known[min(i, len(known) - 1)])).entries() for i in range(count)]
-    needs = Needs(craft, memory, identity(n))
-    older, bent = needs.caused(off, True)
+    needs = Tightening(craft, memory, identity(n))
+    older, bent = needs.response(off, True)
     return sums(maxima(*needs.noise.summed(off)), older, bent, off[0])
 
 
@@ -245,14 +247,16 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     return pairs
 
 
-def upset(needs: Needs, boxes: list[arb_mat], others: Sequence[Differences] = ()) -> list[list[arb]]:
+def transient_need(
+    needs: Tightening, boxes: list[arb_mat], others: Sequence[Differences] = ()
+) -> list[list[arb]]:
     """Return needs along rows of what is in a box, or a difference of two flights, by the end of a period.
 
     That is the period after node l + 1, the state being added up to two periods after a hand-over.
     """
     worst, steps = [arb(0)] * needs.rows.nrows(), list[list[arb]]()
     whole = [difference_along(identity(needs.carried[0].ncols()), each) for each in others]
-    ever = [needs.still(each) for each in (*boxes, *(column(each) for each in whole))]
+    ever = [needs.need_after_settling(each) for each in (*boxes, *(column(each) for each in whole))]
     for lag in range(len(needs.carried)):
         now = [needs.boxed(box, lag) for box in boxes] + [needs.difference(each, lag) for each in others]
         worst = _peak([worst, *ever, *now])

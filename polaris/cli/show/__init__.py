@@ -14,7 +14,7 @@ from ...report.tables import Table as Cells
 RED = "bold red"
 
 
-def say(text: str, style: str = "") -> None:
+def print_line(text: str, style: str = "") -> None:
     """Print a line; no terminal obeys a name in it."""
     Console(highlight=False).print(Text(escape_controls(text), style=style), soft_wrap=True)
 
@@ -29,17 +29,17 @@ def show_table(shown: Table, width: int = 0) -> None:
 
 def show_claim(claim: Mapping[str, Any]) -> None:
     """Print a guarantee of the inspection problem and its assumptions."""
-    say(f"Guarantee: {str(claim['kind']).replace('_', ' ')}; {claim['reason']}.", "bold")
+    print_line(f"Guarantee: {str(claim['kind']).replace('_', ' ')}; {claim['reason']}.", "bold")
     if claim.get("periods") and claim["kind"] == "per_period":
-        say(f"Periods covered: {claim['periods_covered']} of {claim['periods']} of this flight.")
-    say("Assumptions:")
+        print_line(f"Periods covered: {claim['periods_covered']} of {claim['periods']} of this flight.")
+    print_line("Assumptions:")
     assume(claim["assumptions"])
 
 
 def assume(assumptions: Iterable[str]) -> None:
     """Print assumptions, one a line."""
     for assumption in assumptions:
-        say(f"  - {assumption}")
+        print_line(f"  - {assumption}")
 
 
 def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str | Text, ...]] = ()) -> Table:
@@ -59,10 +59,10 @@ def show_cells(shown: Cells, width: int = 0) -> None:
     for column, cell in zip(grid.columns[1:], shown.rows[0][1:], strict=True):
         column.justify = "left" if cell.words else "right"
     for row in shown.rows:
-        grid.add_row(*(alarming(cell.text, cell.bad) for cell in row))
+        grid.add_row(*(warning_text(cell.text, cell.bad) for cell in row))
     show_table(grid, width)
 
 
-def alarming(text: str, bad: bool) -> Text:
+def warning_text(text: str, bad: bool) -> Text:
     """Return a text, in red if it tells of something bad."""
     return Text(text, style=RED if bad else "")

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from ...model.checks import counted
 from ...synthesis.safety.recoverable import directed
-from . import say, show_table, table
+from . import print_line, show_table, table
 
 SAFETY = {  # metrics of the first table, and their heads
     "violations": "violations",
@@ -31,7 +31,7 @@ LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 
 def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     """Print the comparison as two tables, and the path of its folder."""
-    say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
+    print_line(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
     flown = [method for method in summary["methods"] if method["available"]]
     for named, columns in ((("method", "guarantee"), SAFETY), (("method",), COST)):
         shown = table(*named, *columns.values(), words=len(named), wrap=1)
@@ -39,14 +39,16 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
             words = (Text(str(method["name"])), Text(str(method["guarantee"])))[: len(named)]
             shown.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
         show_table(shown)
-        say("")
-    say("Minimum distance and time to collision (TTC): worst of all runs. Other columns: means over runs.")
-    say("95 % intervals and paired differences: see comparison.json or the report.")
+        print_line("")
+    print_line(
+        "Minimum distance and time to collision (TTC): worst of all runs. Other columns: means over runs."
+    )
+    print_line("95 % intervals and paired differences: see comparison.json or the report.")
     for method in summary["methods"]:
         if not method["available"]:
-            say(f"not applicable: {method['key']} ({method['reach']})")
-    say(f"Comparison folder: {folder}")
-    say(f"Interactive report: polaris report {shlex.quote(folder)}")
+            print_line(f"not applicable: {method['key']} ({method['reach']})")
+    print_line(f"Comparison folder: {folder}")
+    print_line(f"Interactive report: polaris report {shlex.quote(folder)}")
 
 
 def _cell(key: str, entry: Any) -> str:
@@ -72,16 +74,18 @@ HEADS = ("", "share of U", "switches", "delta-v m/s", "largest", "bound", "goal 
 def show_tradeoff(summary: Mapping[str, Any], folder: str) -> None:
     """Print the points, with a mark on those that are not dominated, and the paths of their folders."""
     points = summary["points"]
-    say(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
+    print_line(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
     longest = max(len(point["folder"]) for point in points)
     show_table(table(*HEADS, wrap=0, rows=map(_row, points)), 80 + longest)
     if summary["needed"]:
         for one in summary["needed"]:
-            say(answered(one))
+            print_line(answered(one))
     else:
-        say("* not dominated: no other is as good in share, mean delta-v, switches, goal and guarantee.")
-    say(f"Trade-off: {folder}")
-    say(f"Report of one schedule: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
+        print_line(
+            "* not dominated: no other is as good in share, mean delta-v, switches, goal and guarantee."
+        )
+    print_line(f"Trade-off: {folder}")
+    print_line(f"Report of one schedule: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
 
 
 def _row(point: Mapping[str, Any]) -> tuple[str, ...]:

@@ -5,21 +5,23 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...report.missions import joint_tables, legs_table, rows_flown
-from . import assume, say, show_cells
+from . import assume, print_line, show_cells
 
 
 def show_mission(summary: Mapping[str, Any], folder: str) -> None:
     """Print legs, GO boxes, statistics of flights, and the assumptions beyond those of the legs."""
-    say(str(summary["title"]), "bold")
+    print_line(str(summary["title"]), "bold")
     show_cells(legs_table(summary), 110)
     for shown in joint_tables(summary):
-        say("")
-        say(shown.caption, "bold")
+        print_line("")
+        print_line(shown.caption, "bold")
         show_cells(shown)
-    say("")
+    print_line("")
     for head, sentence in rows_flown(summary):
-        say(f"{head}: {sentence}.")
-    say("Guarantee: proved leg by leg and at the joints. Assumptions, besides those of the legs:", "bold")
+        print_line(f"{head}: {sentence}.")
+    print_line(
+        "Guarantee: proved leg by leg and at the joints. Assumptions, besides those of the legs:", "bold"
+    )
     assume(summary["mission"]["assumptions"])
-    say(f"Run folder: {folder}; one folder in it for each leg")
-    say(f"Report: polaris report {shlex.quote(folder)}")
+    print_line(f"Run folder: {folder}; one folder in it for each leg")
+    print_line(f"Report: polaris report {shlex.quote(folder)}")

@@ -9,25 +9,25 @@ from ...model.checks import counted
 from ...report.sentences import goal, reach, synthesis
 from ...report.tables import BRIEF, metrics
 from ...runs.files.tables import besides
-from . import RED, alarming, assume, say, show_cells, show_table, table
+from . import RED, assume, print_line, show_cells, show_table, table, warning_text
 
 
 def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     """Print the metrics, the guarantee with its assumptions, and where the folder lies."""
-    say(str(summary["title"]), "bold")
+    print_line(str(summary["title"]), "bold")
     show_cells(metrics(summary, f"{counted(summary['polaris']['runs'], 'simulated run')} each", BRIEF))
     claim = summary["guarantee"]
     for head, sentence in synthesis(summary):
-        say(f"{head}: {sentence}.")
+        print_line(f"{head}: {sentence}.")
     proved = claim["kind"] != "none"
     said = f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']})."
-    say(f"{said} Assumptions:" if proved else said, "bold" if claim["kind"] == "proved" else RED)
+    print_line(f"{said} Assumptions:" if proved else said, "bold" if claim["kind"] == "proved" else RED)
     assume(claim["assumptions"] if proved else ())
     if proved:
-        say(f"Goal: {goal(claim['goal'])}")
+        print_line(f"Goal: {goal(claim['goal'])}")
     for head, sentence in besides(claim) if proved else ():
-        say(f"{head}: {sentence}")
-    say(f"Run folder: {folder}")
+        print_line(f"{head}: {sentence}")
+    print_line(f"Run folder: {folder}")
 
 
 COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "min. distance")
@@ -45,9 +45,9 @@ def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     show_table(grid, max(len(str(case["label"])) for case in summary["cases"]) + 158)
     for case in summary["cases"]:
         if "failure" in case:
-            say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
+            print_line(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
     assume(summary["assumptions"])
-    say(f"Campaign: {folder}")
+    print_line(f"Campaign: {folder}")
 
 
 def show_run(row: Mapping[str, Any]) -> None:
@@ -63,8 +63,8 @@ def _row(mode: str, result: Mapping[str, Any]) -> list[Text]:
         Text(mode),
         Text(result["guarantee"]),
         Text(f"{result['runs']:,}"),
-        alarming(f"{result['violations']:,}", bad),
-        alarming(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
+        warning_text(f"{result['violations']:,}", bad),
+        warning_text(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
         Text("-" if worst["min_distance_m"] is None else f"{worst['min_distance_m']:.4g} m"),
         Text(_interval(mean["min_distance_m"], "m")),
         Text(f"{mean['experimental_share']['mean']:.1%}"),

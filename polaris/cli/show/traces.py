@@ -10,26 +10,26 @@ from rich.text import Text
 from ...model.checks import counted
 from ...traces.evaluation import Separation, Spread, TraceMetrics
 from ...traces.legacy import Legacy, Raises
-from . import alarming, say, show_table, table
+from . import print_line, show_table, table, warning_text
 
 
 def show_metrics(found: TraceMetrics) -> None:
     """Print what `polaris.traces.evaluate_trace` found, as tables."""
     axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
     for name, agent in found.agents.items():
-        say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
+        print_line(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
         if agent.unsafe or agent.others:
             show_table(_separations((*agent.unsafe, *agent.others)))
-            say(f"velocity: {agent.velocity}")
+            print_line(f"velocity: {agent.velocity}")
         else:
-            say("no keep-out zone, no other agent")
+            print_line("no keep-out zone, no other agent")
         shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
-        say(f"share of time: {shares}; switches: {agent.switches}")
+        print_line(f"share of time: {shares}; switches: {agent.switches}")
         if agent.running_times is not None:
             mean, largest, least = agent.running_times
-            say(f"decision: mean {mean:.3g} s, max {largest:.3g} s, min {least:.3g} s")
+            print_line(f"decision: mean {mean:.3g} s, max {largest:.3g} s, min {least:.3g} s")
     for note in found.notes:
-        say(f"note: {note}")
+        print_line(f"note: {note}")
 
 
 QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))
@@ -49,7 +49,7 @@ def _separations(items: Iterable[Separation]) -> Table:
             values = (spread.min, spread.mean, spread.max, spread.at)
             shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
             course = "" if key == "distance" else f"{spread.share:.1%}"
-            grid.add_row(title, Text(quantity), alarming(shown[0], spread.min <= 0), *shown[1:], course)
+            grid.add_row(title, Text(quantity), warning_text(shown[0], spread.min <= 0), *shown[1:], course)
             title = Text("")
     return grid
 
@@ -67,7 +67,7 @@ LEGACY_FORMS = {
 def show_legacy(found: Legacy) -> None:
     """Print what RTAEval's methods return, in their order."""
     for name, methods in found.items():
-        say(f"{name}: as RTAEval computes it, defects included", "bold")
+        print_line(f"{name}: as RTAEval computes it, defects included", "bold")
         rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
         show_table(table("method", "returns", "value", words=3, rows=rows))
 

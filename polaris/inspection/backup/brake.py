@@ -13,7 +13,7 @@ from ...model.hill import free_flight
 from ...model.system import Array
 from ..inspection import Inspection
 from ..vectors import length
-from .tube import Held, Tube, Uncertainty
+from .tube import ErrorTube, HeldThrust, Uncertainty
 
 MOST = 2000  # most samples of a plan: what would take longer is not proven
 RESPONSES = (10.0, 20.0, 40.0)
@@ -51,7 +51,7 @@ class Brake:
         self.uncertainty = uncertainty or Uncertainty()
         self.estimate = self.uncertainty.predicted(q)
         n = q.mean_motion
-        self.motion = Phi, Gamma = q.held(D)
+        self.motion = Phi, Gamma = q.discretize(D)
         self.spin = np.array([[0.0, n, 0.0], [-n, 0.0, 0.0], [0.0, 0.0, 0.0]])  # w x p
         to_rest = np.hstack([-self.spin, np.eye(3)])  # V of a state
         self._solve = np.linalg.inv(to_rest @ Gamma)  # the thrust after which V is v: solve v - hold x
@@ -66,8 +66,8 @@ class Brake:
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
         uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
-        held = Held(q, D, self.motion, self.resting, self._still, slip, float(uneven))
-        tubes = [Tube(held, self.uncertainty, max(response, 5 * D)) for response in RESPONSES]
+        held = HeldThrust(q, D, self.motion, self.resting, self._still, slip, float(uneven))
+        tubes = [ErrorTube(held, self.uncertainty, max(response, 5 * D)) for response in RESPONSES]
         self.tube = min(tubes, key=lambda tube: tube.widest @ (1.0, q.passive_time))
         self.gain, self.available = self.tube.gain, q.thrust_max - self.tube.feedback
         self.holding = float(length(self._still).max())  # N per axis and metre
@@ -160,7 +160,7 @@ class Brake:
         return np.asarray(gained @ self._pushed.T)
 
     def around(self, plan: Array, before: Array | None = None) -> Array:
-        """Return bounds (L+1, N, 2) on errors of flights about new plans (L+1, N, 6); see `Tube.around`."""
+        """Return bounds (L+1, N, 2) on errors about new plans (L+1, N, 6); see `ErrorTube.around`."""
         return self.tube.around(self.thrusts(plan), length(plan[-1, :, :3]), before)
 
     def follow(self, x: Array, plan: Array) -> Array:

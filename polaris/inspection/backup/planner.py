@@ -32,7 +32,7 @@ class Proven(NamedTuple):
         return bool((self.margins >= 0).all())
 
 
-class Planner:
+class BackupPlanner:
     """Finds plans that brake and hold and are safe for all time; see `Brake` and `AllTime`.
 
     Parameters

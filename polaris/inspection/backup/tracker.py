@@ -14,7 +14,7 @@ from ...model.system import Array
 from ...synthesis.tracker.lqr import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
-from .settled import Decay
+from .decay import Decay
 
 LONGEST = 20_000  # most periods of one predicted flight
 LOOK = 4  # every so many periods it is asked whether the flight has settled
@@ -22,7 +22,7 @@ BRAKING = 0.5  # share of the thrust with which the stopping point of the refere
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class TailBound:
     """Bounds on the flight under a backup law for ever after, for each of N deputies.
 
     Valid without disturbances, while the law is followed period by period.
@@ -57,7 +57,7 @@ def augmented(inspection: Inspection) -> tuple[Array, Array]:
     return A, np.vstack([system.B, np.zeros((3, 3))])
 
 
-class Tracker:
+class BackupTracker:
     """LQR with integral action about a reference that moves on an eNMT: ``u = clip(-K_1 e - K_2 z)``.
 
     Eq. 41 builds the desired state from the present position. Its position error is identically zero: so
@@ -76,7 +76,7 @@ class Tracker:
     ----------
     inspection : Inspection
     ellipses : Ellipses, optional
-        Default ``Ellipses.of(inspection)``.
+        Default ``Ellipses.for_inspection(inspection)``.
     period : float
         Time for which each thrust is held [s].
     response : float
@@ -96,8 +96,8 @@ class Tracker:
         response: float = 20.0,
     ) -> None:
         q, self.period = inspection, positive("period", period, "s")
-        self.inspection, self.motion = q, q.held(period)
-        self.ellipses = ellipses or Ellipses.of(q)
+        self.inspection, self.motion = q, q.discretize(period)
+        self.ellipses = ellipses or Ellipses.for_inspection(q)
         if self.ellipses.mean_motion != q.mean_motion:  # there they are no flights
             rule = f"must be for {q.mean_motion:g} rad/s"
             raise ScenarioError("ellipses", self.ellipses.mean_motion, rule)
@@ -137,11 +137,11 @@ class Tracker:
         after[:, 6:] = memory[:, 6:] + np.where(held, 0.0, self.period * error[:, :3])
         return u, after
 
-    def settled(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
+    def is_linear(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
         """Return True for deputies whose loop is linear from here on, shape (N,)."""
         return self._thrusts.never_above(_errors(x, memory), share * self.inspection.thrust_max)
 
-    def outlook(self, x: Array, memory: Array) -> Outlook:
+    def outlook(self, x: Array, memory: Array) -> TailBound:
         """Return bounds on all the future: in the linear range, by sums over the loop's powers."""
         q, D = self.inspection, self.period
         s = _errors(x, memory)
@@ -152,7 +152,7 @@ class Tracker:
         strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
-        return Outlook(settled, spent, distance)
+        return TailBound(settled, spent, distance)
 
 
 def _errors(x: Array, memory: Array) -> Array:
@@ -179,7 +179,7 @@ class BackupFlight:
     x: Array
     u: Array
     memory: Array
-    outlook: Outlook
+    outlook: TailBound
 
     def delta_v(self, mass: float, period: float) -> Array:
         """Upper bound on all that is spent for ever after the start [m/s] (eq. 25), shape (N,).
@@ -189,7 +189,7 @@ class BackupFlight:
         return np.asarray(np.abs(self.u).sum(axis=(0, 2)) * (period / mass) + self.outlook.delta_v)
 
 
-def fly_backup(law: Tracker, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
+def fly_backup(law: BackupTracker, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
     """Fly from states (N, 6) until all deputies have settled, at most `steps` periods.
 
     That is until no more than a `share` of the thrust limit will be used.
@@ -198,7 +198,7 @@ def fly_backup(law: Tracker, x: Array, steps: int, share: float = 1.0) -> Backup
     Phi, Gamma = (matrix.T for matrix in law.motion)
     states, inputs = [x], []
     for k in range(steps):
-        if k % LOOK == 0 and law.settled(x, memory, share).all():
+        if k % LOOK == 0 and law.is_linear(x, memory, share).all():
             break
         u, memory = law.thrust(x, memory)
         x = x @ Phi + u @ Gamma

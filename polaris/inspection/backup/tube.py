@@ -11,7 +11,7 @@ from ...model.estimates.prediction import prediction_error
 from ...model.thrusters import Thrusters
 from ..inspection import Inspection
 from ..vectors import length
-from .settled import Decay
+from .decay import Decay
 
 TOLERANCE = 1e-9
 """Thrust [N] beyond the limit that a plan may ask for; the tube pays for what is clipped."""
@@ -62,7 +62,7 @@ class Uncertainty:
 
     def predicted(self, inspection: Inspection) -> Array:
         """Bounds (6,) on the errors of a state that is moved to when the call was due."""
-        system = Craft.of(replace(inspection.system, w_max=self.disturbance))
+        system = Craft.from_system(replace(inspection.system, w_max=self.disturbance))
         worst = self.thrusters.error(system.u_max)
         return prediction_error(system, self.estimate, worst, self.jitter)
 
@@ -73,7 +73,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldThrust:
     """A deputy's motion with thrust held for a period [s], and what keeps it at rest where it is.
 
     `motion` has the transition (6, 6) and the input's (6, 3); `resting` (6, 3) the state at rest at a place;
@@ -90,7 +90,7 @@ class Held:
     uneven: float
 
 
-class Tube:
+class ErrorTube:
     """Bounds on the 2-norms of the error of position [m] and velocity [m/s], for a loop's time constant [s].
 
     A part is the same for all plans, by the periods since they were made; errors of thrusters are those of
@@ -106,7 +106,7 @@ class Tube:
         Bounds for ever, under full thrust.
     """
 
-    def __init__(self, held: Held, unknown: Uncertainty, response: float) -> None:
+    def __init__(self, held: HeldThrust, unknown: Uncertainty, response: float) -> None:
         q, D, n = held.inspection, held.period, held.inspection.mean_motion
         (Phi, Gamma), errors, eta = held.motion, unknown.thrusters, unknown.predicted(q)
         self._period, self._grow = D, np.exp((2 + np.sqrt(3)) * n * D)

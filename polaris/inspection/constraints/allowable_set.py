@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 from ...model.system import Array
 from ..inspection import Inspection
 from .constraint import KINDS, PASSIVE
-from .table import Index, Table
+from .table import ConstraintTable, Index
 
 
 @lru_cache(maxsize=64)
-def _table(q: Inspection) -> tuple[Table, dict[str, Index]]:
+def _table(q: Inspection) -> tuple[ConstraintTable, dict[str, Index]]:
     """Return all constraints but those on free flights, and the rows of each, (r, N) or (r, P)."""
-    table = Table(q, PASSIVE.values())
+    table = ConstraintTable(q, PASSIVE.values())
     labels = np.array([one.label for one in table.constraints])
     pair = {name: kind.pair for name, kind in KINDS.items() if name not in PASSIVE}
     pair |= {one.label: one.pair for one in q.constraints}

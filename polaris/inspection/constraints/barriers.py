@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...model.system import Array
 from ..vectors import CENTRE, dot, length, rounded_length, turning
 from .constraint import Evaluation, Printed, join
-from .motion import Motion
+from .motion import MotionBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Braking:
         delta: Array,
         rate: Array,
         distance: Array,
-        motion: Motion,
+        motion: MotionBound,
         share: float = 1.0,
         outside: NDArray[np.bool_] | bool = True,
     ) -> Array:
@@ -135,7 +135,7 @@ class Radial(Printed):
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; see `Constraint.curvature`."""
         distance, outward = rounded_length(z[..., :3], CENTRE)
         delta = np.asarray(self.side * (distance - self.radius))
@@ -213,7 +213,7 @@ class SunCone(Printed):
         gradient = join(by_position + c * turning(across, outward, away, radius), normal)
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; see `Constraint.curvature`."""
         n = self.mean_motion
         delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
@@ -223,5 +223,5 @@ class SunCone(Printed):
         slip = motion.speed + n * far
         push = motion.acceleration + 2 * n * slip + n**2 * far
         jerk = motion.jerk + n * motion.acceleration + 2 * n * push + n**2 * slip
-        seen = Motion(motion.period, slip, push, jerk, motion.thrust, motion.along)
+        seen = MotionBound(motion.period, slip, push, jerk, motion.thrust, motion.along)
         return self.braking.curvature(delta, rate, radius, seen, np.cos(self.half_angle))

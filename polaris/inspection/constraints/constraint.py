@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from ...model.checks import of_kind, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from .motion import Motion
+from .motion import MotionBound
 from .strengthening import PRESETS, Strengthening
 
 
-class Kind(NamedTuple):
+class ConstraintKind(NamedTuple):
     """One of the paper's constraints phi1 to phi11 (eqs. 12 to 23): see `Constraint`."""
 
     family: str
@@ -25,17 +25,17 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "phi1": Kind("chief_separation", 0, False, "separation from the chief", "m"),
-    "phi2": Kind("deputy_separation", 0, True, "separation of deputies", "m"),
-    "phi3": Kind("speed", 2, False, "dynamic speed limit", "m/s"),
-    "phi4": Kind("sun", 4, False, "sun keep-out, towards the chief", "rad"),
-    "phi5": Kind("deputy_sun", 4, True, "sun keep-out, towards a deputy", "rad"),
-    "phi6": Kind("keep_in", 3, False, "keep-in zone", "m"),
-    "phi7": Kind("passive", 1, False, "free flight past the chief", "m"),
-    "phi8": Kind("deputy_passive", 1, True, "free flight of deputies", "m"),
-    "phi9": Kind("velocity", 2, False, "velocity limit, radial", "m^2/s^2"),
-    "phi10": Kind("velocity", 2, False, "velocity limit, along-track", "m^2/s^2"),
-    "phi11": Kind("velocity", 2, False, "velocity limit, cross-track", "m^2/s^2"),
+    "phi1": ConstraintKind("chief_separation", 0, False, "separation from the chief", "m"),
+    "phi2": ConstraintKind("deputy_separation", 0, True, "separation of deputies", "m"),
+    "phi3": ConstraintKind("speed", 2, False, "dynamic speed limit", "m/s"),
+    "phi4": ConstraintKind("sun", 4, False, "sun keep-out, towards the chief", "rad"),
+    "phi5": ConstraintKind("deputy_sun", 4, True, "sun keep-out, towards a deputy", "rad"),
+    "phi6": ConstraintKind("keep_in", 3, False, "keep-in zone", "m"),
+    "phi7": ConstraintKind("passive", 1, False, "free flight past the chief", "m"),
+    "phi8": ConstraintKind("deputy_passive", 1, True, "free flight of deputies", "m"),
+    "phi9": ConstraintKind("velocity", 2, False, "velocity limit, radial", "m^2/s^2"),
+    "phi10": ConstraintKind("velocity", 2, False, "velocity limit, along-track", "m^2/s^2"),
+    "phi11": ConstraintKind("velocity", 2, False, "velocity limit, cross-track", "m^2/s^2"),
 }
 CONSTRAINTS = tuple(KINDS)
 RESERVED = {kind.family for kind in KINDS.values()} | {"thrust", "h5+", "h5-", *KINDS}
@@ -109,7 +109,7 @@ class Constraint(ABC):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate h at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M on ``-d^2 h / dt^2``; ``-inf`` where h cannot become negative within the period."""
         raise TypeError(f"no bound for {type(self).__name__}")
 
@@ -144,7 +144,7 @@ def _evaluated(form: Constraint, z: Array) -> dict[str, Array]:
     out = {"value": form.value(z, sun), "h": h, "gradient": np.broadcast_to(gradient, (*count, 6))}
     out["change"] = np.broadcast_to(change, count)
     if type(form).curvature is not Constraint.curvature:
-        motion = Motion(1.0, *np.full((5, *z.shape[:2]), 0.1))
+        motion = MotionBound(1.0, *np.full((5, *z.shape[:2]), 0.1))
         out["curvature"] = np.broadcast_to(form.curvature(z, sun, motion), count)
     for name, values in out.items():
         shape = {"value": z.shape[:2], "h": count}.get(name, np.shape(values))

@@ -20,15 +20,15 @@ from ..inspection import Inspection
 from ..vectors import CENTRE, STANDSTILL, dot
 from .barriers import Radial, SunCone
 from .constraint import Constraint
-from .motion import Motion, SampledData
+from .motion import MotionBound, SampledData
 from .passive import Passive, PassiveSegments
 from .speeds import Velocity
 from .strengthening import FAMILIES, Strengthening, evaluate, preset
-from .table import Group, Index, Table
+from .table import ConstraintGroup, ConstraintTable, Index
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class BarrierRows:
     """Barrier conditions at some states; the leading axes are runs.
 
     Attributes
@@ -46,7 +46,7 @@ class Rows:
     bound: Array
 
 
-class Families(Table):
+class Families(ConstraintTable):
     """The constraints h1 to h11 of all deputies and pairs, and one's own, in one fixed order of rows.
 
     Parameters
@@ -65,7 +65,7 @@ class Families(Table):
     ----------
     labels : tuple of str, length M
         Names of the rows: ``h1[2]``, ``h2[0,3]``; ``h5+`` and ``h5-`` are the two cones of a pair. For
-        `family`, `first` and `second` see `Table`.
+        `family`, `first` and `second` see `ConstraintTable`.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Families(Table):
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
             self._fixed, self._about = self._for_loops(), approach.loops
-        own: list[Group] = [group for group in self.groups if group.rows.start >= self.known]
+        own: list[ConstraintGroup] = [group for group in self.groups if group.rows.start >= self.known]
         self._by_formulas = own if self.loops else self.groups
         for group in own if sampled is not None else ():
             if type(group.barrier).curvature is Constraint.curvature:
@@ -106,7 +106,7 @@ class Families(Table):
         drift = 2 * q.distance_max * per_metre + 2 * np.sqrt(3) * q.speed_max * per_speed
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
 
-    def _by_loops(self, x: Array, sun: Array, held: Array | None) -> Rows:
+    def _by_loops(self, x: Array, sun: Array, held: Array | None) -> BarrierRows:
         lead = x.shape[:-2]
         if x.ndim != 3 or sun.shape != lead:
             x, sun = x.reshape(-1, *x.shape[-2:]), np.broadcast_to(sun, lead).reshape(-1)
@@ -118,8 +118,8 @@ class Families(Table):
             about = self._about.motions(x, pairs, given, numbers)
         h, G, bound = self.loops.rows(x, plain(sun), about, *self._fixed)
         if len(lead) == 1:
-            return Rows(h, G, bound)
-        return Rows(h.reshape(*lead, -1), G.reshape(*lead, -1, 3), bound.reshape(*lead, -1))
+            return BarrierRows(h, G, bound)
+        return BarrierRows(h.reshape(*lead, -1), G.reshape(*lead, -1, 3), bound.reshape(*lead, -1))
 
     def _for_loops(self) -> tuple[Array | Index, ...]:
         """The arguments of `polaris.inspection.loops.rows` that are always the same."""
@@ -154,7 +154,7 @@ class Families(Table):
         """
         return np.asarray(2 * self._rank + (h < 0))
 
-    def missed(self, rows: Rows, u: Array) -> Array:
+    def missed(self, rows: BarrierRows, u: Array) -> Array:
         """Return how much inputs (..., N, 3) miss each row [N], 0 where they meet it; shape (..., M).
 
         Along the row, per newton of its deputies' thrust; inf where no input changes the row.
@@ -163,7 +163,7 @@ class Families(Table):
         gap = np.maximum(rows.bound - dot(rows.G, self.relative(u)), 0.0)
         return np.asarray(np.divide(gap, size, out=np.where(gap > 0, np.inf, 0.0), where=size > 0))
 
-    def given(self, desired: Array) -> Array:
+    def clip_inputs(self, desired: Array) -> Array:
         """Return inputs (..., N, 3) [N] clipped to the thrust limits: the nearest to them is looked for.
 
         The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
@@ -171,7 +171,7 @@ class Families(Table):
         limit = self.inspection.thrust_max
         return np.minimum(np.maximum(desired, -limit), limit)  # quicker than np.clip
 
-    def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> Rows:
+    def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> BarrierRows:
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
 
         For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
@@ -185,9 +185,9 @@ class Families(Table):
         if len(parts) == 1:
             return parts[0]
         both = zip(*((rows.h, rows.G, rows.bound) for rows in parts), strict=True)
-        return Rows(*(np.concatenate(pair, axis=x.ndim - 2) for pair in both))
+        return BarrierRows(*(np.concatenate(pair, axis=x.ndim - 2) for pair in both))
 
-    def _by_formula(self, x: Array, sun: Array, held: Array | None) -> Rows:
+    def _by_formula(self, x: Array, sun: Array, held: Array | None) -> BarrierRows:
         """Rows of the groups that loops have not."""
         q, first = self.inspection, self._by_formulas[0].rows.start
         every = self.stack(x)
@@ -218,9 +218,9 @@ class Families(Table):
         lost = np.isnan(bound) | ~np.isfinite(h) | ~np.isfinite(G).all(axis=-1)
         lost[..., : max(self.known - first, 0)] = False
         G[lost], bound[lost] = 0.0, np.inf
-        return Rows(h, G, bound)
+        return BarrierRows(h, G, bound)
 
-    def _motion(self, every: Array, drift: Array, held: Array | None) -> Motion | None:
+    def _motion(self, every: Array, drift: Array, held: Array | None) -> MotionBound | None:
         """Return the motion that is possible within a period; None if not sampled."""
         if self.sampled is None:
             return None

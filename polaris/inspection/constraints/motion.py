@@ -6,7 +6,8 @@ input, then ``h(t) >= h + t dh/dt - M t^2 / 2``. So
     dh/dt >= -share h / D + M D / 2,    0 < share <= 1,
 
 at the sample gives ``h(t) >= (1 - share t / D) h + M t (D - t) / 2 >= (1 - share) h`` over the whole period.
-Each barrier bounds its M from the state at the sample and the `Motion` that is possible within a period. A
+Each barrier bounds its M from the state at the sample and the `MotionBound` that is possible within a
+period. A
 row that no admissible input can make negative within the period gets ``-inf``: it may be dropped. One for
 which there is no bound gets ``inf``: no input satisfies it. The proofs are in ``docs/inspection-theory.md``.
 """
@@ -62,7 +63,7 @@ class SampledData:
             raise ScenarioError("period", D, rule)
         return 1 / rest
 
-    def motion(self, z: Array, rates: Array, n: float, thrust: Array, known: bool = False) -> "Motion":
+    def motion(self, z: Array, rates: Array, n: float, thrust: Array, known: bool = False) -> "MotionBound":
         """Bounds over the period, from states z (..., 6) at the sample, of deputies or relative ones.
 
         `rates` (..., 6) are natural ones, n the mean motion [rad/s], `thrust` (...) the largest acceleration
@@ -75,11 +76,13 @@ class SampledData:
         fastest = speed + a * D
         # Thrust is within a box whose half-diagonal is `thrust`; the rest is natural motion.
         along = a if known else a - (1 - 1 / np.sqrt(3)) * thrust
-        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along)
+        return MotionBound(
+            D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionBound:
     """Bounds on speed, acceleration and jerk over one period [s], each of shape (...), in SI units.
 
     `thrust` is the part of the acceleration that is held; along one axis there is at most `along`.
@@ -92,7 +95,7 @@ class Motion:
     thrust: Array
     along: Array
 
-    def __getitem__(self, place: NDArray[np.intp] | slice) -> "Motion":
+    def __getitem__(self, place: NDArray[np.intp] | slice) -> "MotionBound":
         """The bounds of some states."""
         parts = (self.speed, self.acceleration, self.jerk, self.thrust, self.along)
-        return Motion(self.period, *(part[..., place] for part in parts))
+        return MotionBound(self.period, *(part[..., place] for part in parts))

@@ -11,7 +11,7 @@ from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..vectors import dot, rounded_length
 from .constraint import Evaluation, Printed
-from .motion import Motion
+from .motion import MotionBound
 
 BOW = 0.01  # least distance [m] by which a free flight is assumed to stray from its chords
 
@@ -114,7 +114,7 @@ class PassiveSegments(Passive):
         circle = z @ self._reach[4].T
         return np.sqrt(dot(circle, circle) + self._reach[3] ** 2), circle
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M, for each row."""
         gain_a, gain_j, per_amplitude, margin, to_circle = self._reach
         M = motion.acceleration[..., None] * gain_a + motion.jerk[..., None] * gain_j

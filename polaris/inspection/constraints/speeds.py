@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...model.system import Array
 from ..vectors import CENTRE, STANDSTILL, dot, length, rounded_length
 from .constraint import Evaluation, Printed, join
-from .motion import Motion
+from .motion import MotionBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class SpeedInSquares(Speed):
         gradient = join((2 * limit * self.slope)[..., None] * outward, -2 * z[..., 3:])
         return Evaluation(limit - speed, gradient / (limit + speed)[..., None], 0.0)
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; less, by and by, where the limit cannot be reached within the period.
 
         A row that is dropped at once lets a deputy speed up for a period and makes it brake in the next.
@@ -107,7 +107,7 @@ class VelocitySide(Velocity):
     def _slope(self, along: Array) -> Array:
         return np.copysign(self.limit + np.abs(along), along)
 
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
+    def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; ``-inf`` where the limit cannot be reached within the period, ``inf`` where both can."""
         speed = np.abs(dot(z[..., 3:], self.direction))
         change = motion.along * motion.period

@@ -23,8 +23,8 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """Constraints of one formula: where they are in the stack (see `Table.stack`), and their rows.
+class ConstraintGroup:
+    """Constraints of one formula: where they are in the stack (see `ConstraintTable.stack`), and their rows.
 
     The places are a slice if they follow each other: a view is quicker than a copy.
     """
@@ -53,7 +53,7 @@ def printed(q: Inspection, approach: ClosestApproach | None = None, beyond: floa
     return constraints + [Velocity(axis, q.speed_max, label=f"phi{9 + axis}") for axis in range(3)]
 
 
-class Table:
+class ConstraintTable:
     """The constraints of all deputies and pairs, in one fixed order of M rows: the paper's, then one's own.
 
     Families `without` are left out, free flights also where no `approach` is given; it and `beyond` are as in
@@ -91,7 +91,7 @@ class Table:
         self.inspection = inspection
         alone = np.arange(inspection.deputies)
         self.everyone = np.concatenate([np.stack([alone, np.full_like(alone, -1)], axis=1), inspection.pairs])
-        self.groups: list[Group] = []
+        self.groups: list[ConstraintGroup] = []
         self._rows: list[tuple[Constraint, int]] = []
         alike: dict[type, list[Constraint]] = {}
         for one in printed(inspection, approach, beyond):
@@ -132,7 +132,7 @@ class Table:
         of_each = [one for one, count in zip(members, size, strict=True) for _ in range(count)]
         for one, k in zip(of_each, place.tolist(), strict=True):
             self._rows += [(one, k)] * barrier.repeat
-        self.groups.append(Group(barrier, at, slice(start, len(self._rows))))
+        self.groups.append(ConstraintGroup(barrier, at, slice(start, len(self._rows))))
 
     def among(self, *families: str) -> NDArray[np.bool_]:
         """Return True for each row of some families, shape (M,)."""

@@ -5,10 +5,10 @@ import numpy as np
 from ...model.checks import number, of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...rta.one_call import Answer, Backup, CallByCall, named
+from ...rta.filter_input import FilterInput
+from ...rta.one_call import Backup, CallByCall, RawDecision, named
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
-from ...rta.received import Received
-from ..constraints.families import Rows
+from ..constraints.families import BarrierRows
 from ..vectors import dot
 from .explicit import Centralized, Decentralized
 
@@ -19,7 +19,7 @@ class ActiveSetFilter(CallByCall):
     """Nearest input that keeps every constraint (eq. 5), with defined answers to bad input.
 
     - A deputy whose state is unknown is taken to be where its last state and thrust lead (see
-      `Receiver`); where that is not known either, every deputy coasts, which h7 and h8
+      `InputCheck`); where that is not known either, every deputy coasts, which h7 and h8
       keep clear of collisions for T.
     - The desired input of a deputy whose state is unknown, or that is missing or not finite itself, is
       replaced by the backup controller's, which is then filtered.
@@ -67,13 +67,13 @@ class ActiveSetFilter(CallByCall):
         """Forget the last states: a new flight begins."""
         self._receiver.forget()
 
-    def decide(self, got: Received) -> Answer:
+    def decide(self, got: FilterInput) -> RawDecision:
         """Answer a call that has been received, by this filter or by one that rests on it."""
         notes: list[str] = []
         desired, on_backup, regular = got.wanted, self._nobody, got.whole
         if not regular:
             if not got.estimated.all():
-                return Answer(np.zeros_like(got.u), ~on_backup, on_backup, ~on_backup, {}, [])
+                return RawDecision(np.zeros_like(got.u), ~on_backup, on_backup, ~on_backup, {}, [])
             on_backup = ~(got.given & got.known)
             if on_backup.any():
                 desired = np.where(on_backup[:, None], self._backed_up(self.backup, got, notes), desired)
@@ -93,19 +93,23 @@ class ActiveSetFilter(CallByCall):
         if len(values) > len(self._names):
             values = np.minimum.reduceat(values, self._starts)
         margins, short = named(self._names, values), worst == SHORT
-        answer = Answer(u, changed, on_backup, self._nobody, margins, notes, short=short, regular=regular)
+        answer = RawDecision(
+            u, changed, on_backup, self._nobody, margins, notes, short=short, regular=regular
+        )
         if worst > DESIRED or True in changed.tolist():
             answer.active = self._active(rows, u)
         if worst >= SHORT:
             gap = np.maximum.reduceat(self.families.missed(rows, u[None])[0], self._starts)
             answer.missed = {self._names[k]: float(gap[k]) for k in np.flatnonzero(gap > TIGHT).tolist()}
         if answer.short:
-            notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
+            notes.append(
+                f"no input satisfies all conditions: least violation, misses {_missed_text(answer.missed)}"
+            )
         return answer
 
     _answer = decide
 
-    def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
+    def _active(self, rows: BarrierRows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
         G, bound, families, full = rows.G[0], rows.bound[0], self.families, self._most
         if self.filtering.loops:
@@ -116,7 +120,7 @@ class ActiveSetFilter(CallByCall):
         return tuple(dict.fromkeys([self._words[k] for k in tight.tolist()]))
 
 
-def _told(missed: dict[str, float], count: int = 5) -> str:
+def _missed_text(missed: dict[str, float], count: int = 5) -> str:
     """Return the conditions missed by most, `count` of them, in words."""
     worst = sorted(missed.items(), key=lambda item: -item[1])
     text = (

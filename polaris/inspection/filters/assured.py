@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...rta.one_call import Answer, CallByCall, Switch, named
-from ...rta.received import Received
+from ...rta.filter_input import FilterInput
+from ...rta.one_call import CallByCall, RawDecision, Switch, named
 from ..backup.all_time import AllTime
-from ..backup.planner import Planner, Proven
+from ..backup.planner import BackupPlanner, Proven
 from ..constraints.families import Families
 from ..constraints.motion import SampledData
 from ..vectors import length
@@ -43,14 +43,14 @@ class Assured(CallByCall):
     `Decision.unproven` is false once a plan has been proven, as long as states are known within their
     bounds and calls come in time, within `Uncertainty.jitter`. A deputy whose state is not known flies its
     plan. Where everything is exact its state follows from the last one that was known, and the plan is proven
-    for `polaris.rta.received.MEMORY` seconds.
+    for `polaris.rta.filter_input.MEMORY` seconds.
 
     Where no plan is proven, as from outside of the constraints, the answer is that of the `recovery` filter,
     unproven, until a plan is proven.
 
     Parameters
     ----------
-    planner : Planner
+    planner : BackupPlanner
     recovery : Centralized or Decentralized, optional
         Default: `Centralized`, preset ``linear``, for sampled data.
 
@@ -60,8 +60,8 @@ class Assured(CallByCall):
         If an argument is of another kind, or the recovery is for another problem, period or other families.
     """
 
-    def __init__(self, planner: Planner, recovery: Centralized | Decentralized | None = None) -> None:
-        of_kind("planner", planner, Planner)
+    def __init__(self, planner: BackupPlanner, recovery: Centralized | Decentralized | None = None) -> None:
+        of_kind("planner", planner, BackupPlanner)
         self.planner, self.brake, self.check = planner, planner.brake, planner.check
         self.inspection, self.period = self.brake.inspection, self.brake.period
         late = 2 * self.brake.uncertainty.jitter
@@ -102,20 +102,20 @@ class Assured(CallByCall):
         self.plan, self._followed = plan, np.ones(self.inspection.deputies, dtype=bool)
 
     @abstractmethod
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
         """Thrust (N, 3) and whose of it is to be tried; the others fly their plan."""
 
-    def _refused(self, got: Received, who: Some, reason: str) -> None:
+    def _refused(self, got: FilterInput, who: Some, reason: str) -> None:
         """Take note of those whose proposal is not proven."""
         return
 
-    def _answer(self, got: Received) -> Answer:
+    def _answer(self, got: FilterInput) -> RawDecision:
         notes: list[str] = []
         now, (got, kept, within) = got, self._kept(got, notes)
         if kept is None and not got.estimated.any():
             self.take_over(None)
             every = np.ones(len(got.u), dtype=bool)
-            return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
+            return RawDecision(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
         alone = kept is None and self.planner.mixed
         kept = kept or self.planner.find(got.t, got.x)
         x = np.where((got.known | self._sure)[:, None], got.x, kept.plan[0])
@@ -136,7 +136,7 @@ class Assured(CallByCall):
         self._followed = within
         if proven.good:
             none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
-            answer = Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+            answer = RawDecision(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
         else:
             recovery = self.recovery.decide(now)
             notes += recovery.notes
@@ -144,7 +144,7 @@ class Assured(CallByCall):
         self._applied = answer.u
         return answer
 
-    def _kept(self, got: Received, notes: list[str]) -> tuple[Received, Proven | None, Some]:
+    def _kept(self, got: FilterInput, notes: list[str]) -> tuple[FilterInput, Proven | None, Some]:
         """Return the call as of the time at which it was due, the plan, and who is surely within its tube.
 
         No plan where there is none, the call is out of time, or a state is known not to be within the tube.
@@ -158,7 +158,7 @@ class Assured(CallByCall):
             return got, None, self._sure
         moved = got
         if got.t != plan.t:  # where the thrust of the period before leads, or came from
-            Phi, Gamma = self.inspection.held(plan.t - got.t)
+            Phi, Gamma = self.inspection.discretize(plan.t - got.t)
             moved = replace(got, t=plan.t, x=got.x @ Phi.T + self._applied @ Gamma.T)
         if not (self.near(moved.x, plan) | ~got.known).all():
             notes.append("a state is farther from its plan than is possible")
@@ -173,7 +173,9 @@ class Assured(CallByCall):
         near = length(off[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
         return np.asarray(near & (length(off[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
 
-    def _find(self, got: Received, now: Received, x: Array, u: Array, kept: Proven, who: Some) -> Proven:
+    def _find(
+        self, got: FilterInput, now: FilterInput, x: Array, u: Array, kept: Proven, who: Some
+    ) -> Proven:
         """A plan after thrust u; where nobody keeps the one there was, from the time of the call."""
         if who.all() and not self.planner.mixed:
             return self.planner.find(now.t, now.x, u)
@@ -181,7 +183,14 @@ class Assured(CallByCall):
         return self.planner.find(got.t, x, u, kept, ~who, before)
 
     def _tried(
-        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self,
+        got: FilterInput,
+        now: FilterInput,
+        x: Array,
+        proposed: Array,
+        who: Some,
+        backup: Array,
+        kept: Proven,
     ) -> Tried:
         """The proposal of as many as it is proven for."""
         while who.any():
@@ -203,16 +212,23 @@ class Implicit(Assured):
 
     Parameters
     ----------
-    planner : Planner
+    planner : BackupPlanner
     recovery : Centralized or Decentralized, optional
         As of `Assured`.
     """
 
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
         return np.where(able[:, None], got.u, backup), able
 
     def _tried(
-        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self,
+        got: FilterInput,
+        now: FilterInput,
+        x: Array,
+        proposed: Array,
+        who: Some,
+        backup: Array,
+        kept: Proven,
     ) -> Tried:
         u, proven, passed = super()._tried(got, now, x, proposed, who, backup, kept)
         back = who & ~passed
@@ -239,16 +255,16 @@ class Explicit(Implicit):
 
     Parameters
     ----------
-    planner : Planner
+    planner : BackupPlanner
     filtering : Centralized or Decentralized
     """
 
-    def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
+    def __init__(self, planner: BackupPlanner, filtering: Centralized | Decentralized) -> None:
         super().__init__(planner, filtering)
         self.filtering, self._share = filtering, np.ones(self.inspection.deputies)
         self._cut = np.ones(self.inspection.deputies)
 
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
         q = self.inspection
         wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
         sun = q.sun_angle([got.t], self.check.sun_start)

@@ -9,7 +9,7 @@ from ...model.errors import ScenarioError
 from ...rta.one_call import CallByCall
 from ..backup.all_time import AllTime
 from ..backup.brake import Brake
-from ..backup.planner import Planner
+from ..backup.planner import BackupPlanner
 from ..backup.tube import Uncertainty
 from ..constraints.families import Families
 from ..constraints.motion import SampledData
@@ -74,7 +74,7 @@ def build_filter(
     brake : Brake, optional
         One that has been made, instead of the period and the uncertainty.
     mixed : bool
-        As of `Planner`; the first two kinds have none.
+        As of `BackupPlanner`; the first two kinds have none.
     **options
         Of `SimplexExplicit`, `SimplexImplicit`, or the backup of `ActiveSetFilter`: see `OPTIONS`.
 
@@ -112,7 +112,7 @@ def build_filter(
         if mixed:
             raise ScenarioError("mixed", mixed, f"must be false, as {kind!r} has no plans")
         return ActiveSetFilter(filtering, sun_start=sun_start, **options)
-    planner = Planner(AllTime(brake or Brake(inspection, length, known), sun_start, without), mixed)
+    planner = BackupPlanner(AllTime(brake or Brake(inspection, length, known), sun_start, without), mixed)
     if kind == "explicit":
         return Explicit(planner, filtering, **options)
     if kind == "simplex_explicit":

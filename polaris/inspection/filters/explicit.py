@@ -13,7 +13,7 @@ from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
-from ..constraints.families import Families, Rows
+from ..constraints.families import BarrierRows, Families
 from ..vectors import dot
 
 CENTRALIZED = "centralized"
@@ -40,13 +40,13 @@ class Filtered:
         Filtered inputs [N]; nan where the program failed.
     status : ndarray of int, shape (R, N)
         See `polaris.rta.projection`.
-    rows : Rows
+    rows : BarrierRows
         The barrier conditions.
     """
 
     u: Array
     status: Statuses
-    rows: Rows
+    rows: BarrierRows
 
 
 class Centralized:
@@ -78,7 +78,7 @@ class Centralized:
         for _ in range(TRIES):
             rows = families(x[runs], sun[runs], held)
             bound = np.maximum(bound, rows.bound)
-            held, status = self.project(Rows(rows.h, rows.G, bound), desired[runs])
+            held, status = self.project(BarrierRows(rows.h, rows.G, bound), desired[runs])
             solved = status.max(axis=1) < SHORT
             if not solved.any():
                 return
@@ -92,7 +92,7 @@ class Centralized:
             if not len(runs):
                 return
 
-    def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
+    def project(self, rows: BarrierRows, desired: Array) -> tuple[Array, Statuses]:
         """Inputs nearest to the clipped ones that satisfy all rows, shapes (R, N, 3) and (R, N)."""
         families, limit = self.families, self.families.inspection.thrust_max
         who = families.first, families.second
@@ -103,7 +103,7 @@ class Centralized:
                 return u, status
             runs = np.flatnonzero(status[:, 0] == LEFT)
         else:
-            u = families.given(desired)
+            u = families.clip_inputs(desired)
             status = _unchanged(u, desired)
             broken = ~(dot(rows.G, families.relative(u)) >= rows.bound)  # nan: not met
             runs = np.flatnonzero(broken.any(axis=1))
@@ -153,7 +153,7 @@ class Decentralized:
                 return Filtered(u, status, rows)
             run, who = np.nonzero(status == LEFT)
         else:
-            u = self.families.given(desired)
+            u = self.families.clip_inputs(desired)
             status = _unchanged(u, desired)
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
         bound = np.where(self._as_second, bounds[-1][:, self._mine], bounds[0][:, self._mine])
@@ -172,7 +172,7 @@ class Decentralized:
         u[status == FAILED] = np.nan
         return Filtered(u, status, rows)
 
-    def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
+    def _shares(self, rows: BarrierRows, deputies: int) -> tuple[Array, Statuses | None]:
         """Bounds for a row's first and second deputy, (2, R, M), or both; the status of what was agreed."""
         bound = rows.bound
         if self.sharing == "coasting":

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...rta.one_call import Answer, CallByCall, Switch
-from ...rta.received import Received, listed
-from ..backup.tracker import BackupFlight, Tracker, fly_backup, periods
+from ...rta.filter_input import FilterInput, listed
+from ...rta.one_call import CallByCall, RawDecision, Switch
+from ..backup.tracker import BackupFlight, BackupTracker, fly_backup, periods
 
 
 class FuelLimit(CallByCall):
@@ -27,7 +27,7 @@ class FuelLimit(CallByCall):
 
     Parameters
     ----------
-    law : Tracker
+    law : BackupTracker
         Backup law. Its period is the filter's: call it once per period.
     keep_clear : bool
         The predicted flight must also keep away from the chief; the printed condition has fuel only.
@@ -58,7 +58,7 @@ class FuelLimit(CallByCall):
     """
 
     def __init__(
-        self, law: Tracker, keep_clear: bool = True, horizon: float = 3000.0, spent: ArrayLike = 0.0
+        self, law: BackupTracker, keep_clear: bool = True, horizon: float = 3000.0, spent: ArrayLike = 0.0
     ) -> None:
         q = law.inspection
         self.inspection, self.law, self.keep_clear = q, law, keep_clear
@@ -75,7 +75,7 @@ class FuelLimit(CallByCall):
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
-    def _answer(self, got: Received) -> Answer:
+    def _answer(self, got: FilterInput) -> RawDecision:
         q, able = self.inspection, got.known & got.given
         self._count_delay(got.t)
         reserve = np.full(len(got.x), np.nan)
@@ -98,9 +98,9 @@ class FuelLimit(CallByCall):
         active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
         notes = [f"fuel exhausted: deputy {listed(exhausted)}"] if exhausted.any() else []
         intervened = latched | got.clipped | exhausted
-        return Answer(u, intervened, latched, exhausted | ~got.known, margins, notes, active)
+        return RawDecision(u, intervened, latched, exhausted | ~got.known, margins, notes, active)
 
-    def _look_ahead(self, got: Received, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
+    def _look_ahead(self, got: FilterInput, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
         """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
         q, D = self.inspection, self.law.period
         Phi, Gamma = self.law.motion
@@ -132,7 +132,7 @@ class FuelLimit(CallByCall):
             self._on_backup = np.zeros_like(self._on_backup)
         self._due = t + D
 
-    def _thrust(self, got: Received) -> Array:
+    def _thrust(self, got: FilterInput) -> Array:
         """Desired, backup, or none where the state is not known."""
         passed = got.known & got.given & ~self.latched
         backed = got.known & ~passed
@@ -149,7 +149,7 @@ class FuelLimit(CallByCall):
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
 
-def clearance(flight: BackupFlight, x: Array, law: Tracker) -> Array:
+def clearance(flight: BackupFlight, x: Array, law: BackupTracker) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
     From the states x (N, 6) through one period of thrust, along the flight after it, and

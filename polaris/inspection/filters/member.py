@@ -13,7 +13,7 @@ from ...model.checks import shaped
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import FARTHEST
-from ...rta.received import MEMORY
+from ...rta.filter_input import MEMORY
 from ..backup.planner import Proven
 from .assured import Explicit, Implicit
 

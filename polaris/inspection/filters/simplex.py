@@ -7,9 +7,9 @@ import numpy as np
 from ...model.checks import non_negative, number, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
+from ...rta.filter_input import FilterInput
 from ...rta.one_call import Switch
-from ...rta.received import Received
-from ..backup.planner import Planner
+from ..backup.planner import BackupPlanner
 from ..constraints.families import Families
 from .assured import Assured, Some, concerned
 from .explicit import Centralized, Decentralized
@@ -21,7 +21,7 @@ class _Latching(Assured):
     """A deputy whose wanted thrust is not passed is on backup until it would have been for some time."""
 
     def __init__(
-        self, planner: Planner, dwell: float, recovery: Centralized | Decentralized | None = None
+        self, planner: BackupPlanner, dwell: float, recovery: Centralized | Decentralized | None = None
     ) -> None:
         super().__init__(planner, recovery)
         self.dwell = non_negative("dwell", dwell, "s")
@@ -29,10 +29,10 @@ class _Latching(Assured):
         self._clear_since = np.full(self.inspection.deputies, np.nan)
 
     @abstractmethod
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or to their release; what."""
 
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
         proposed = np.where(able[:, None], got.u, backup)
         clear = self.latched & able
         if clear.any():
@@ -49,7 +49,7 @@ class _Latching(Assured):
             self._switch(troubled & who if (troubled & who).any() else who, got.t, "backup", what)
         return proposed, who
 
-    def _refused(self, got: Received, who: Some, reason: str) -> None:
+    def _refused(self, got: FilterInput, who: Some, reason: str) -> None:
         self._switch(who, got.t, "backup", reason)
 
     def _switch(self, who: Some, t: float, to: str, reason: str) -> None:
@@ -63,7 +63,7 @@ class SimplexExplicit(_Latching):
 
     Parameters
     ----------
-    planner : Planner
+    planner : BackupPlanner
     families : Families
         The constraints h1 to h11.
     margin, release : float
@@ -78,7 +78,7 @@ class SimplexExplicit(_Latching):
 
     def __init__(
         self,
-        planner: Planner,
+        planner: BackupPlanner,
         families: Families,
         margin: float = 0.0,
         release: float = 0.05,
@@ -94,9 +94,9 @@ class SimplexExplicit(_Latching):
         if whole("looks", looks, 1) > LOOKS:
             raise ScenarioError("looks", looks, f"must be at most {LOOKS}")
         self._parts = self.period * np.arange(1, looks + 1) / looks
-        self._moves = [self.inspection.held(float(part)) for part in self._parts]
+        self._moves = [self.inspection.discretize(float(part)) for part in self._parts]
 
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         rows = self.families
         states = np.stack([got.x @ Phi.T + u @ Gamma.T for Phi, Gamma in self._moves])
         h = rows(states, self.inspection.sun_angle(got.t + self._parts, self.check.sun_start)).h.min(axis=0)
@@ -110,7 +110,7 @@ class SimplexImplicit(_Latching):
 
     Parameters
     ----------
-    planner : Planner
+    planner : BackupPlanner
     release_distance, release_speed : float
         Least bounds for handing back of distances [m] and of speeds [m/s].
     dwell : float
@@ -121,7 +121,7 @@ class SimplexImplicit(_Latching):
 
     def __init__(
         self,
-        planner: Planner,
+        planner: BackupPlanner,
         release_distance: float = 2.0,
         release_speed: float = 0.02,
         dwell: float = 30.0,
@@ -133,7 +133,7 @@ class SimplexImplicit(_Latching):
         self._release = np.where(self.check.about_speed, speed, distance)
         self._release[self.check.about_thrust] = 0.0
 
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         if not spare:
             return np.zeros(len(u), dtype=bool), ""  # what is not proven is refused
         proven = self.planner.find(got.t, got.x, u)

@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.system import Array
 from ...rta.projection import SHORT
 from ..constraints.allowable_set import allowable
 from ..constraints.constraint import CONSTRAINTS
 from ..constraints.families import Families
-from .judge import keepers
-from .simulation import BatchFilter, Flights, Observer, Step, fly
+from .evaluation import keepers
+from .simulation import BatchFilter, BatchStep, FlightBatch, Observer, fly
 
 BETWEEN = 1  # instants inside each period at which the constraints are looked at too
 NEAR = 60.0
 """Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class BlockOutcome:
     """Results of R runs under one filter.
 
     Attributes
@@ -82,13 +82,13 @@ class Outcome:
 class Recorder:
     """Observer of `fly` that judges all runs by the constraints that the families keep."""
 
-    def __init__(self, flights: Flights, families: Families) -> None:
+    def __init__(self, flights: FlightBatch, families: Families) -> None:
         runs, N = flights.x.shape[:2]
         self.flights, self.families, self.keepers = flights, families, keepers(families, runs)
         self.short, self.short_deputies = np.full(runs, np.nan), [""] * runs
         self.changed, self.delta_v, self.steps = np.zeros(runs), np.zeros((runs, N)), 0
 
-    def __call__(self, step: Step) -> None:
+    def __call__(self, step: BatchStep) -> None:
         """Take in one control period."""
         q, period = self.flights.inspection, self.flights.period
         states, status = (step.x, *step.after[:-1]), step.filtered.status
@@ -113,7 +113,7 @@ class Recorder:
         for name, keeper in self.keepers.items():
             keeper.see(np.array([t]), values[name][:, None])
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> BlockOutcome:
         """Return the results of the runs."""
         runs = len(self.short)
         nothing, nobody = np.full(runs, np.nan), np.zeros(runs, dtype="U1")
@@ -131,15 +131,15 @@ class Recorder:
             columns[f"time_{name}_s"] = nothing if kept is None else kept.time
             who = nobody if kept is None else np.array([" ".join(map(str, kept.who(r))) for r in range(runs)])
             columns[f"deputies_{name}"] = who
-        return Outcome(columns)
+        return BlockOutcome(columns)
 
 
-def fly_block(flights: Flights, filtering: BatchFilter, *observers: Observer) -> Outcome:
+def fly_block(flights: FlightBatch, filtering: BatchFilter, *observers: Observer) -> BlockOutcome:
     """Fly some initial conditions under one filter, and judge them by the constraints that it keeps.
 
     Parameters
     ----------
-    flights : Flights
+    flights : FlightBatch
         The initial conditions as from `InitialConditions`.
     filtering : BatchFilter
         `Centralized` or `Decentralized`.

@@ -7,12 +7,12 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.checks import vector
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ..backup.tracker import Tracker, fly_backup
+from ..backup.tracker import BackupTracker, fly_backup
 from ..filters.fuel import FuelLimit
 from ..inspection import Inspection
 from .primary import Primary
@@ -33,7 +33,7 @@ class Prediction:
     delta_v: Array
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class FuelRun:
     """A flight of one deputy under `polaris.inspection.filters.fuel.FuelLimit`.
@@ -124,7 +124,7 @@ def fly_fuel_limit(
     return FuelRun(q, t, x, u, desired, delta_v, when, tuple(kept), why, exhausted, np.array(times))
 
 
-def _predict(law: Tracker, t: float, x: Array, spent: float, steps: int) -> Prediction:
+def _predict(law: BackupTracker, t: float, x: Array, spent: float, steps: int) -> Prediction:
     flight = fly_backup(law, x[None], steps, ENDED)
     each = np.abs(flight.u).sum(axis=(1, 2)) * law.period / law.inspection.mass
     instants = np.asarray(t + np.arange(len(flight.x)) * law.period, dtype=float)

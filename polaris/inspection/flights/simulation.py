@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
@@ -59,7 +59,7 @@ class OneFlight:
         return Filtered(decision.u[None], status[None].astype(np.int8), self.families(x, sun))
 
 
-class Errors:
+class SampledErrors:
     """Errors at the edge of their bounds, drawn anew for each period; the same ones for the same seed."""
 
     def __init__(self, unknown: Uncertainty, inspection: Inspection, seed: int = 0) -> None:
@@ -79,9 +79,9 @@ class Errors:
         return np.asarray(u + self.unknown.thrusters.error(u) * self._signs(u.shape) + push)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
-class Flights:
+class FlightBatch:
     """R flights of N deputies that are to be flown.
 
     Parameters
@@ -95,7 +95,7 @@ class Flights:
         Of each flight and of one control period [s]; the period must divide the duration.
     primary : Primary
         By default nobody wants any thrust.
-    errors : Errors, optional
+    errors : SampledErrors, optional
         Of estimates, which filter and primary controller act on, of thrusters and of the model.
     """
 
@@ -105,11 +105,11 @@ class Flights:
     duration: float = 500.0
     period: float = 1.0
     primary: Primary = field(default_factory=NoInput)
-    errors: Errors | None = None
+    errors: SampledErrors | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class BatchStep:
     """Control period k of a batch, from t [s] on, as observers see it.
 
     States x (R, N, 6) and sun angles (R,) [rad] are those at its start. Where the program failed, the
@@ -127,7 +127,7 @@ class Step:
     seconds: float
 
 
-Observer = Callable[[Step], None]
+Observer = Callable[[BatchStep], None]
 
 
 def whole_periods(duration: float, period: float) -> int:
@@ -138,15 +138,15 @@ def whole_periods(duration: float, period: float) -> int:
     return count
 
 
-def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between: int = 1) -> Array:
+def fly(flights: FlightBatch, filtering: BatchFilter, *observers: Observer, between: int = 1) -> Array:
     """Fly all runs at once.
 
     Parameters
     ----------
-    flights : Flights
+    flights : FlightBatch
     filtering : BatchFilter
     *observers : callable
-        Called with every `Step`, in order.
+        Called with every `BatchStep`, in order.
     between : int
         Instants inside each period handed to the observers.
 
@@ -157,7 +157,7 @@ def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between:
     """
     q, period, x = flights.inspection, flights.period, flights.x
     count, parts = whole_periods(flights.duration, period), whole("between", between, 0) + 1
-    moves = [q.held(period * (b + 1) / parts) for b in range(parts)]
+    moves = [q.discretize(period * (b + 1) / parts) for b in range(parts)]
     for k in range(count):
         t = k * period
         sun, seen = q.sun_angle(t, flights.sun), x if flights.errors is None else flights.errors.estimated(x)
@@ -172,12 +172,12 @@ def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between:
             filtered = replace(filtered, u=flights.errors.acting(filtered.u))
         after = np.stack([x @ Phi.T + filtered.u @ Gamma.T for Phi, Gamma in moves])
         for observe in observers:
-            observe(Step(k, t, x, sun, desired, filtered, after, seconds))
+            observe(BatchStep(k, t, x, sun, desired, filtered, after, seconds))
         x = after[-1]
     return x
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class InspectionRun:
     """One flight of N deputies, with everything that figures show.
@@ -236,21 +236,21 @@ def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:
     }
 
 
-def fly_one(flights: Flights, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
+def fly_one(flights: FlightBatch, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
     """Fly one run (R = 1) and keep all of it; further observers are as in `fly`."""
-    kept = Kept(flights)
+    kept = RunRecorder(flights)
     fly(flights, filtering, kept, *observers, between=0)
     return kept.flight()
 
 
-class Kept:
+class RunRecorder:
     """Observer of `fly` that keeps one run of a batch in full, by its number."""
 
-    def __init__(self, flights: Flights, run: int = 0) -> None:
+    def __init__(self, flights: FlightBatch, run: int = 0) -> None:
         self.flights, self.run = flights, run
         self.steps: list[tuple[Array, ...]] = []
 
-    def __call__(self, step: Step) -> None:
+    def __call__(self, step: BatchStep) -> None:
         """Take in one control period."""
         given = (step.x, step.filtered.u, step.desired, step.filtered.status, step.filtered.rows.h)
         parts = (values[self.run].copy() for values in given)

@@ -49,7 +49,7 @@ FALLS = 0.6, 0.25, 0.08, 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Filtering:
+class ObserverErrors:
     """Errors of the estimates of an observer with updates every h [s], or fewer where periods are missed."""
 
     system: Craft
@@ -77,17 +77,17 @@ class Filtering:
         return self._forgetting[2]
 
     @cached_property
-    def left(self) -> Array:
+    def error_maps(self) -> Array:
         """Maps of an error over so many periods, shape (count + kinds of updates, n, n)."""
         return powers(self._forgetting[0], self.count + len(self.observer.after))
 
     @cached_property
     def turned(self) -> list[Array]:
         """Maps by which an update adds to errors so many periods later, periods apart, by its kind."""
-        loop, maps = self._forgetting[0], [0 * self.left]
+        loop, maps = self._forgetting[0], [0 * self.error_maps]
         for j, rest in enumerate(self.observer.rests[1:], 2):
             other = rest @ expm(self.system.A * self.h * j) - np.linalg.matrix_power(loop, j)
-            maps.append(np.abs(self.left @ other))
+            maps.append(np.abs(self.error_maps @ other))
         return maps
 
     def added(self, noise: Array, w_max: float, E: Array | None) -> list[Array]:
@@ -98,10 +98,10 @@ class Filtering:
         system, observer, bounds = self.system, self.observer, list[Array]()
         flow = LinearFlow.continuous(system.A, system.D, w_max, self.h / IN_PERIOD, E)
         for j, (gain, rest) in enumerate(zip((observer.gain, *observer.after), observer.rests, strict=True)):
-            pushed = flow.disturbance_support((self.left @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1))[
-                -1
-            ]
-            bounds.append(pushed.reshape(self.left.shape[:2]) + np.abs(self.left @ gain) @ noise)
+            pushed = flow.disturbance_support(
+                (self.error_maps @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1)
+            )[-1]
+            bounds.append(pushed.reshape(self.error_maps.shape[:2]) + np.abs(self.error_maps @ gain) @ noise)
         return bounds
 
     def _summed(self, come: list[Array], known: Array) -> Array:
@@ -129,7 +129,7 @@ class Filtering:
         def worst(known: Array) -> Array:
             """Errors if those so many periods before were within `known`, by the worst pattern."""
             sums = self._summed(come, known)
-            sums[self.count :] += np.abs(self.left[self.count :]) @ known
+            sums[self.count :] += np.abs(self.error_maps[self.count :]) @ known
             return np.asarray(np.max(sums[self.count * (kinds == 1) :], axis=0) * (1 + ROUNDED))
 
         alone = np.linalg.solve(np.eye(self.system.n) - last, worst(np.zeros(self.system.n)))
@@ -146,7 +146,7 @@ class Filtering:
         missed = len(self.observer.after)
         raise ScenarioError("timing.missed_periods", missed, "must be fewer for errors to decay")
 
-    def after(self, first: Array, periods: int, come: list[Array]) -> Array:
+    def bounds_after(self, first: Array, periods: int, come: list[Array]) -> Array:
         """Bound errors so many periods after they were within `first` (n,), shape (periods + 1, n).
 
         Just after an update, by every pattern of missed periods, if updates add `come`.
@@ -167,8 +167,8 @@ class Filtering:
 
         With `late` periods that may be missed. Raises what `largest` does.
         """
-        late, none = len(self.observer.after), [0 * self.left[..., 0]] * len(self.turned)
-        bounds = self.after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
+        late, none = len(self.observer.after), [0 * self.error_maps[..., 0]] * len(self.turned)
+        bounds = self.bounds_after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
         shares = np.max(bounds / settled, axis=1)
         shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
         if not shares[-1] < 1:
@@ -182,9 +182,9 @@ class Filtering:
         Shape (near + 2, n). By every pattern of missed periods; what adds to errors meanwhile is apart. See
         `usual`.
         """
-        usual, none = self.usual(settled), [0 * self.left[..., 0]] * len(self.turned)
+        usual, none = self.usual(settled), [0 * self.error_maps[..., 0]] * len(self.turned)
         near = len(usual) - 1 - len(self.observer.after)
-        bounds = self.after(first, len(usual) - 1, none)
+        bounds = self.bounds_after(first, len(usual) - 1, none)
         share = np.max(bounds[near:] / settled)
         return np.vstack([bounds[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
 
@@ -240,7 +240,7 @@ class Filtering:
         late, total = len(self.observer.after), steps * periods
         if late:
             left = self.fading(first, settled)
-            joint = self.after(first, len(left) - 2, self.alone(moved)) - alone
+            joint = self.bounds_after(first, len(left) - 2, self.alone(moved)) - alone
             left[:-1] = np.minimum(left[:-1], joint)
         else:
             left = self._fading_always_measured(first, total)
@@ -250,8 +250,8 @@ class Filtering:
 
 
 def observing(system: Craft, observer: Observer, h: float, moved: Array | float = 0.0) -> Craft:
-    """Return the system whose estimates are those of an observer; `moved` is that of `Filtering.alone`."""
-    filtering, observer = Filtering(system, observer, h), replace(observer, ages=(), by_age=None)
+    """Return the system whose estimates are those of an observer; `moved` as for `ObserverErrors.alone`."""
+    filtering, observer = ObserverErrors(system, observer, h), replace(observer, ages=(), by_age=None)
     alone, units = filtering.parts(moved)
     size = system.thrusters.part(system.u_max)
     error = (alone + units @ size) * (1 + ROUNDED)
@@ -289,7 +289,7 @@ def design(
             designs.append(_designed(system, measures, noise, h, missed, share))
     if len(designs) == 1:
         return designs[0]
-    each = [Filtering(system, one, h).parts() for one in designs]
+    each = [ObserverErrors(system, one, h).parts() for one in designs]
     full = system.thrusters.part(system.u_max)
     parts = [full * CALM, *[full] * boxed]
     sizes = np.array([[alone + units @ part for part in parts] for alone, units in each])
@@ -300,7 +300,7 @@ def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: in
     """Design an observer for errors of thrusters under a share of their limits, which forgets in time."""
     for unseen in UNSEEN:
         made = _made(system, measures, noise, h, missed, share, unseen)
-        filtering = Filtering(system, made, h)
+        filtering = ObserverErrors(system, made, h)
         with suppress(ScenarioError):
             if not missed or len(filtering.usual(_size(system, made, h))):
                 break
@@ -345,5 +345,5 @@ def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
 
 def _size(system: Craft, observer: Observer, h: float) -> Array:
     """Bound errors of estimates under commands up to the limits of the thrusters, shape (n,)."""
-    alone, units = Filtering(system, observer, h).parts()
+    alone, units = ObserverErrors(system, observer, h).parts()
     return np.asarray(alone + units @ system.thrusters.part(system.u_max))

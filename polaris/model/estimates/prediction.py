@@ -128,7 +128,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
     least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     hidden = int(np.ceil((ages[-1] / h) * (1 - WHOLE))) if h > 0 else 0
-    older, full = _older(system, ages.tolist()), system.grown(system.u_max)
+    older, full = _older(system, ages.tolist()), system.proportional_errors(system.u_max)
     steps = steps - (0.0 if system.observer is None else system.observer.by_command(full[: system.m]))
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     still = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))

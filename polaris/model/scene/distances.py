@@ -63,7 +63,7 @@ def ray_ttc(
 
 
 @dataclass(frozen=True, eq=False)
-class Closest:
+class SampledApproach:
     """Closest approach of every run, at the sampled times; shapes (...,)."""
 
     distance: Array  # smallest signed distance [m]; inf where there is no obstacle
@@ -71,7 +71,7 @@ class Closest:
     obstacle: np.ndarray[tuple[int, ...], np.dtype[np.int64]]  # its index; -1 if there is none
 
 
-def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
+def closest(distances: ArrayLike, t: ArrayLike) -> SampledApproach:
     """Minimum over obstacles and time of `signed_distances` (O, ..., T) at times (T,) or (..., T) [s].
 
     Between samples a run may come closer by at most half of what it travels relative to the obstacle from one
@@ -83,12 +83,14 @@ def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
         raise ScenarioError("distances", values.shape, rule)
     runs, times = values.shape[1:-1], np.broadcast_to(np.asarray(t, dtype=float), values.shape[1:])
     if len(values) == 0:
-        return Closest(np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64))
+        return SampledApproach(
+            np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64)
+        )
     nearest = values.min(axis=0)
     when = np.argmin(nearest, axis=-1)[..., None]
     which = np.take_along_axis(np.argmin(values, axis=0), when, axis=-1)[..., 0]
     distance = np.take_along_axis(nearest, when, axis=-1)[..., 0]
-    return Closest(distance, np.take_along_axis(times, when, axis=-1)[..., 0], which.astype(np.int64))
+    return SampledApproach(distance, np.take_along_axis(times, when, axis=-1)[..., 0], which.astype(np.int64))
 
 
 def _durations(t: ArrayLike, count: int) -> Array:

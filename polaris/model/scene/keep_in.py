@@ -16,7 +16,7 @@ from ..keys import Key, Positive, Real, Vector
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
 from .obstacle import FACETS, NAME, Anchored, Faceted
-from .shapes import Polytope, Shape, _directed, _in_time
+from .shapes import PolytopeShape, Shape, _directed, _in_time
 from .timed_polytope import TimedPolytope
 
 FAR = 1000.0  # times as far out is a set in steps in which it does not hold
@@ -38,7 +38,7 @@ def during(
 class Outside:
     """The closed outside of a convex polytope."""
 
-    inner: Polytope
+    inner: PolytopeShape
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] to leaving the polytope; negative once outside it."""
@@ -66,13 +66,13 @@ class OutsideCone:
     length: float
 
     @cached_property
-    def _section(self) -> Polytope:
+    def _section(self) -> PolytopeShape:
         """The cone in the half plane of (along, across), mirrored."""
         s, c = np.sin(self.half_angle), np.cos(self.half_angle)
         H, b = [[-s, c], [-s, -c]], [0.0, 0.0]
         if np.isfinite(self.length):
             H, b = [*H, [1.0, 0.0]], [*b, self.length]
-        return Polytope(np.array(H), np.array(b))
+        return PolytopeShape(np.array(H), np.array(b))
 
     def _split(self, p: Array) -> tuple[Array, Array]:
         along = p @ self.axis
@@ -118,13 +118,13 @@ class KeepIn(Anchored):
 
     @property
     @abstractmethod
-    def inside(self) -> Polytope:
+    def inside(self) -> PolytopeShape:
         """Polytope within the set, in absolute position."""
 
     @cached_property
-    def drawn(self) -> Polytope:
+    def drawn(self) -> PolytopeShape:
         """The polytope within."""
-        return Polytope(self.inside.H, self.inside.b - self.inside.H @ self.anchor)
+        return PolytopeShape(self.inside.H, self.inside.b - self.inside.H @ self.anchor)
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One unsafe halfspace ``n p >= b`` per facet, named ``name[f]``."""
@@ -182,11 +182,11 @@ class KeepInPolytope(Faceted, KeepIn):
         holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
         return distances if np.all(holds) else np.where(holds, distances, np.inf)
 
-    def _grown(self, radius: float) -> "KeepInPolytope":
+    def _inflated(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)
 
     @property
-    def inside(self) -> Polytope:
+    def inside(self) -> PolytopeShape:
         """The polytope."""
         return self.polytope
 
@@ -237,7 +237,7 @@ class KeepInCone(KeepIn):
             raise ScenarioError(f"{self.path}.axis", axis.tolist(), "must not be zero")
         object.__setattr__(self, "axis", _directed(axis)[1])
 
-    def _grown(self, radius: float) -> "KeepInCone":
+    def _inflated(self, radius: float) -> "KeepInCone":
         """The cone of the points at least the radius from its sides: its apex moves along the axis."""
         inwards = radius / np.sin(self.half_angle_rad)
         left = None if self.length is None else self.length - radius - inwards
@@ -258,7 +258,7 @@ class KeepInCone(KeepIn):
         return OutsideCone(np.asarray(self.axis), float(self.half_angle_rad), length)
 
     @cached_property
-    def inside(self) -> Polytope:
+    def inside(self) -> PolytopeShape:
         """The inscribed cone, in absolute position."""
         axis = np.asarray(self.axis)
         aside = np.linalg.svd(axis[None])[2][1:]  # orthonormal, across the axis
@@ -273,4 +273,4 @@ class KeepInCone(KeepIn):
         b = H @ self.anchor
         if self.length is not None:
             H, b = np.vstack([H, axis]), np.r_[b, axis @ self.anchor + self.length]
-        return Polytope(H, b)
+        return PolytopeShape(H, b)

@@ -17,7 +17,7 @@ from ..errors import ScenarioError, quoted
 from ..keys import Key, Matrix, Name, Vector, Whole, check_fields
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
-from .shapes import FLAT, Ball, Polytope, Shape
+from .shapes import FLAT, BallShape, PolytopeShape, Shape
 from .timed_polytope import TimedPolytope
 
 NAME, FACETS = Key("name", "-", Name), Key("facets", "-", Annotated[Whole, Field(ge=3, le=64)])
@@ -32,7 +32,7 @@ class Obstacle(ABC):
     Attributes
     ----------
     chaser_radius : float
-        Radius [m] of a chaser by which the set has been `grown`; 0 for a point.
+        Radius [m] of a chaser by which the set has been `inflated`; 0 for a point.
     """
 
     name: str
@@ -41,18 +41,18 @@ class Obstacle(ABC):
     def __post_init__(self) -> None:
         check_fields(self, self.path)
 
-    def grown(self, radius: float) -> Self:
+    def inflated(self, radius: float) -> Self:
         """The set that the centre of a chaser within a ball of a radius [m] must stay out of.
 
         Facets move out by the radius, so at edges and corners it is somewhat larger than needed.
         """
         if not radius > 0:
             return self
-        grown = self._grown(radius)
+        grown = self._inflated(radius)
         object.__setattr__(grown, "chaser_radius", self.chaser_radius + radius)
         return grown
 
-    def _grown(self, radius: float) -> Self:
+    def _inflated(self, radius: float) -> Self:
         rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
         raise ScenarioError("chaser.radius_m", radius, rule)
 
@@ -61,7 +61,7 @@ class Obstacle(ABC):
         if clock > 0:
             rule = f"must be 0 with {self.path}, whose place at other times is not bounded"
             raise ScenarioError("timing.clock_error_s", clock, rule)
-        return self._grown(moved) if moved > 0 else self
+        return self._inflated(moved) if moved > 0 else self
 
     @property
     def path(self) -> str:
@@ -75,7 +75,7 @@ class Obstacle(ABC):
 
     @property
     @abstractmethod
-    def drawn(self) -> Ball | Polytope:
+    def drawn(self) -> BallShape | PolytopeShape:
         """Shape in figures, relative to `centre`: the true one, or a polytope for it."""
 
     @abstractmethod
@@ -189,9 +189,9 @@ class Faceted(Anchored):
         super().__post_init__()
 
     @cached_property
-    def polytope(self) -> Polytope:
+    def polytope(self) -> PolytopeShape:
         """The polytope at t = 0."""
-        return Polytope(np.asarray(self.H), np.asarray(self.b))
+        return PolytopeShape(np.asarray(self.H), np.asarray(self.b))
 
     @cached_property
     def anchor(self) -> Array:
@@ -211,21 +211,21 @@ class RigidObstacle(Anchored):
         return np.asarray(self.center)
 
     @property
-    def cover(self) -> Polytope:
+    def cover(self) -> PolytopeShape:
         """Polytope around the shape, relative to its origin; the shape itself if it is one."""
-        assert isinstance(self.shape, Polytope)  # others state theirs
+        assert isinstance(self.shape, PolytopeShape)  # others state theirs
         return self.shape
 
     @property
-    def drawn(self) -> Ball | Polytope:
+    def drawn(self) -> BallShape | PolytopeShape:
         """The shape if figures can show it, else its cover."""
-        return self.shape if isinstance(self.shape, (Ball, Polytope)) else self.cover
+        return self.shape if isinstance(self.shape, (BallShape, PolytopeShape)) else self.cover
 
     @cached_property
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
 
-    def whereabouts(self, system: Craft, h: float, count: int) -> tuple[Array, Array]:
+    def state_boxes(self, system: Craft, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).
 
         What is not known of it is how late the clock is by which it moves.
@@ -274,9 +274,9 @@ def directions(d: int, facets: int | None = None, path: str = "facets") -> Array
     return np.asarray(kept / np.linalg.norm(kept, axis=1, keepdims=True))
 
 
-def solid(path: str, H: ArrayLike, b: ArrayLike) -> Polytope:
+def solid(path: str, H: ArrayLike, b: ArrayLike) -> PolytopeShape:
     """Build a polytope with unit rows, refused unless it has an interior."""
-    polytope = Polytope(*halfspaces(path, H, b))
+    polytope = PolytopeShape(*halfspaces(path, H, b))
     if not polytope.depth > 1e-9 * max(float(np.abs(polytope.b).max()), FLAT):
         detail = "no point satisfies them all" if polytope.depth < 0 else "the set has no volume"
         raise ScenarioError(f"{path}.b", polytope.b.tolist(), f"H p <= b must have an interior; {detail}")

@@ -17,7 +17,7 @@ from ..errors import ScenarioError
 from ..keys import Flag, Key, Positive, Vector, WidthVector
 from ..system import LinearSystem
 from .obstacle import FACETS, NAME, Faceted, Obstacle, RigidObstacle, directions
-from .shapes import Ball, Box, Polytope
+from .shapes import BallShape, BoxShape, PolytopeShape
 from .timed_polytope import TimedPolytope
 
 CENTER, VELOCITY = Key("center_m", "m", Vector, "axis"), Key("velocity_m_s", "m/s", Vector, "axis")
@@ -52,11 +52,11 @@ class BoxObstacle(RigidObstacle):
             raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
 
     @cached_property
-    def shape(self) -> Box:
+    def shape(self) -> BoxShape:
         """The box, about its centre."""
-        return Box.of(np.asarray(self.half_widths))
+        return BoxShape.from_half_widths(np.asarray(self.half_widths))
 
-    def _grown(self, radius: float) -> "BoxObstacle":
+    def _inflated(self, radius: float) -> "BoxObstacle":
         return replace(self, half_widths=np.asarray(self.half_widths) + radius)
 
 
@@ -89,17 +89,17 @@ class BallObstacle(RigidObstacle):
         directions(len(self.anchor), self.facets, f"{self.path}.facets")
 
     @cached_property
-    def shape(self) -> Ball:
+    def shape(self) -> BallShape:
         """The ball, about its centre."""
-        return Ball(self.radius)
+        return BallShape(self.radius)
 
     @cached_property
-    def cover(self) -> Polytope:
+    def cover(self) -> PolytopeShape:
         """The circumscribed polytope."""
         normals = directions(len(self.anchor), self.facets, f"{self.path}.facets")
-        return Polytope(normals, np.full(len(normals), self.radius))
+        return PolytopeShape(normals, np.full(len(normals), self.radius))
 
-    def _grown(self, radius: float) -> "BallObstacle":
+    def _inflated(self, radius: float) -> "BallObstacle":
         return replace(self, radius=self.radius + radius)
 
 
@@ -135,11 +135,11 @@ class PolytopeObstacle(Faceted, RigidObstacle):
             raise ScenarioError(f"{self.path}.H", self.shape.H.tolist(), rule)
 
     @property
-    def shape(self) -> Polytope:
+    def shape(self) -> PolytopeShape:
         """The polytope at t = 0."""
         return self.polytope
 
-    def _grown(self, radius: float) -> "PolytopeObstacle":
+    def _inflated(self, radius: float) -> "PolytopeObstacle":
         return replace(self, b=np.asarray(self.b) + radius)
 
 

@@ -17,7 +17,7 @@ from ..keys import STATES, Key, NonNegative, Positive, Vector, WidthVector
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
 from .obstacle import FACETS, NAME, Obstacle, directions
-from .shapes import Ball, Polytope
+from .shapes import BallShape, PolytopeShape
 from .timed_polytope import TimedPolytope
 
 MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend of the motion
@@ -63,15 +63,15 @@ class SatelliteObstacle(Obstacle):
         return np.asarray(self.state, dtype=float)
 
     @cached_property
-    def shape(self) -> Ball:
+    def shape(self) -> BallShape:
         """The ball about the true centre."""
-        return Ball(self.radius)
+        return BallShape(self.radius)
 
-    def _grown(self, radius: float) -> "SatelliteObstacle":
+    def _inflated(self, radius: float) -> "SatelliteObstacle":
         return replace(self, radius=self.radius + radius)
 
     @property
-    def drawn(self) -> Ball:
+    def drawn(self) -> BallShape:
         """The ball."""
         return self.shape
 
@@ -135,7 +135,7 @@ class SatelliteObstacle(Obstacle):
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
         return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max()), node[:, 0]
 
-    def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
+    def state_boxes(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d)."""
         rows = np.vstack([system.position, system.velocity])
         reach = self._cover(system, np.vstack([rows, -rows]), h, count, 1)[2] - self.radius
@@ -186,9 +186,9 @@ class SatelliteObstacle(Obstacle):
         normals = self._normals(system)
         rows = normals @ system.position
         if t > 0:
-            return Polytope(normals, self._cover(system, rows, t, 1, 64)[0][0, 1]).vertices()
+            return PolytopeShape(normals, self._cover(system, rows, t, 1, 64)[0][0, 1]).vertices()
         spread = np.abs(rows) @ np.asarray(self.state_half_widths)
-        return Polytope(normals, rows @ self._x0 + spread + self.radius).vertices()
+        return PolytopeShape(normals, rows @ self._x0 + spread + self.radius).vertices()
 
     def _normals(self, system: LinearSystem) -> Array:
         return directions(system.d, self.facets, f"{self.path}.facets")

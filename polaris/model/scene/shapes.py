@@ -61,7 +61,7 @@ def _in_parts(measure: Callable[..., Array], width: int, *given: Array) -> Array
 
 
 @dataclass(frozen=True, eq=False)
-class Ball:
+class BallShape:
     """``norm(p) <= radius`` [m]."""
 
     radius: float
@@ -94,7 +94,7 @@ class Ball:
 
 
 @dataclass(frozen=True, eq=False)
-class Polytope:
+class PolytopeShape:
     """``H p <= b`` with unit rows, shapes (F, d) and (F,); need not be bounded."""
 
     H: Array
@@ -270,11 +270,11 @@ class Polytope:
 
 
 @dataclass(frozen=True, eq=False)
-class Box(Polytope):
+class BoxShape(PolytopeShape):
     """Axis-aligned box about the origin, distances in closed form."""
 
     @classmethod
-    def of(cls, half_widths: Array) -> "Box":
+    def from_half_widths(cls, half_widths: Array) -> "BoxShape":
         """Return the box with half widths [m], shape (d,)."""
         eye = np.eye(len(half_widths))
         return cls(np.vstack([eye, -eye]), np.r_[half_widths, half_widths])

@@ -17,7 +17,7 @@ from ..system import Array, LinearSystem, as_finite, speeds
 from ..tolerances import ROUNDING
 from .keep_in import FAR, during
 from .obstacle import FACETS, NAME, Obstacle, directions
-from .shapes import Ball
+from .shapes import BallShape
 from .timed_polytope import TimedPolytope
 
 RATE = 1e-2  # rate [1/s] by which velocities are divided to read as lengths, as in goals
@@ -91,7 +91,7 @@ class StateLimit(Obstacle):
         self._check_cells(system, delta, cells, system.d)
         holds = self.steps(delta, cells)
         known, timed = max(self.begins, self.ends or 0.0) <= cells * delta, []
-        moved = system.displaced if isinstance(system, Craft) else np.zeros(system.n)
+        moved = system.state_offset if isinstance(system, Craft) else np.zeros(system.n)
         for i, part in enumerate(self.polytopes(system)):
             rows, b = self._measured(*part, system)
             grown = b + np.abs(rows) @ moved + ROUNDING * np.abs(b)
@@ -120,14 +120,14 @@ class StateLimit(Obstacle):
         """Return the limit: it counts by the schedule's clock; its polytopes grow by what is `moved`."""
         return self
 
-    def _grown(self, radius: float) -> Self:
+    def _inflated(self, radius: float) -> Self:
         return copy(self)  # it limits the point that is navigated
 
     def _no_place(self) -> NoReturn:
         raise ScenarioError(self.path, type(self).__name__, "is a set of states: it has no shape in position")
 
     @property
-    def shape(self) -> Ball:
+    def shape(self) -> BallShape:
         """None: it is a set of states."""
         self._no_place()
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ..system import Array, LinearSystem
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TimedPolytope:
     """An over-approximation of one unsafe set in position and time, or in the whole state and time.
@@ -50,7 +50,7 @@ class TimedPolytope:
         """Number of time cells covered."""
         return len(self.offsets)
 
-    def at(self, times: Array, delta: float) -> Array:
+    def offsets_at(self, times: Array, delta: float) -> Array:
         """Offsets at times >= 0, cells of `delta` [s], shape (..., F); after the last cell on in its line."""
         cell = np.minimum((times / delta * (1 + 1e-12)).astype(int), self.cells - 1)
         s = (times / delta - cell)[..., None]

@@ -72,7 +72,7 @@ class TurningKeepIn(StateLimit):
         if self.axis is not None and not np.any(self.axis):
             raise ScenarioError(f"{self.path}.axis", self.axis, "must not be zero")
 
-    def _grown(self, radius: float) -> Self:
+    def _inflated(self, radius: float) -> Self:
         return replace(self, b=np.asarray(self.b) - radius)
 
     def _turned(self, angles: Array) -> tuple[Array, Array]:
@@ -93,7 +93,7 @@ class TurningKeepIn(StateLimit):
         steps = np.flatnonzero(self.steps(delta, cells))
         clock, moved = 0.0, np.zeros(system.n)
         if isinstance(system, Craft):
-            clock, moved = system.timing.clock, system.displaced
+            clock, moved = system.timing.clock, system.state_offset
         late: Array = np.asarray((steps + 1) * delta + clock, dtype=float)
         wide = abs(self.rate) * (delta / 2 + clock) + self.angle_error_rad + self.rate_error * late
         if np.any(wide > WIDEST):

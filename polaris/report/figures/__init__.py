@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from ...model.checks import of_kind
+from ...runs.build_plot_data import safety_plot_data, schedule_plot_data
 from ...runs.files.folder import RunFolder
-from ...runs.picture import Picture
-from ...runs.picturing import picture_of, picture_of_safety
+from ...runs.plot_data import PlotData
 from ...synthesis.safety.get_safety import Safety
 from ...synthesis.schedule.schedule import Schedule
 from ..scene.scene import describe
@@ -33,7 +33,7 @@ def plot_reference(safety: Safety, ax: Any = None) -> Any:
     matplotlib axes
     """
     of_kind("safety", safety, Safety, "polaris.get_safety")
-    return _plot(picture_of_safety(safety), ax)
+    return _plot(safety_plot_data(safety), ax)
 
 
 def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
@@ -47,10 +47,10 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
         As for `plot_reference`, which returns the axes too.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
-    return _plot(picture_of(schedule), ax)
+    return _plot(schedule_plot_data(schedule), ax)
 
 
-def _plot(picture: Picture, ax: Any) -> Any:
+def _plot(picture: PlotData, ax: Any) -> Any:
     with style():
         if ax is not None:
             draw_scene(ax, describe(picture))
@@ -93,7 +93,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
         "comparison": comparison.FIGURES,
         "tradeoff": comparison.TRADEOFF,
     }
-    picture = folder.picture()
+    picture = folder.plot_data()
     if folder.kind.name == "mission":
         return [path for leg in picture.legs for path in draw_run(leg)]
     with adding(folder.path, "figures") as beside:

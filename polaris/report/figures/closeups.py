@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from ...model.system import Array
-from ...runs.picture import Picture, seconds
+from ...runs.plot_data import PlotData, seconds
 from ..scene.geometry import flat_outline
 from ..scene.items import CloseUp, alone
 from ..scene.palette import BLACK, DULL_RED, LOOKS, RED, tint
@@ -20,7 +20,7 @@ HERE = "\N{WHITE CIRCLE}"  # where the chaser is at the time in the title of a c
 
 
 def draw_closeup(
-    ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float
+    ax: Any, picture: PlotData, one: CloseUp, letter: str, aspect: float, width: float
 ) -> list[Any]:
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that; handles of its own."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
@@ -43,9 +43,9 @@ def draw_closeup(
     return handles + mark_cuts(ax)
 
 
-def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> list[Any]:
+def _in_plane(ax: Any, picture: PlotData, one: CloseUp, axes: list[int], aspect: float) -> list[Any]:
     times, path = picture.safe_path()
-    space, origin = Space.of(picture), np.zeros(picture.system.d)
+    space, origin = Space.from_paths(picture), np.zeros(picture.system.d)
     if moves(one.obstacle, picture):
         path = path - one.obstacle.centre(times, picture.system)
         origin = np.asarray(one.obstacle.centre(one.time, picture.system))
@@ -82,7 +82,7 @@ def _alone(ax: Any, flown: Array, colour: str) -> None:
         ax.plot(*flown.T, color=colour, lw=0.9, ls=DASHES, zorder=3.5)
 
 
-def _over_time(ax: Any, picture: Picture, one: CloseUp) -> list[Any]:
+def _over_time(ax: Any, picture: PlotData, one: CloseUp) -> list[Any]:
     times, path = picture.safe_path()
     distance = one.obstacle.signed_distance(times, path, picture.system)
     a, b = one.span

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from ...model.checks import counted
-from ...runs.comparison import ComparisonPicture
+from ...runs.comparison import ComparisonData
 from ..scene.items import alone, under_mode
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
@@ -85,9 +85,9 @@ def _tradeoffs(methods: Methods) -> Any:
     return figure
 
 
-def _paths(results: ComparisonPicture) -> Any:
+def _paths(results: ComparisonData) -> Any:
     """Every method's run that came closest."""
-    picture, methods, shown = results.run.picture(), _available(results.table["methods"]), results.shown
+    picture, methods, shown = results.run.plot_data(), _available(results.table["methods"]), results.shown
     if picture.system.d == 1:
         return None
     bare = replace(picture, tube=None, slices=None)

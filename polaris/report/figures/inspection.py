@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 
 from ...inspection.flights.fuel_run import FuelRun
-from ...runs.inspections.monte_carlo import CampaignPicture
+from ...runs.inspections.monte_carlo import CampaignData
 from ..scene.inspections import fuel_timeline, predicted_fuel
 from ..scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 from ..scene.unsafe import ORDER
@@ -18,7 +18,7 @@ from .timelines import timeline_figure
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
 
 
-def initial_conditions(picture: CampaignPicture) -> Any:
+def initial_conditions(picture: CampaignData) -> Any:
     """Draw the initial position of every deputy, one panel per study: red those that a failure concerns."""
     count = len(picture.studies)
     columns = min(count, 2)
@@ -48,7 +48,7 @@ def initial_conditions(picture: CampaignPicture) -> Any:
     return figure
 
 
-def failures(picture: CampaignPicture) -> Any:
+def failures(picture: CampaignData) -> Any:
     """Draw the number of failed runs of each study, by what failed."""
     figure = new_figure(0.8 + 0.5 * len(picture.studies), 1.35 * WIDTH)
     ax = figure.add_subplot()

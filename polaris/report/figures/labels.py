@@ -69,7 +69,7 @@ class _Map:
             worst = np.maximum(worst, np.clip(common.min(axis=1), 0.0, None))
         return worst
 
-    def under(self, lines: Array) -> Any:
+    def crosses(self, lines: Array) -> Any:
         """Return True for each of the lines (M, 2, 2) that passes under a name already placed."""
         share = np.linspace(0, 1, 12)[1:-1, None, None]
         along = lines[:, 0] + share * (lines[:, 1] - lines[:, 0])
@@ -163,7 +163,7 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
     best = best[clash[best] <= clash[best[0]]]
-    best = best[int(np.argmax(~room.under(leaders[best])))]  # the first that is led to clear of other names
+    best = best[int(np.argmax(~room.crosses(leaders[best])))]  # the first that is led to clear of other names
     return at[best], leaders[best]
 
 

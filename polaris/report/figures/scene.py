@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 
 from ...model.system import Array
-from ...runs.picture import Picture, taking_over
+from ...runs.plot_data import PlotData, taking_over
 from ..scene.geometry import closed
 from ..scene.items import Item, Scene, alone
 from ..scene.palette import BLACK, DARK_OLIVE, DULL_RED, GREEN, GREY, LOOKS, OLIVE, RED, mode_colour, tint
@@ -29,7 +29,7 @@ from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_f
 AXES_WIDTH = 2.8  # of the axes [in]
 
 
-def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
+def scene_figure(picture: PlotData, new: Callable[[float], Any] = new_figure) -> Any:
     """A figure of the scene with the close-ups it needs; `new` makes an empty one of some height [in]."""
     scene = describe(picture)
     closeups = scene.closeups
@@ -61,7 +61,7 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
     drawn = [handle for draw in drawers for handle in draw(ax, scene)]
-    for item in scene.of("initial"):
+    for item in scene.with_roles("initial"):
         if not scene.over_time:
             _outline(ax, item.points, 0.6, "-", BLACK, 5)
         else:
@@ -129,7 +129,7 @@ def _tube(ax: Any, scene: Scene) -> list[Any]:
     """The tube by mode; the handle is of the mode that can be seen best beside the path."""
     seen: dict[int, Any] = {}
     inch = (scene.high - scene.low) / AXES_WIDTH / (1, _aspect(scene))
-    for item in scene.of("tube"):
+    for item in scene.with_roles("tube"):
         outlines = np.stack([shape.points for shape in item.shapes if shape])
         for mode in np.unique(scene.picture.modes):
             chosen = outlines[item.modes == mode]
@@ -152,7 +152,7 @@ def _aspect(scene: Scene) -> float:
 
 def _goal(ax: Any, scene: Scene) -> list[Any]:
     """The goal as far as it is in view, on the line if it all is; a handle if it is."""
-    over, handles, shapes = scene.over_time, list[Any](), [item.shape for item in scene.of("goal")]
+    over, handles, shapes = scene.over_time, list[Any](), [item.shape for item in scene.with_roles("goal")]
     line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
     star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
     order: dict[str, Any] = {"zorder": 6 if over else 2.5, "clip_on": not over}
@@ -186,7 +186,7 @@ def _paths(ax: Any, scene: Scene) -> list[Any]:
         "reference": {"color": GREY, "lw": 1.1, "ls": DOTS},
         "tail": {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS},
     }
-    for item in scene.of(*looks):
+    for item in scene.with_roles(*looks):
         ax.plot(*item.points.T, zorder=4.5 if item.role == "reference" else 2.6, **looks[item.role])
         if scene.contains(item.points).sum() > 1:
             handles.append(Line2D([], [], label=LOOKS[item.role].legend, **looks[item.role]))

@@ -20,7 +20,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.ticker import AutoLocator
 
 from ...model.system import Array
-from ...runs.picture import Picture
+from ...runs.plot_data import PlotData
 from ..scene.items import by_mode
 from ..scene.palette import GREY, mode_colour
 
@@ -180,7 +180,9 @@ def dot(marker: str, colour: Any, size: float, name: str, **look: Any) -> Any:
     return Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=name, **look)
 
 
-def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:
+def draw_safe_path(
+    ax: Any, picture: PlotData, shown: Array, span: tuple[int, int] | None = None
+) -> list[int]:
     """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
     if "polaris" not in picture.flights:
         ax.plot(*shown[slice(*(span or (0, len(shown))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)

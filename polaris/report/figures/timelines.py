@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from ...model.scene.distances import stretches
 from ...model.system import Array
-from ...runs.picture import Picture
+from ...runs.plot_data import PlotData
 from ..scene import palette
-from ..scene.items import Pilot, drawn_pilots
+from ..scene.items import Actor, drawn_pilots
 from ..scene.palette import BLACK, GREEN, GREY, RED, mode_colour, shades, tint
 from ..scene.timelines import Limit, Panel, Series, schedule_timeline
 from .cuts import mark_cuts
@@ -35,7 +35,7 @@ MOST_NAMED = 10  # most lines that a legend names
 
 def timeline_figure(
     panels: Sequence[Panel],
-    pilots: Sequence[Pilot],
+    pilots: Sequence[Actor],
     marks: Sequence[tuple[float, str]] = (),
     height: float = 1.25,
 ) -> Any:
@@ -54,7 +54,7 @@ def timeline_figure(
     return figure
 
 
-def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Pilot], named: set[str] | None = None) -> None:
+def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Actor], named: set[str] | None = None) -> None:
     """Draw one diagram of the first runs; its legend has the lines that have not been `named` above."""
     known, named = {one.key: one for one in pilots}, set() if named is None else named
     # Inputs of pilots that are not shown at first would hide those that are.
@@ -96,7 +96,7 @@ def first_run(line: Series) -> Array:
     return line.values if line.values.ndim == 1 else line.values[0]
 
 
-def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Pilot]) -> tuple[float, float]:
+def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Actor]) -> tuple[float, float]:
     """Return the ends of the axis: all that is drawn, but for lines that would make the others flat."""
     limits = [limit.y for limit in panel.limits]
 
@@ -127,7 +127,7 @@ def _draw_limit(ax: Any, limit: Limit, view: tuple[float, float], end: float) ->
         name(ax, limit.text, [(0, limit.y), (end, limit.y), (end, beyond), (0, beyond)], colour)
 
 
-def distance_figure(picture: Picture) -> Any:
+def distance_figure(picture: PlotData) -> Any:
     """Draw the distance to the nearest unsafe set, the velocity change so far, and the inputs."""
     timeline = schedule_timeline(picture, drawn_pilots(picture), picture.delta_v_max is not None)
     figure = timeline_figure(timeline.panels, timeline.pilots, timeline.marks)
@@ -138,7 +138,7 @@ def distance_figure(picture: Picture) -> Any:
     return figure
 
 
-def modes_figure(picture: Picture) -> Any:
+def modes_figure(picture: PlotData) -> Any:
     """Draw one row per controller: when it flies, and its share of the time."""
     rows = len(picture.controllers)
     figure = new_figure(0.6 + 0.28 * rows)
@@ -156,7 +156,7 @@ def modes_figure(picture: Picture) -> Any:
     return figure
 
 
-def margin_figure(picture: Picture) -> Any:
+def margin_figure(picture: PlotData) -> Any:
     """The containment margin of every step, and below it what limits it."""
     figure = new_figure(2.4)
     ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
@@ -187,7 +187,7 @@ def margin_figure(picture: Picture) -> Any:
 
 
 def _bars(
-    ax: Any, picture: Picture, flags: ArrayLike, rows: tuple[float, float], colour: Any, **look: Any
+    ax: Any, picture: PlotData, flags: ArrayLike, rows: tuple[float, float], colour: Any, **look: Any
 ) -> None:
     """Bars over the steps (K,) that are flagged."""
     delta = picture.reference.delta

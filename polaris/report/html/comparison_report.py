@@ -11,10 +11,10 @@ import numpy as np
 from markupsafe import Markup
 
 from ...model.files import parse_json, read_text
-from ...runs.comparison import ComparisonPicture
+from ...runs.comparison import ComparisonData
 from ...runs.files.folder import RunFolder
 from ...synthesis.safety.recoverable import directed
-from ..scene.items import Pilot
+from ..scene.items import Actor
 from ..scene.palette import method_style
 from ..tables import Cell, Measure, Table, number, value_cell, words
 from .page import Page, details, macros, reading, table
@@ -28,7 +28,7 @@ Methods = Sequence[Mapping[str, Any]]
 
 def comparison_page(folder: RunFolder) -> Page:
     """The report of a comparison folder."""
-    picture: ComparisonPicture = folder.picture()
+    picture: ComparisonData = folder.plot_data()
     results, summary = picture.table, picture.run.summary
     methods, claim = results["methods"], summary["guarantee"]
     lead = Markup("<p>{} methods flown under the same conditions. Scenario <code>{}</code>.</p>")
@@ -50,17 +50,17 @@ def comparison_page(folder: RunFolder) -> Page:
     )
 
 
-def comparison_data(picture: ComparisonPicture, proved: bool) -> dict[str, Any]:
+def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
     """Return the plot data of a comparison; methods without flights are left out."""
-    pilots: list[Pilot] = []
+    pilots: list[Actor] = []
     for method in (method for method in picture.table["methods"] if method["key"] in picture.shown):
         name, look, flights = str(method["name"]), method_style(len(pilots)), picture.shown[method["key"]]
-        pilots.append(Pilot(str(method["key"]), name, name, *look, flights, len(pilots) < FIRST))
+        pilots.append(Actor(str(method["key"]), name, name, *look, flights, len(pilots) < FIRST))
     known = [one.flights for one in pilots[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
     return schedule_data(
-        replace(picture.run.picture(), slices=None), pilots, proved, by="pilot", opened=opened
+        replace(picture.run.plot_data(), slices=None), pilots, proved, by="pilot", opened=opened
     )
 
 
@@ -81,7 +81,7 @@ def _claim(method: Mapping[str, Any], why: str = "") -> Cell:
 
 
 def _methods(methods: Methods) -> Markup:
-    measures = Measure.known(*(method.get("metrics") or {} for method in methods))
+    measures = Measure.in_tables(*(method.get("metrics") or {} for method in methods))
     rows = []
     for method in methods:
         values, name = method.get("metrics") or {}, str(method["name"])
@@ -95,7 +95,7 @@ def _methods(methods: Methods) -> Markup:
 
 
 def _protocol(protocol: Mapping[str, Any]) -> Markup:
-    measures = [Measure.of(key) for key in protocol if key != "statement"]
+    measures = [Measure.from_key(key) for key in protocol if key != "statement"]
     rows = [[Cell(one.title), value_cell(protocol[one.key], one.key, one.unit)] for one in measures]
     statement = protocol.get("statement")
     text = Markup("<p>{}</p>").format(statement) if statement else ""
@@ -125,7 +125,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
     tables = []
     for against, others in groups.items():
         known = dict.fromkeys(key for cells in others.values() for key in cells)
-        measures = [Measure.of(key) for key in known]
+        measures = [Measure.from_key(key) for key in known]
         rows = [
             [Cell(name := names.get(key, key), name), *(cells.get(one.key, Cell("")) for one in measures)]
             for key, cells in others.items()
@@ -141,7 +141,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
 def _difference(one: Mapping[str, Any]) -> Cell:
     low, high = one["low"], one["high"]
     bounds = {"mean": one["difference"], "low": low, "high": high}
-    cell = Measure.of(one["metric"]).cell(bounds, difference=True)
+    cell = Measure.from_key(one["metric"]).cell(bounds, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
     return replace(cell, lines=(*cell.lines, "perhaps 0"))

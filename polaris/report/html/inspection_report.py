@@ -35,11 +35,11 @@ def inspection_page(folder: RunFolder) -> Page:
     data: dict[str, Any] = {}
     parts = [("numbers", "Metrics", _values(summary))]
     if kind == "inspection":
-        run = folder.picture()
+        run = folder.plot_data()
         data = page_data(flight_view(run), flight_timeline(run, folder.scenario.families()), PLACE)
         parts.insert(0, ("constraints", "Constraints", table(constraints(summary))))
     elif kind == "fuel_limit":
-        data = page_data(fuel_view(run := folder.picture()), fuel_timeline(run), PLACE)
+        data = page_data(fuel_view(run := folder.plot_data()), fuel_timeline(run), PLACE)
     else:
         parts.insert(0, ("studies", "Studies", table(studies(summary))))
     section = Markup(kinds.other_guarantee(claim, badge(claim["kind"]), LIMITS))
@@ -53,8 +53,8 @@ def _values(summary: Mapping[str, Any]) -> Markup:
     for key, value in summary.items():
         if key in ELSEWHERE:
             continue
-        for title, name, one in _flat(Measure.of(key).title, key, value):
-            unit = "s" if key.endswith("_seconds") else Measure.of(name).unit
+        for title, name, one in _flat(Measure.from_key(key).title, key, value):
+            unit = "s" if key.endswith("_seconds") else Measure.from_key(name).unit
             rows.append([Cell(title), value_cell(one, key, "" if unit == "%" else unit)])
     return table(Table("Values of summary.json", ["", "value"], rows))
 

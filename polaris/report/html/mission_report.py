@@ -4,7 +4,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ...runs.files.folder import RunFolder
-from ...runs.missions.mission import MissionPicture
+from ...runs.missions.mission import MissionData
 from ...synthesis.safety.recoverable import directed
 from ..missions import joint_tables, legs_table, rows_flown
 from ..scene.palette import mode_colour
@@ -15,7 +15,7 @@ from .run_report import answers, guarantee_section
 
 def mission_page(folder: RunFolder) -> Page:
     """Return the report of a mission."""
-    summary, picture = folder.summary, folder.picture()
+    summary, picture = folder.summary, folder.plot_data()
     claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
     spent = claim["delta_v_max_m_s"]
     text = "no bound" if spent is None else f"{directed(spent, '.4g', up=True)} m/s"
@@ -42,12 +42,14 @@ def mission_page(folder: RunFolder) -> Page:
         link = Markup(
             '<p><a href="{0}/report.html">Interactive report of this leg</a>, in the folder {0}.</p>'
         )
-        text = answers(own, leg.picture()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
+        text = (
+            answers(own, leg.plot_data()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
+        )
         sections.append((f"leg-{name}", f"Leg {name}", text))
     return Page(str(summary["title"]), lead, (*sections, reading(summary)), {}, summary)
 
 
-def _stretches(picture: MissionPicture) -> list[tuple[int, str]]:
+def _stretches(picture: MissionData) -> list[tuple[int, str]]:
     """Return for how many periods who flies, and the colour of the mode."""
     modes = picture.flown.modes
     cuts = np.flatnonzero(np.diff(modes)) + 1

@@ -12,9 +12,9 @@ from ...model.checks import counted
 from ...model.scene.distances import stretches
 from ...runs.files.folder import RunFolder
 from ...runs.files.tables import besides
-from ...runs.picture import Picture
+from ...runs.plot_data import PlotData
 from ...synthesis.safety.recoverable import directed
-from ..scene.items import Pilot, drawn_pilots
+from ..scene.items import Actor, drawn_pilots
 from ..scene.palette import mode_colour
 from ..scene.scene import describe, shown_axes
 from ..scene.timelines import schedule_timeline
@@ -43,7 +43,7 @@ def run_page(folder: RunFolder) -> Page:
     summary = folder.summary
     claim = summary["guarantee"]
     proved = claim["kind"] == "proved"
-    picture = folder.picture()
+    picture = folder.plot_data()
     rows = [[Cell(head), Cell(sentence)] for head, sentence in synthesis(summary)]
     return Page(
         str(summary["title"]),
@@ -59,7 +59,7 @@ def run_page(folder: RunFolder) -> Page:
     )
 
 
-def schedule_data(picture: Picture, pilots: Sequence[Pilot], proved: bool, **how: Any) -> dict[str, Any]:
+def schedule_data(picture: PlotData, pilots: Sequence[Actor], proved: bool, **how: Any) -> dict[str, Any]:
     """Return the plot data of a schedule and its pilots; see `schedule_timeline`."""
     C = picture.system.position
     paths = [one.flights.states[0] @ C.T for one in pilots]
@@ -69,7 +69,7 @@ def schedule_data(picture: Picture, pilots: Sequence[Pilot], proved: bool, **how
     return data
 
 
-def _margins(picture: Picture) -> dict[str, Any]:
+def _margins(picture: PlotData) -> dict[str, Any]:
     """Return the diagram of the room left in the recoverable sets: a bar per step, by who flies."""
     delta, pairs = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
     text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in pairs]
@@ -81,7 +81,7 @@ def _margins(picture: Picture) -> dict[str, Any]:
     return named | {"limits": limits, "series": [series]}
 
 
-def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
+def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
     claim, flown, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
     end, proved = claim["goal"], claim["kind"] == "proved"
@@ -97,12 +97,15 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
         then = "to the goal" if end["reached"] is True else "until it is nearest"
         cost += f"; proven {then}: at most {spent} m/s"
     if "safety" in summary:
-        cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
-    share, switches = Measure.of("experimental_share").text(search["experimental_share"]), search["switches"]
+        cost += "; S alone " + Measure.from_key("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
+    share, switches = (
+        Measure.from_key("experimental_share").text(search["experimental_share"]),
+        search["switches"],
+    )
     cards = (
         ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
-        ("What does it cost?", Measure.of("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
+        ("What does it cost?", Measure.from_key("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
         ("Who flies when?", "U " + share, f"{counted(switches, 'switch', 'switches')}; {_when(picture)}"),
     )
     runs = [(len(list(own)), mode_colour(mode)) for mode, own in groupby(picture.modes.tolist())]
@@ -113,7 +116,7 @@ def _time(t: float) -> str:
     return f"{t:.6g} s"
 
 
-def _when(picture: Picture) -> str:
+def _when(picture: PlotData) -> str:
     """Describe the times at which S flies."""
     delta, spans = picture.reference.delta, stretches(picture.modes == 0)
     if len(spans) > MOST_TOLD:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...runs.picture import taking_over
-from ..scene.geometry import Shape, closed
+from ...runs.plot_data import taking_over
+from ..scene.geometry import DrawnShape, closed
 from ..scene.items import Item, Scene, View
 from ..scene.palette import LOOKS, mode_colour
 
@@ -121,7 +121,7 @@ def _slices(scene: Scene) -> list[Layer]:
     return [head | own | {"t": plain(slices.times), "frames": frames}]
 
 
-def _corners(shape: Shape | None) -> dict[str, Any]:
+def _corners(shape: DrawnShape | None) -> dict[str, Any]:
     """Coordinates by axis, and triangles of a surface."""
     if shape is None:
         return {"p": []}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
-from ..scene.items import Pilot, View, modes_per_node
+from ..scene.items import Actor, View, modes_per_node
 from ..scene.timelines import Panel, Series, Timeline
 from .scene import plain, scene_data
 
@@ -50,7 +50,7 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples
     return np.unique(np.concatenate([even, changes, must]).astype(int))
 
 
-def _pilot(one: Pilot, scene: View, position: Array, chosen: Samples) -> dict[str, Any]:
+def _pilot(one: Actor, scene: View, position: Array, chosen: Samples) -> dict[str, Any]:
     runs, times = one.flights, one.flights.times[chosen]
     paths = scene.placed(runs.states[:, chosen] @ position.T, times)
     flown = zip(paths, modes_per_node(runs)[:, chosen[:-1]], strict=True)

@@ -8,26 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from ...model.scene.shapes import Polytope
+from ...model.scene.shapes import PolytopeShape
 from ...model.system import Array
-from ...runs.picture import directions
+from ...runs.plot_data import directions
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class DrawnShape:
     """A ``line`` (nan: gap), ``points``, ``area`` or ``mesh`` of triangles (F, 3); points (N, dim) [m]."""
 
     kind: str
     points: Array
     faces: NDArray[np.intp] | None = None
 
-    def along(self, axes: list[int]) -> "Shape":
+    def with_axes(self, axes: list[int]) -> "DrawnShape":
         """Return the shape with its coordinates in another order."""
-        return Shape(self.kind, self.points[:, axes], self.faces)
+        return DrawnShape(self.kind, self.points[:, axes], self.faces)
 
-    def moved(self, shift: Array) -> "Shape":
+    def translated(self, shift: Array) -> "DrawnShape":
         """Return the shape moved by a vector."""
-        return Shape(self.kind, self.points + shift, self.faces)
+        return DrawnShape(self.kind, self.points + shift, self.faces)
 
 
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
@@ -66,7 +66,7 @@ def gapped(lines: Iterable[Array], dim: int) -> Array:
     return np.vstack([gap[:0], *(part for line in lines for part in (line, gap))])
 
 
-def hull(points: Array) -> Shape | None:
+def hull(points: Array) -> DrawnShape | None:
     """Surface of the convex hull of points (V, 3); None if it has no volume."""
     if len(points) < 4:
         return None
@@ -78,10 +78,10 @@ def hull(points: Array) -> Shape | None:
     used = np.unique(body.simplices)
     place = np.zeros(len(points), dtype=np.intp)
     place[used] = np.arange(len(used))
-    return Shape("mesh", points[used], place[body.simplices])
+    return DrawnShape("mesh", points[used], place[body.simplices])
 
 
-def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
+def polyhedron(normals: Array, support: Array, inside: Array) -> DrawnShape | None:
     """Surface of the bounded set ``normals p <= support``, from a point strictly inside [m]."""
     room = support - normals @ inside
     size = float(np.max(np.abs(room)))
@@ -97,7 +97,7 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
 
 
 @cache
-def _unit_ball() -> Shape:
+def _unit_ball() -> DrawnShape:
     """Return a sphere through points on a spiral that winds evenly about it, and those opposite."""
     height, turn = np.linspace(-1, 1, 100), np.pi * (3 - 5**0.5) * np.arange(100)
     wide = np.sqrt(1 - height**2)
@@ -107,9 +107,9 @@ def _unit_ball() -> Shape:
     return surface
 
 
-def ball(radius: float) -> Shape:
+def ball(radius: float) -> DrawnShape:
     """A ball [m] about the origin."""
-    return Shape("mesh", radius * _unit_ball().points, _unit_ball().faces)
+    return DrawnShape("mesh", radius * _unit_ball().points, _unit_ball().faces)
 
 
 def ball_points(radius: float, d: int) -> Array:
@@ -119,13 +119,13 @@ def ball_points(radius: float, d: int) -> Array:
     return radius * (directions(64) if d == 2 else np.array([[-1.0], [1.0]]))
 
 
-def boxed(H: Array, b: Array, low: Array, high: Array) -> Polytope:
+def boxed(H: Array, b: Array, low: Array, high: Array) -> PolytopeShape:
     """The polytope ``H p <= b`` cut to a box [m]."""
     eye = np.eye(len(low))
-    return Polytope(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
+    return PolytopeShape(np.vstack([H, eye, -eye]), np.concatenate([b, high, -low]))
 
 
-def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
+def cut_surface(H: Array, b: Array, low: Array, high: Array) -> DrawnShape | None:
     """Surface of ``H p <= b`` within a box [m], open where it leaves it; None if nothing of it is there."""
     whole = boxed(H, b, low, high)
     if not whole.depth > 0:
@@ -134,7 +134,7 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
     if body is None or body.faces is None:
         return None
     inner = ~on_box(body.points[body.faces], low, high)
-    return Shape("mesh", body.points, body.faces[inner]) if np.any(inner) else None
+    return DrawnShape("mesh", body.points, body.faces[inner]) if np.any(inner) else None
 
 
 def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:

@@ -15,10 +15,10 @@ from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.system import Array
 from ...runs.inspections.inspection import MEANING
-from ...simulation.baselines import Flights
+from ...simulation.baselines import FlightEnvelope
 from . import palette
-from .geometry import Shape, gapped
-from .items import Item, Pilot, View
+from .geometry import DrawnShape, gapped
+from .items import Actor, Item, View
 from .timelines import Limit, Panel, Series, Timeline, input_panels, modes_present, step_edges
 from .unsafe import AXES, ORDER, surroundings
 
@@ -32,7 +32,7 @@ def flight_view(run: InspectionRun) -> View:
     chosen = _instants(run)
     reach, angle = 0.9 * float(np.abs(run.x[..., :3]).max()), run.sun[chosen]
     ends = reach * np.stack([np.sin(angle), np.cos(angle), np.zeros_like(angle)], axis=1)
-    rays = tuple(Shape("line", np.stack([np.zeros(3), end])) for end in ends)
+    rays = tuple(DrawnShape("line", np.stack([np.zeros(3), end])) for end in ends)
     return _view(run.inspection, run.x[..., :3], [Item("sun", rays, times=run.t[chosen])])
 
 
@@ -55,7 +55,7 @@ def flight_timeline(run: InspectionRun, families: Families) -> Timeline:
     )
 
 
-def deputies(run: InspectionRun) -> list[Pilot]:
+def deputies(run: InspectionRun) -> list[Actor]:
     """Return all deputies with what they flew."""
     return [
         _pilot(i, f"deputy {i}", run.t, run.x[:, i], run.u[:, i], run.status[:, i])
@@ -65,7 +65,7 @@ def deputies(run: InspectionRun) -> list[Pilot]:
 
 def fuel_view(run: FuelRun) -> View:
     """Return the surroundings of a deputy, and the backup flights as they were predicted."""
-    flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
+    flights = DrawnShape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
     return _view(run.inspection, run.x[:, :3], [Item("predicted", (flights,))] if run.predictions else [])
 
 
@@ -172,10 +172,10 @@ def _instants(run: InspectionRun) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, len(run.t) - 1, min(MOST_INSTANTS, len(run.t))).astype(np.intp))
 
 
-def _pilot(i: int, name: str, t: Array, x: Array, u: Array, modes: NDArray[np.integer[Any]]) -> Pilot:
+def _pilot(i: int, name: str, t: Array, x: Array, u: Array, modes: NDArray[np.integer[Any]]) -> Actor:
     unknown = np.full((3, len(t)), np.nan)
-    flights = Flights(name, ("flight",), t, x[None], u[None], modes[None].astype(int), unknown)
-    return Pilot(f"deputy{i}", name, name, palette.deputy_colour(i), "solid", flights)
+    flights = FlightEnvelope(name, ("flight",), t, x[None], u[None], modes[None].astype(int), unknown)
+    return Actor(f"deputy{i}", name, name, palette.deputy_colour(i), "solid", flights)
 
 
 def _view(q: Inspection, paths: Array, more: Sequence[Item]) -> View:

@@ -13,11 +13,11 @@ from ...model.scene.distances import stretches
 from ...model.scene.keep_in import KeepIn
 from ...model.scene.obstacle import Obstacle
 from ...model.scene.satellite import SatelliteObstacle
-from ...model.scene.shapes import Ball
+from ...model.scene.shapes import BallShape
 from ...model.system import Array
-from ...runs.picture import Picture
-from ...simulation.baselines import Flights
-from .geometry import Shape, flat_outline, gapped
+from ...runs.plot_data import PlotData
+from ...simulation.baselines import FlightEnvelope
+from .geometry import DrawnShape, flat_outline, gapped
 from .palette import PILOTS, mode_colour
 from .space import Space
 
@@ -26,7 +26,7 @@ from .space import Space
 class Mark:
     """The true set at an instant that print shows, what is told, a cover's outline, the chaser's place."""
 
-    shape: Shape
+    shape: DrawnShape
     told: str = ""
     cover: Array | None = None
     place: Array | None = None
@@ -44,7 +44,7 @@ class Item:
     """
 
     role: str
-    shapes: tuple[Shape | None, ...]
+    shapes: tuple[DrawnShape | None, ...]
     name: str = ""
     times: NDArray[np.floating[Any]] | None = None
     shift: Array | None = None
@@ -55,7 +55,7 @@ class Item:
     cut: bool = False
 
     @property
-    def shape(self) -> Shape | None:
+    def shape(self) -> DrawnShape | None:
         """The first shape there is."""
         return next((one for one in self.shapes if one is not None), None)
 
@@ -84,7 +84,7 @@ class View:
         along = np.broadcast_to(times[:, None], (*shown.shape[:-1], 1))
         return np.concatenate([along, shown], axis=-1)
 
-    def of(self, *roles: str) -> list[Item]:
+    def with_roles(self, *roles: str) -> list[Item]:
         """Items of these roles, in their order."""
         return [item for role in roles for item in self.items if item.role == role]
 
@@ -103,7 +103,7 @@ class View:
 class Scene(View):
     """Drawing of a picture."""
 
-    picture: Picture = field(kw_only=True)
+    picture: PlotData = field(kw_only=True)
     closeups: tuple[CloseUp, ...] = ()
 
     def safe_path(self) -> Array:
@@ -112,7 +112,7 @@ class Scene(View):
         return self.placed(path, times)
 
 
-class Pilot(NamedTuple):
+class Actor(NamedTuple):
     """Controller or spacecraft, its names on the page and in print, and its runs; shown at first if `on`."""
 
     key: str
@@ -120,11 +120,11 @@ class Pilot(NamedTuple):
     short: str
     colour: str
     dash: str
-    flights: Flights
+    flights: FlightEnvelope
     on: bool = True
 
 
-def drawn_pilots(picture: Picture) -> list[Pilot]:
+def drawn_pilots(picture: PlotData) -> list[Actor]:
     """Everyone whose flights a picture holds; several experimental controllers are named."""
     pilots, several = [], len(picture.controllers) > 2
     for key in (key for key in {**PILOTS, **picture.flights} if key in picture.flights):
@@ -134,16 +134,16 @@ def drawn_pilots(picture: Picture) -> list[Pilot]:
             name = short = f"{short} ({flights.controller})"
             if flights.controller in picture.controllers:
                 colour = mode_colour(picture.controllers.index(flights.controller))
-        pilots.append(Pilot(key, name, short, colour, dash, flights, key == "polaris"))
+        pilots.append(Actor(key, name, short, colour, dash, flights, key == "polaris"))
     return pilots
 
 
-def alone(picture: Picture) -> list[Pilot]:
+def alone(picture: PlotData) -> list[Actor]:
     """Experimental controllers that flew on their own."""
     return [one for one in drawn_pilots(picture) if one.key not in ("polaris", "safety")]
 
 
-def modes_per_node(runs: Flights) -> NDArray[np.int_]:
+def modes_per_node(runs: FlightEnvelope) -> NDArray[np.int_]:
     """Return the mode that flies from each node to the next in every run, shape (r, N)."""
     if np.ndim(runs.modes) == 2:
         return np.asarray(runs.modes)
@@ -156,7 +156,7 @@ def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
     return gapped([flown[a : b + 1] for a, b in stretches(flags)], flown.shape[1])
 
 
-def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
+def by_mode(picture: PlotData, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
     """The first run under Polaris at places (N+1, dim) by mode, over nodes `span`: most flown first."""
     a, b = (0, len(shown)) if span is None else span
     who = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
@@ -183,14 +183,14 @@ class CloseUp:
     span: tuple[int, int]
 
 
-def closeups(picture: Picture) -> list[CloseUp]:
+def closeups(picture: PlotData) -> list[CloseUp]:
     """Passages that the plane of the figures does not show to be safe, in the order of time.
 
     Stretches of the safe path drawn within a set but outside it; none of a set truly entered.
     """
     if picture.system.d < 3:
         return []
-    path, space = picture.safe_path()[1], Space.of(picture)
+    path, space = picture.safe_path()[1], Space.from_paths(picture)
     passages: list[CloseUp] = []
     for obstacle in picture.obstacles:
         if isinstance(obstacle, KeepIn) or not len(space.corners(obstacle, picture.approach(obstacle).time)):
@@ -228,28 +228,28 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
     return passages
 
 
-def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
+def is_flat(picture: PlotData, paths: Sequence[Array] = ()) -> bool:
     """Return True if the plane of the figures shows all there is to see, of `paths` (N, d) [m] flown too."""
     if picture.system.d < 3:
         return True
-    space = Space.of(picture)
+    space = Space.from_paths(picture)
     shown = (*picture.path(), picture.safe_path()[1], *paths)
     third = np.concatenate([path[:, picture.frame.axes[2]] for path in shown])
     size = float(np.max((space.high - space.low)[picture.frame.flat]))
     return bool(np.ptp(third) <= FLAT * size) and not closeups(picture)
 
 
-def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
+def plane_gap(obstacle: Obstacle, picture: PlotData, axes: Sequence[int]) -> Array:
     """Return the distance (N,) [m] of the safe path from a set (or a satellite's cover) in two axes."""
     axes, system, shape = list(axes), picture.system, obstacle.drawn
     times, path = picture.safe_path()
     if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on
         (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
         rows = np.all(np.abs(np.delete(timed.normals, axes, axis=1)) < 1e-9, axis=1)
-        offsets = timed.at(times, picture.reference.delta)[:, rows]
+        offsets = timed.offsets_at(times, picture.reference.delta)[:, rows]
         return np.asarray((path @ timed.normals[rows].T - offsets).max(axis=1, initial=-np.inf))
     path = path - obstacle.centre(times, system)
-    if isinstance(shape, Ball):
+    if isinstance(shape, BallShape):
         return np.asarray(np.linalg.norm(path[:, axes], axis=1) - shape.radius)
     return outline_gap(flat_outline(shape.vertices()[:, axes]), path[:, axes])
 

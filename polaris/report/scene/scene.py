@@ -10,11 +10,11 @@ from reach.sets.outlines import polygon
 from ...model.scene.keep_in import KeepIn
 from ...model.scene.obstacle import Obstacle
 from ...model.scene.obstacle import directions as directions_in_space
-from ...model.scene.shapes import Ball, Box
+from ...model.scene.shapes import BallShape, BoxShape
 from ...model.system import Array
-from ...runs.picture import Picture, directions
+from ...runs.plot_data import PlotData, directions
 from . import geometry
-from .geometry import Shape, flat_outline
+from .geometry import DrawnShape, flat_outline
 from .items import Item, Mark, Scene, closeups, is_flat
 from .space import Space
 from .unsafe import unsafe_items
@@ -28,13 +28,13 @@ INSTANTS = 121  # times at which sets on the line are drawn
 PATHS = ("reference", "tail")  # roles of the reference until the horizon and after it
 
 
-def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
+def shown_axes(picture: PlotData, paths: Sequence[Array] = ()) -> list[int]:
     """Position coordinates that a page draws: the plane of motion if it shows all, else all of them."""
     frame = picture.frame
     return frame.flat if is_flat(picture, paths) else list(frame.axes)
 
 
-def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
+def describe(picture: PlotData, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
     """Return the scene of a picture in two or three axes, by default the plane of the figures.
 
     Widened for paths flown (N, d) [m] that stay near; motion on a line is drawn over time.
@@ -42,7 +42,7 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
     if picture.system.d == 1:
         return _on_the_line(picture, paths)
     axes = picture.frame.flat if axes is None else axes
-    space = Space.of(picture, paths)
+    space = Space.from_paths(picture, paths)
     passages = closeups(picture) if len(axes) == 2 else []
     items = [
         *unsafe_items(space, axes, passages),
@@ -56,9 +56,9 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
     return Scene(axes, labels, low, high, tuple(items), picture=picture, closeups=tuple(passages))
 
 
-def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
+def _on_the_line(picture: PlotData, paths: Sequence[Array] | None) -> Scene:
     """The scene of a system that moves on a line: position over time."""
-    end, start, space = picture.duration, picture.initial_positions, Space.of(picture, paths)
+    end, start, space = picture.duration, picture.initial_positions, Space.from_paths(picture, paths)
     parts = space.goal()
     goal = np.unique(np.concatenate([part.points[:, 0] for part in parts])) if parts else np.zeros(0)
     sides = [_ends(obstacle, picture)[1].ravel() for obstacle in picture.obstacles]
@@ -71,18 +71,18 @@ def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     items = [item for obstacle in picture.obstacles for item in _on_line(obstacle, scene)]
     if len(goal):
         ends = np.column_stack([np.full(len(goal), end), goal])[:: max(len(goal) - 1, 1)]
-        items.append(Item("goal", (Shape("line" if len(goal) > 1 else "points", ends),)))
+        items.append(Item("goal", (DrawnShape("line" if len(goal) > 1 else "points", ends),)))
     reach = float(np.abs(start.G).sum())
     items.append(_line("initial", np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])))
     items.append(_line("reference", scene.placed(picture.path()[0], picture.path_times())))
     return replace(scene, items=(*items, *_tube(picture, [0])))
 
 
-def _ends(obstacle: Obstacle, picture: Picture) -> tuple[Array, Array]:
+def _ends(obstacle: Obstacle, picture: PlotData) -> tuple[Array, Array]:
     """Times (T,), and the ends then of a set (of a keep-in set's inside), (2, T) [m]; perhaps infinite."""
     times, shape = np.linspace(0, picture.duration, INSTANTS), obstacle.drawn
-    if isinstance(shape, Ball):
-        shape = Box.of(np.full(1, shape.radius))
+    if isinstance(shape, BallShape):
+        shape = BoxShape.from_half_widths(np.full(1, shape.radius))
     H = shape.H[:, 0]
     at = (shape.b + H * obstacle.centre(times, picture.system)) / H
     low, high = np.where(H < 0, at, -np.inf).max(axis=1), np.where(H > 0, at, np.inf).min(axis=1)
@@ -99,34 +99,34 @@ def _on_line(obstacle: Obstacle, scene: Scene) -> list[Item]:
             return []
         at = min(max(int(np.argmax(last - first)), INSTANTS // 4), 3 * INSTANTS // 4)
         widest = np.array([[times[at], first[at]], [times[at], last[at]]])
-        band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[first, last[::-1]]]))
-        marks = (Mark(Shape("line", widest)),) if last[at] > first[at] else ()
+        band = DrawnShape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[first, last[::-1]]]))
+        marks = (Mark(DrawnShape("line", widest)),) if last[at] > first[at] else ()
         return [Item("unsafe", (band,), obstacle.name, marks=marks)]
     items = []
     for edge, side in zip((ends[0][0], ends[1][0]), (low, high), strict=True):
         seen, near = low < edge < high, np.clip(edge, low, high)
-        mark = Mark(Shape("points", np.array([[end / 2, near]])), "" if seen else f": {edge:.4g} m")
-        rim = Shape("line", np.array([[0.0, edge], [end, edge]])) if seen else None
+        mark = Mark(DrawnShape("points", np.array([[end / 2, near]])), "" if seen else f": {edge:.4g} m")
+        rim = DrawnShape("line", np.array([[0.0, edge], [end, edge]])) if seen else None
         if seen or (np.isfinite(edge) and near == side):
             items.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
     return items
 
 
 def _line(role: str, points: Array) -> Item:
-    return Item(role, (Shape("line", points),))
+    return Item(role, (DrawnShape("line", points),))
 
 
-def _start(picture: Picture, axes: list[int]) -> list[Item]:
+def _start(picture: PlotData, axes: list[int]) -> list[Item]:
     body = picture.initial_positions
     c, G = body.c[axes], body.G[axes]
     rays = directions(64) if len(axes) == 2 else directions_in_space(3)
     size = np.abs(rays @ G).sum(axis=-1)
     if len(axes) == 2:
-        shape: Shape | None = Shape("area", polygon(rays @ c + size, rays))
+        shape: DrawnShape | None = DrawnShape("area", polygon(rays @ c + size, rays))
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
         shape = geometry.polyhedron(rays, rays @ c + thick, c)
-    items = [Item("start", (Shape("points", c[None]),))]
+    items = [Item("start", (DrawnShape("points", c[None]),))]
     return [*items, Item("initial", (shape,))] if shape else items
 
 
@@ -139,11 +139,11 @@ def _goal(space: Space, axes: list[int]) -> list[Item]:
         a = np.arange(len(inner) - 1)
         b = a + len(inner)
         between = np.vstack([np.stack([a, a + 1, b], axis=1), np.stack([a + 1, b + 1, b], axis=1)])
-        items.append(Item("ring", (Shape("mesh", np.vstack([inner, outer]), between),)))
+        items.append(Item("ring", (DrawnShape("mesh", np.vstack([inner, outer]), between),)))
     return items
 
 
-def _part(part: Shape, axes: list[int]) -> Shape | None:
+def _part(part: DrawnShape, axes: list[int]) -> DrawnShape | None:
     """Return one part of the goal in the axes of a scene."""
     points = part.points[:, axes]
     kind = part.kind
@@ -151,10 +151,10 @@ def _part(part: Shape, axes: list[int]) -> Shape | None:
         kind, points = "points", points[:1]
     if kind == "area" and len(axes) == 3:
         return geometry.hull(points)
-    return Shape(kind, flat_outline(points) if kind == "area" else points)
+    return DrawnShape(kind, flat_outline(points) if kind == "area" else points)
 
 
-def _tube(picture: Picture, axes: list[int]) -> list[Item]:
+def _tube(picture: PlotData, axes: list[int]) -> list[Item]:
     """Return the reachable positions over each part of a step, whatever the disturbance."""
     tube, dim, delta = picture.tube, len(axes), picture.reference.delta
     if tube is None or not len(tube.bow):
@@ -167,13 +167,13 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
     centre = tube.centre[..., axes]
     support = geometry.tube_support(centre, tube.generators[..., axes, :], tube.bow[..., axes], parts, rays)
     support = support.reshape(-1, len(rays))
-    shapes: list[Shape | None]
+    shapes: list[DrawnShape | None]
     if dim == 1:
         ends = zip(times, -support[:, 1], support[:, 0], strict=True)
         steps = [np.array([[t, a], [t + delta, a], [t + delta, b], [t, b]]) for t, a, b in ends]
-        shapes = [Shape("area", one) for one in steps]
+        shapes = [DrawnShape("area", one) for one in steps]
     elif dim == 2:
-        shapes = [Shape("area", one) for one in polygon(support, rays)]
+        shapes = [DrawnShape("area", one) for one in polygon(support, rays)]
     else:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
         shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]

@@ -10,11 +10,11 @@ from scipy.optimize import linprog
 from ...model.scene.keep_in import KeepIn
 from ...model.scene.obstacle import Obstacle
 from ...model.scene.satellite import SatelliteObstacle
-from ...model.scene.shapes import Ball
+from ...model.scene.shapes import BallShape
 from ...model.system import Array
 from ...planning.goals import EllipticalNMT, Goal, LinearNMT
-from ...runs.picture import Approach, Picture, directions
-from .geometry import Shape, ball_points, boxed, flat_outline
+from ...runs.plot_data import ApproachData, PlotData, directions
+from .geometry import DrawnShape, ball_points, boxed, flat_outline
 
 NEAR = 0.35  # how far a flight may stray beyond the safe path, in widths of it, and still widen the view
 
@@ -23,12 +23,12 @@ NEAR = 0.35  # how far a flight may stray beyond the safe path, in widths of it,
 class Space:
     """The part of space a scene shows, from `low` to `high` (d,) [m] in the system's coordinates."""
 
-    picture: Picture
+    picture: PlotData
     low: Array
     high: Array
 
     @classmethod
-    def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> "Space":
+    def from_paths(cls, picture: PlotData, paths: Sequence[Array] | None = None) -> "Space":
         """Room for the safe path and the reference, what they come near, and paths (N, d) [m] near them."""
         flat = picture.frame.flat
         start = picture.initial_positions
@@ -81,7 +81,7 @@ class Space:
         system = self.picture.system
         centre = np.asarray(obstacle.centre(t, system))
         shape = obstacle.drawn
-        if isinstance(shape, Ball):
+        if isinstance(shape, BallShape):
             return centre + ball_points(shape.radius, system.d)
         if shape.bounded:
             return shape.vertices() + centre
@@ -90,7 +90,7 @@ class Space:
 
     def outline(self, obstacle: Obstacle, t: float, axes: Sequence[int]) -> Array:
         """Outline (V, 2) of the true set seen along the other axes; V is 0 if nothing is there."""
-        if isinstance(obstacle.drawn, Ball):
+        if isinstance(obstacle.drawn, BallShape):
             centre = np.asarray(obstacle.centre(t, self.picture.system))
             return np.asarray(centre[list(axes)] + obstacle.drawn.radius * directions(64))
         return flat_outline(self.corners(obstacle, t)[:, list(axes)])
@@ -101,20 +101,22 @@ class Space:
             return None
         return np.asarray(obstacle.outline(t, self.picture.system))
 
-    def goal(self) -> list[Shape]:
+    def goal(self) -> list[DrawnShape]:
         """The goal's positions as far as it limits them: lines, points, or an ``area``."""
         goal = self.picture.goal
         if isinstance(goal, EllipticalNMT):
             angle = np.linspace(0, 2 * np.pi, 121)
             ring = np.stack([np.sin(angle), 2 * np.cos(angle), np.zeros_like(angle)], axis=1)
             rims = [b for b in (goal.inner_semi_minor, goal.outer_semi_minor) if b > 0]
-            return [Shape("line", b * ring) for b in rims]
+            return [DrawnShape("line", b * ring) for b in rims]
         if isinstance(goal, LinearNMT):
             amplitude = goal.amplitude_max
-            return [Shape("line", np.array([[0.0, goal.along_track, z] for z in (-amplitude, amplitude)]))]
+            return [
+                DrawnShape("line", np.array([[0.0, goal.along_track, z] for z in (-amplitude, amplitude)]))
+            ]
         return self._allowed(goal)
 
-    def _allowed(self, goal: Goal) -> list[Shape]:
+    def _allowed(self, goal: Goal) -> list[DrawnShape]:
         """Outermost positions that the conditions of a goal allow; none if they allow all."""
         C, asked, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
 
@@ -132,12 +134,12 @@ class Space:
         size = np.ptp(corners, axis=0)
         flat = size <= 1e-9 * np.max(self.high - self.low)
         if np.all(flat):
-            return [Shape("points", corners[:1])]
+            return [DrawnShape("points", corners[:1])]
         thin = 2e-3 * float(np.max(self.high - self.low)) * flat  # to be seen at all
-        return [Shape("area", np.vstack([corners - thin, corners + thin]))]
+        return [DrawnShape("area", np.vstack([corners - thin, corners + thin]))]
 
 
-def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) -> Array:
+def _within(obstacle: Obstacle, picture: PlotData, near: ApproachData, depth: float) -> Array:
     """A point within an unbounded set, past where the path comes closest to it; none if it is far."""
     if near.distance > depth:
         return np.zeros((0, picture.system.d))
@@ -147,7 +149,7 @@ def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) 
     return np.asarray((near.place - (near.distance + 0.5 * depth) * away)[None])
 
 
-def moves(obstacle: Obstacle, picture: Picture) -> bool:
+def moves(obstacle: Obstacle, picture: PlotData) -> bool:
     """Return True if an obstacle changes place within the horizon."""
     times = np.linspace(0, picture.duration, 5)
     return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)

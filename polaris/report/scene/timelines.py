@@ -15,10 +15,10 @@ from ...model.scene.obstacles import perceive
 from ...model.scene.state_limits import RATE, SpeedLimit, SpeedPolygon, StateLimit
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
-from ...runs.picture import Picture, TubePicture
-from ...simulation.baselines import Flights
+from ...runs.plot_data import PlotData, TubeData
+from ...simulation.baselines import FlightEnvelope
 from ...synthesis.safety.recoverable import directed
-from .items import Pilot
+from .items import Actor
 from .palette import GREEN, RED, input_labels, mode_colour
 
 WHO = "Who flies"
@@ -73,7 +73,7 @@ class Timeline:
     ``pilot``. `marks` are instants [s] with a text.
     """
 
-    pilots: Sequence[Pilot]
+    pilots: Sequence[Actor]
     panels: Sequence[Panel]
     modes: Sequence[tuple[int, str, str]]
     opened: float
@@ -88,7 +88,7 @@ def modes_present(present: ArrayLike, named: Callable[[int], tuple[str, str]]) -
 
 
 def schedule_timeline(
-    picture: Picture, pilots: Sequence[Pilot], proved: bool, by: str = "mode", opened: float | None = None
+    picture: PlotData, pilots: Sequence[Actor], proved: bool, by: str = "mode", opened: float | None = None
 ) -> Timeline:
     """Describe the flights of a schedule and its pilots over time.
 
@@ -153,7 +153,7 @@ def _of_axis(one: Series, axis: int, limit: float) -> Series:
     return Series(one.times, values, one.pilot, dash=one.dash, step=True, band=band)
 
 
-def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Panel:
+def _distances(picture: PlotData, runs: dict[str, FlightEnvelope], proved: bool) -> Panel:
     """Describe distances to the nearest unsafe set; other satellites are where they are nominally."""
     series = []
     for key, each in runs.items():
@@ -167,7 +167,7 @@ def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Pane
 
 
 def _limit_panel(
-    index: int, limit: StateLimit, picture: Picture, runs: dict[str, Flights], proved: bool
+    index: int, limit: StateLimit, picture: PlotData, runs: dict[str, FlightEnvelope], proved: bool
 ) -> Panel:
     """Describe a limit on the whole state: speeds and their limit, or how far states are from the limit.
 
@@ -205,7 +205,7 @@ def _limit_panel(
     return Panel(f"limit{index}", title, f"{word}\n{limit.name}", unit, limits, series)
 
 
-def _proven(picture: Picture, bound: Array, name: str) -> Series:
+def _proven(picture: PlotData, bound: Array, name: str) -> Series:
     """Return the line of what is proven in every control period, (K, q)."""
     (K, q), delta = bound.shape, picture.reference.delta
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
@@ -213,7 +213,7 @@ def _proven(picture: Picture, bound: Array, name: str) -> Series:
     return Series(times, values, name=name, colour=GREEN, step=True, fill=True)
 
 
-def proven_distance(picture: Picture, limit: StateLimit | None = None) -> Array | None:
+def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array | None:
     """Least distance (K, q) [m] from all unsafe sets, or to a limit, that a proved schedule promises.
 
     The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
@@ -228,7 +228,10 @@ def proven_distance(picture: Picture, limit: StateLimit | None = None) -> Array 
     if tube is None or not unsafe:
         return None
     q, bow = tube.bow.shape[1], _bow(picture, tube, M)
-    gaps, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
+    gaps, twice = (
+        [],
+        np.stack([system.state_offset_at_nodes, system.state_offset - system.state_offset_at_nodes]),
+    )
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
@@ -240,7 +243,7 @@ def proven_distance(picture: Picture, limit: StateLimit | None = None) -> Array 
     return np.asarray(np.maximum(np.min(gaps, axis=0), 0.0))
 
 
-def _bow(picture: Picture, tube: TubePicture, M: Array) -> Array:
+def _bow(picture: PlotData, tube: TubeData, M: Array) -> Array:
     """Bound how far M x is from the hull of the ends of a period, in the tube and about the reference."""
     q, system, reference = tube.bow.shape[1], picture.system, picture.reference
     inputs = (reference.nu[: picture.planned] @ system.B.T)[:, None, :]

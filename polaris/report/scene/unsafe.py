@@ -9,11 +9,11 @@ from ...inspection.inspection import Inspection
 from ...model.scene.keep_in import KeepIn
 from ...model.scene.obstacle import Obstacle
 from ...model.scene.satellite import SatelliteObstacle
-from ...model.scene.shapes import Ball, Polytope
+from ...model.scene.shapes import BallShape, PolytopeShape
 from ...model.system import Array
-from ...runs.picture import seconds
+from ...runs.plot_data import seconds
 from . import geometry
-from .geometry import Shape, boxed, closed, flat_outline, gapped, hull, on_box
+from .geometry import DrawnShape, boxed, closed, flat_outline, gapped, hull, on_box
 from .items import CloseUp, Item, Mark
 from .palette import LOOKS
 from .space import Space, moves
@@ -48,28 +48,28 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], closeups: Sequence[
     if len(axes) == 2:
         chosen = [closeups[i].time for i in passages] or instants(obstacle, space)
         marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
-    shapes: tuple[Shape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
+    shapes: tuple[DrawnShape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
     motion: dict[str, Any] = {}
     if moving:
         times = np.linspace(0, end, PATH)
         shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
         frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
-        shapes = tuple(one and one.moved(-gone) for one, gone in zip(frames, shift, strict=False))
+        shapes = tuple(one and one.translated(-gone) for one, gone in zip(frames, shift, strict=False))
         way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
         motion = {"times": times, "shift": shift, "way": way}
     item = Item("unsafe", shapes, obstacle.name, marks=marks, passages=passages, cut=cut, **motion)
     return [item] if item.shape else []
 
 
-def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | None:
+def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> DrawnShape | None:
     if len(axes) == 2:
         outline = space.outline(obstacle, t, axes)
-        return Shape("area", outline) if len(outline) else None
-    if isinstance(obstacle.drawn, Ball):
+        return DrawnShape("area", outline) if len(outline) else None
+    if isinstance(obstacle.drawn, BallShape):
         centre = obstacle.centre(t, space.picture.system)
-        return geometry.ball(obstacle.drawn.radius).moved(centre).along(axes)
+        return geometry.ball(obstacle.drawn.radius).translated(centre).with_axes(axes)
     surface = hull(space.corners(obstacle, t))
-    return surface and surface.along(axes)
+    return surface and surface.with_axes(axes)
 
 
 def _marks(
@@ -126,15 +126,15 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     name = f"{obstacle.name} (stay inside)"
     if len(axes) == 2:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
-        return [Item("keep_in", (Shape("line", outline),), name)] if len(outline) else []
+        return [Item("keep_in", (DrawnShape("line", outline),), name)] if len(outline) else []
     inside = obstacle.inside
     surface = geometry.cut_surface(inside.H, inside.b, space.low, space.high)
-    items = [Item("keep_in", (surface.along(axes),), name)] if surface else []
+    items = [Item("keep_in", (surface.with_axes(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
     lines = geometry.edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
     lines = lines[~on_box(lines, space.low, space.high)][..., axes]
     if len(lines):
-        items.append(Item("sides", (Shape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
+        items.append(Item("sides", (DrawnShape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
     return items
 
 
@@ -153,14 +153,14 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
     return [item] if item.shape else []
 
 
-def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
+def _cover(normals: Array, support: Array, axes: list[int]) -> DrawnShape | None:
     """A cover about its middle."""
     if normals.shape[1] != 3:
-        return Shape("area", flat_outline(Polytope(normals, support).vertices()[:, axes]))
+        return DrawnShape("area", flat_outline(PolytopeShape(normals, support).vertices()[:, axes]))
     solid = geometry.polyhedron(normals, support, np.zeros(3))
     if solid is None or len(axes) == 3:
-        return solid and solid.along(axes)
-    return Shape("area", flat_outline(solid.points[:, axes]))
+        return solid and solid.with_axes(axes)
+    return DrawnShape("area", flat_outline(solid.points[:, axes]))
 
 
 def surroundings(q: Inspection) -> list[Item]:
@@ -170,5 +170,5 @@ def surroundings(q: Inspection) -> list[Item]:
     rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
     return [
         Item("chief", (geometry.ball(q.separation),)),
-        Item("keep", (Shape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
+        Item("keep", (DrawnShape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
     ]

@@ -16,7 +16,7 @@ from ...model.errors import ScenarioError
 from ...model.scene.obstacles import BallObstacle
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
-from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen
+from ..method import BUFFER, FILTERED, Choice, Method, Observation, Option
 from ..projection import FILTERED as SOLVED
 from ..projection import project
 
@@ -101,7 +101,7 @@ class ExplicitASIF(Method):
             " programs have solutions; neither is proven"
         )
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Solve one program for every run."""
         x, grid = seen.estimate, self.grid
         R = len(x)

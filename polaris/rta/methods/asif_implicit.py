@@ -14,10 +14,10 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..decision_grid import DecisionGrid
-from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen
+from ..method import BUFFER, FILTERED, Choice, Method, Observation, Option
+from ..permission import ErrorMotion, Permission
 from ..projection import FILTERED as SOLVED
 from ..projection import project
-from ..prospect import Leg, Prospect
 from ..recovery import Recovery, extended
 
 SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
@@ -62,8 +62,8 @@ class ImplicitASIF(Method):
         self.slope = _slope("slope", slope)
         self.settings["slope"] = self.slope
         self.recovery = Recovery.certified(grid, self.grid)
-        before = Leg.any_thrust(self.recovery) if grid.delay else None
-        self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery))
+        before = ErrorMotion.any_thrust(self.recovery) if grid.delay else None
+        self.prospect = Permission(self.recovery, before, ErrorMotion.held_input(self.recovery))
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.
         phi, step = self.recovery.open_flow.phi, self.recovery.open_flow.input_map(grid.system.B)
         moves = [step * grid.system.u_max]
@@ -79,7 +79,7 @@ class ImplicitASIF(Method):
         pushed = (float(np.linalg.norm(np.abs(W @ moved).sum(axis=1))) for moved in moves)
         self.pushed = max(pushed) * (1 + ROUNDING)
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Solve one program for every run whose desired input is not recoverable."""
         grid, recovery, demand = self.grid, self.recovery, self.prospect.demand
         k, R = seen.k, len(seen.estimate)

@@ -4,10 +4,10 @@ import numpy as np
 
 from ...simulation.baselines import alone_key
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Claim, Method, Seen
+from ..method import Choice, Claim, Method, Observation
 
 
-class Alone(Method):
+class SingleController(Method):
     """Method that looks at nothing: one controller flies throughout, unless a class says otherwise."""
 
     reasons = ("flies alone",)
@@ -19,13 +19,13 @@ class Alone(Method):
         """End condition of S, in words."""
         return self.grid.schedule.safety.end.reason
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Choose the one controller."""
         R = len(seen.estimate)
         return Choice(np.full(R, self.mode), np.full(R, np.nan), np.zeros(R, dtype=int))
 
 
-class SafetyAlone(Alone):
+class SafetyAlone(SingleController):
     """S throughout: safe from all of Theta."""
 
     key, name, place, mode, proven = "safety", "S alone", 0, 0, True
@@ -37,7 +37,7 @@ class SafetyAlone(Alone):
         return Claim("proved", self.reach)
 
 
-class ExperimentalAlone(Alone):
+class ExperimentalAlone(SingleController):
     """One experimental controller throughout, the preferred one by default."""
 
     key, name, place, mode = "experimental", "U alone", 1, 1
@@ -50,7 +50,7 @@ class ExperimentalAlone(Alone):
         self.name = f"U alone ({grid.controllers[mode].name})"
 
 
-class Precomputed(Alone):
+class PrecomputedSchedule(SingleController):
     """Method that flies the schedule, decided and proven before the flight."""
 
     key, name, place, proven = "schedule", "Polaris schedule", 2, True
@@ -62,7 +62,7 @@ class Precomputed(Alone):
         """Theorem 2."""
         return Claim(self.grid.schedule.guarantee, self.reach)
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Look the mode up."""
         R, schedule = len(seen.estimate), self.grid.schedule
         step = seen.k * self.grid.nodes // self.grid.clearance.q

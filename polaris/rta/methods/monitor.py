@@ -23,8 +23,8 @@ from ...model.system import Array
 from ...synthesis.controllers.controllers import AffineController
 from ..decision_grid import DecisionGrid
 from ..flight import Conditions, fly
-from ..method import Choice, Method, Option, Seen
-from ..prospect import Leg, Prospect
+from ..method import Choice, Method, Observation, Option
+from ..permission import ErrorMotion, Permission
 from ..recovery import Recovery
 
 TRUST = ("declared", "thrust_limits")
@@ -108,16 +108,16 @@ class Monitor(Method):
         self.chosen = ""
         self.recovery = Recovery.certified(grid)
         # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
-        self.prospects: dict[tuple[int, int], Prospect] = {}
-        any_thrust = Leg.any_thrust(self.recovery)
-        safe = any_thrust if late else Leg.declared(self.recovery, 0)
+        self.prospects: dict[tuple[int, int], Permission] = {}
+        any_thrust = ErrorMotion.any_thrust(self.recovery)
+        safe = any_thrust if late else ErrorMotion.declared(self.recovery, 0)
         legs = {0: any_thrust}
         for mode, law in enumerate(grid.controllers):
             if mode and self.trust == "declared" and isinstance(law, AffineController):
-                legs[mode] = Leg.declared(self.recovery, mode)
+                legs[mode] = ErrorMotion.declared(self.recovery, mode)
         for mode, leg in legs.items():
             for flown, before in enumerate((safe, any_thrust)):
-                self.prospects[mode, flown] = Prospect(self.recovery, before if grid.delay else None, leg)
+                self.prospects[mode, flown] = Permission(self.recovery, before if grid.delay else None, leg)
         self._since = np.zeros(0, dtype=int)
 
     @property
@@ -141,8 +141,12 @@ class Monitor(Method):
         """
         made, refused = [], None
         for i, schedule in enumerate((grid.schedule, *grid.schedule.library)):
-            here = DecisionGrid.of(schedule, grid.period, grid.latency, grid.half_widths) if i else grid
-            for one in (here, here.profiled()) if grid.system.proportional else (here,):
+            here = (
+                DecisionGrid.from_schedule(schedule, grid.period, grid.latency, grid.half_widths)
+                if i
+                else grid
+            )
+            for one in (here, here.with_feedback_bound()) if grid.system.proportional else (here,):
                 try:
                     made.append(cls(one, **options))
                 except NotCertified as error:
@@ -176,7 +180,7 @@ class Monitor(Method):
         """Begin with no run that dwells in S."""
         self._since = np.full(runs, self.dwell)
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """The first controller that is recoverable, in order of preference; else S."""
         e = seen.estimate - self.grid.xi[seen.k * self.grid.nodes]
         if len(e) == 1:
@@ -244,7 +248,7 @@ class Monitor(Method):
         less = "" if mode or not margin >= 0 else "; less room than U needs to take over from S"
         return mode, margin, f"nearest limit: {where[0].limit(k, where[1])}{less}"
 
-    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Prospect, int] | None]:
+    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Permission, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
         limit = 1.0 if flown else self._most(k)

@@ -7,12 +7,12 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...simulation.on_board import FlightCode, code_of
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Method, Seen
-from .fixed import Precomputed
+from ..method import Choice, Method, Observation
+from .fixed import PrecomputedSchedule
 from .monitor import Monitor
 
 
-class Compiled(Precomputed):
+class Compiled(PrecomputedSchedule):
     """The schedule and S as compiled flight code, called at every node, whose commands are flown.
 
     It is compiled here unless a `code` of the schedule is handed over.
@@ -23,7 +23,9 @@ class Compiled(Precomputed):
 
     def __init__(self, grid: DecisionGrid, code: FlightCode | None = None) -> None:
         super().__init__(grid)
-        self.code = code_of(grid.schedule) if code is None or code.online else code.of(grid.schedule)
+        self.code = (
+            code_of(grid.schedule) if code is None or code.online else code.require_schedule(grid.schedule)
+        )
 
     @property
     def reach(self) -> str:
@@ -65,7 +67,7 @@ class MonitorOnBoard(Method):
         super().__init__(grid)
         if code is None or not code.online:
             raise ScenarioError("code", code and code.tables.sizes, "must be flight code with the monitor")
-        self.code, usual = code.of(grid.schedule), DecisionGrid.of(grid.schedule)
+        self.code, usual = code.require_schedule(grid.schedule), DecisionGrid.from_schedule(grid.schedule)
         if (grid.nodes, grid.delay) != (1, 0) or (grid.half_widths > usual.half_widths).any():
             rule = "must be the control period, without latency and with no more errors than declared"
             raise ScenarioError("period", grid.period, f"{rule}, where the code decides")
@@ -76,7 +78,7 @@ class MonitorOnBoard(Method):
         """That of the monitor, if the checker confirms the code."""
         return f"`polaris verify --code` confirms the code; {self.monitor.reach}"
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Let U ask; the code answers."""
         R = len(seen.estimate)
         asks = np.full(R, self.monitor.modes[0])

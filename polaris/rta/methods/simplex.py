@@ -6,8 +6,8 @@ import numpy as np
 
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
-from ..method import Latched, Seen, keep_clear
-from ..prospect import Leg, Prospect
+from ..method import Latched, Observation, keep_clear
+from ..permission import ErrorMotion, Permission
 from ..recovery import Recovery
 
 
@@ -32,8 +32,8 @@ class ExplicitSimplex(Latched):
     def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
         super().__init__(grid, buffer)
         self.recovery = Recovery.certified(grid, self.grid)
-        leg = Leg.any_thrust(self.recovery)
-        self.prospect = Prospect(self.recovery, leg if grid.delay else None, leg)
+        leg = ErrorMotion.any_thrust(self.recovery)
+        self.prospect = Permission(self.recovery, leg if grid.delay else None, leg)
 
     @cached_property
     def radii(self) -> Array:
@@ -52,7 +52,7 @@ class ExplicitSimplex(Latched):
             out[k] = min(float((left / slope).min()), recovery.far(node))
         return out
 
-    def margin(self, seen: Seen) -> Array:
+    def margin(self, seen: Observation) -> Array:
         """Share of the radius left."""
         e = seen.estimate - self.grid.xi[seen.k * self.grid.nodes]
         radius = self.radii[seen.k]
@@ -92,13 +92,13 @@ class ImplicitSimplex(Latched):
         """Basis of a decision: one undisturbed flight of S."""
         return f"one undisturbed flight of S over {self.lags * self.grid.h:g} s; disturbances are ignored"
 
-    def margin(self, seen: Seen) -> Array:
+    def margin(self, seen: Observation) -> Array:
         """Least distance of the predicted flight [m]; -inf where S would ask for too much thrust."""
         grid, x = self.grid, seen.estimate
         node = seen.k * grid.nodes
         if node + grid.nodes + grid.delay > grid.last:
             return np.full(len(x), -np.inf)
-        Ad, Bd, _ = grid.held
+        Ad, Bd, _ = grid.discrete
         for _ in range(grid.nodes + grid.delay):
             x = x @ Ad.T + grid.clipped(1, node, x) @ Bd.T
             node += 1

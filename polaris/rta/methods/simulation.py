@@ -11,7 +11,7 @@ from ...model.checks import positive
 from ...model.system import Array
 from ...synthesis.controllers.controllers import AffineController
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Method, Option, Seen, keep_clear
+from ..method import Choice, Method, Observation, Option, keep_clear
 
 AHEAD = 0.2  # share of the flight that is looked ahead by default: chosen by ``benchmarks/comparison.py``
 LEAST = 20  # decisions that are looked ahead at least
@@ -26,7 +26,7 @@ HORIZON = Option(
 )
 
 
-class Simulation(Method):
+class ForwardSimulation(Method):
     """Undisturbed flight of U from measured states, node by node.
 
     Parameters
@@ -50,7 +50,7 @@ class Simulation(Method):
         self.horizon = usual if horizon is None else HORIZON.check("horizon", horizon)
         self.settings["horizon"] = self.horizon
         self.count = max(int(np.ceil(self.horizon / grid.h)), 1)
-        self.last = len(grid.own.get(1, grid.xi)) - 1
+        self.last = len(grid.own_references.get(1, grid.xi)) - 1
         self.spread: Array | None = None  # what sets about the prediction add, shape (count + 1, F)
 
     @property
@@ -61,7 +61,7 @@ class Simulation(Method):
             " at its end, or under disturbances"
         )
 
-    def decide(self, seen: Seen) -> Choice:
+    def decide(self, seen: Observation) -> Choice:
         """Predict, and look at the least distance [m]."""
         node, x = seen.k * self.grid.nodes, seen.estimate
         room = self._room(node, x, 0)
@@ -75,7 +75,7 @@ class Simulation(Method):
 
     def _step(self, node: int, x: Array) -> Array:
         """States a period later, the clipped command held."""
-        Ad, Bd, _ = self.grid.held
+        Ad, Bd, _ = self.grid.discrete
         return np.asarray(x @ Ad.T + self.grid.clipped(1, node, x) @ Bd.T)
 
     def _room(self, node: int, x: Array, step: int) -> Array:
@@ -85,7 +85,7 @@ class Simulation(Method):
         return self.grid.nearest(out if self.spread is None else out - self.spread[step])
 
 
-class ForwardReachability(Simulation):
+class ForwardReachability(ForwardSimulation):
     """U flies if its reachable set over a while keeps clear: naive, for S need not be able to take over.
 
     The set is that of U's unclipped law about its clipped prediction, for every measured state within the

@@ -2,8 +2,8 @@
 
 from math import floor, isfinite
 
-from ...model.foreign import real
-from .runtime_options import Fault
+from ...model.untrusted import real
+from .runtime_options import FlightFault
 
 MOST = 1e9  # numbers of decisions beyond this are none
 
@@ -39,7 +39,7 @@ class DecisionClock:
 
     def read(
         self, now: object, reference: object = None, number: object = None
-    ) -> tuple[int | None, Fault | None]:
+    ) -> tuple[int | None, FlightFault | None]:
         """Number of the decision, if it is known, and what is wrong.
 
         The clock [s], the second clock [s] from any origin, and the number as the caller counts it.
@@ -49,13 +49,13 @@ class DecisionClock:
         if number is not None:
             counted = real(number)
             if counted is None or not counted.is_integer() or not 0 <= counted < MOST:
-                return None, Fault("clock", "the decision's number is not a whole number")
+                return None, FlightFault("clock", "the decision's number is not a whole number")
             self._calls = int(counted) + 1
         time, other = real(now), self._calls * self.period if reference is None else real(reference)
         if time is None or not isfinite(time):
-            return None, Fault("clock", "the reading is not a finite number")
+            return None, FlightFault("clock", "the reading is not a finite number")
         if other is None or not isfinite(other):
-            return None, Fault("clock", "the second clock's reading is not a finite number")
+            return None, FlightFault("clock", "the second clock's reading is not a finite number")
         k = floor((time + self.tolerance) / self.period)
         if self._asked is not None and abs(time - self._asked) <= self.tolerance + self.drift:
             self._offset, self._asked, self.k = time - other, None, k - 1
@@ -67,20 +67,20 @@ class DecisionClock:
             way = "ahead of" if apart > 0 else "behind"
             against = "the number of calls" if number is None else "the decision's number"
             against = against if reference is None else "the second clock"
-            return None, Fault("clock", f"the reading is {abs(apart):.6g} s {way} {against}")
+            return None, FlightFault("clock", f"the reading is {abs(apart):.6g} s {way} {against}")
         if reference is not None and number is not None and k + 1 != self._calls:
-            return None, Fault("clock", f"called for decision {self._calls - 1} at decision {k}")
+            return None, FlightFault("clock", f"called for decision {self._calls - 1} at decision {k}")
         return self._place(k, time - k * self.period)
 
-    def _place(self, k: int, late: float) -> tuple[int | None, Fault | None]:
+    def _place(self, k: int, late: float) -> tuple[int | None, FlightFault | None]:
         before, self.k = self.k, max(k, self.k)
         if late > self.tolerance:
-            return None, Fault("clock", f"called {late:.6g} s after decision {k}")
+            return None, FlightFault("clock", f"called {late:.6g} s after decision {k}")
         if k < 0:
-            return None, Fault("clock", "called before the start of the plan")
+            return None, FlightFault("clock", "called before the start of the plan")
         if k <= before:
-            return None, Fault("clock", f"called again for decision {k}")
+            return None, FlightFault("clock", f"called again for decision {k}")
         if before >= 0 and k > before + 1:
             self.missed = k - before - 1
-            return k, Fault("missed", f"{self.missed} decisions before decision {k}")
+            return k, FlightFault("missed", f"{self.missed} decisions before decision {k}")
         return k, None

@@ -19,7 +19,7 @@ import numpy as np
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.files import parse_json, read_text
-from ...model.foreign import Unreadable, settled
+from ...model.untrusted import Unreadable, sanitize
 from .estimate import Measurement
 
 LARGEST = 2**30  # largest file of a log that is read [bytes]; a decision takes about 400
@@ -124,7 +124,7 @@ def jsonable(value: object) -> Any:
     """Return anything that arrived as strict JSON has it, numbers as they are read; raise nothing."""
     if type(value) is Measurement:
         return {name: jsonable(getattr(value, name)) for name in PARTS}
-    read = value if type(value) is Unreadable else settled(value)
+    read = value if type(value) is Unreadable else sanitize(value)
     if isinstance(read, Unreadable):
         return {"unreadable": read.kind}
     return _texts(read.tolist() if isinstance(read, np.ndarray) else read)

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
-from ...model.foreign import Unreadable, kind_of, settled
 from ...model.tolerances import ROUNDING, TIME
+from ...model.untrusted import Unreadable, kind_of, sanitize
 
 FARTHEST_MOTION = 20.0
 """Largest logarithm of what the bounds on ``norm(A^i) t^i / i!`` sum to: beyond it boxes bound nothing."""
@@ -47,13 +47,13 @@ class Measurement:
     half_widths: ArrayLike | None = None
 
     @staticmethod
-    def settled(value: object) -> Measurement | Unreadable | None:
+    def sanitize(value: object) -> Measurement | Unreadable | None:
         """Read each part of an untrusted measurement once; `Unreadable` if it is none."""
         if value is None:
             return None
         try:
             if isinstance(value, Measurement):
-                return Measurement(settled(value.stamp), settled(value.state), settled(value.half_widths))
+                return Measurement(sanitize(value.stamp), sanitize(value.state), sanitize(value.half_widths))
         except BaseException:  # the value's own code has run
             pass
         return Unreadable(kind_of(value))
@@ -154,7 +154,7 @@ class BoxFilter:
         """Return True if the box can be moved to the time t [s]."""
         return 0 <= t - self.t <= self.motion.longest
 
-    def moved(self, t: float) -> Array:
+    def propagated(self, t: float) -> Array:
         """``[hi, -lo]`` at a time that it `reaches`."""
         return self._moved(self._box, t - self.t)
 
@@ -163,7 +163,7 @@ class BoxFilter:
 
         Else the state that disagrees most, and the box stays as it was.
         """
-        box = np.minimum(self.moved(t), _boxed(x, half))
+        box = np.minimum(self.propagated(t), _boxed(x, half))
         width = box[: self._n] + box[self._n :]
         if not min(width.tolist()) >= 0:
             return int(width.argmin())

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...model.errors import ScenarioError
-from ...model.foreign import numbers, real
 from ...model.system import Array
 from ...model.tolerances import TIME
+from ...model.untrusted import numbers, real
 from .estimate import Measurement
 from .runtime import OnlineMonitor
 from .runtime_options import OnlineDecision

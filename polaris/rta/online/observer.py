@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...model.foreign import numbers, real
 from ...model.system import Array
 from ...model.tolerances import TIME
+from ...model.untrusted import numbers, real
 from ..decision_grid import DecisionGrid
 from .estimate import BoxFilter, BoxMotion, Measurement
-from .runtime_options import Fault, Limits
+from .runtime_options import Durations, FlightFault
 
 
-class Reading(NamedTuple):
+class CheckedMeasurement(NamedTuple):
     """A measurement whose form is in order: finite, of the right shape, in time."""
 
     stamp: float
@@ -21,14 +21,14 @@ class Reading(NamedTuple):
     half_widths: Array
 
 
-class Observer:
+class MeasurementCheck:
     """Checks every measurement by itself and against all earlier ones.
 
     Entries of the state beyond `farthest` are taken for faults. After a conflict so many measurements as are
     `trusted` must agree; at the start the initial set vouches for them.
     """
 
-    def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
+    def __init__(self, grid: DecisionGrid, limits: Durations, farthest: float, trusted: int) -> None:
         self.grid = grid
         self._same = TIME * grid.period
         lost = any(not len(fault.thrust) for fault in grid.system.transients)  # then no older one counts
@@ -45,7 +45,7 @@ class Observer:
         self.conflicts = 0  # since so many agreed
         self._called = 0.0
 
-    def note_inputs(self, applied: object, faults: list[Fault]) -> None:
+    def note_inputs(self, applied: object, faults: list[FlightFault]) -> None:
         """Take note of the input since the last call, (m,) or (2, m) [N]; None if it is not known."""
         fresh = self.filter.t >= self._called - self._same
         self._called = np.inf  # not known, unless `observe` is told
@@ -56,10 +56,10 @@ class Observer:
             rising = np.array([-limit, *bounds, limit])
             bounds = bounds if (rising[:-1] <= rising[1:]).all() else None
         if applied is not None and bounds is None:
-            faults.append(Fault("measurement", "malformed: the applied input"))
+            faults.append(FlightFault("measurement", "malformed: the applied input"))
         self.filter.flown(bounds, fresh)
 
-    def observe(self, measurement: object, instant: float, faults: list[Fault]) -> Array | None:
+    def observe(self, measurement: object, instant: float, faults: list[FlightFault]) -> Array | None:
         """State at a decision's instant [s], within the scene's half widths of the truth; else None.
 
         What is wrong is added to the faults. After a conflict there is a state, which may have lied.
@@ -67,7 +67,7 @@ class Observer:
         self._called = instant
         reading = self._read(measurement, instant)
         if isinstance(reading, str):
-            faults.append(Fault("measurement", reading))
+            faults.append(FlightFault("measurement", reading))
             return None
         self._compare(reading, faults)
         age = instant - reading.stamp
@@ -76,16 +76,20 @@ class Observer:
         # Only the measurement's own error bound counts here: an earlier one may have lied.
         low, high = self.filter.ahead(reading.state, reading.half_widths, age)
         if not (high - low <= 2 * self.grid.half_widths).all():
-            faults.append(Fault("measurement", f"late: {age:.6g} s old, too old to tell the state by now"))
+            faults.append(
+                FlightFault("measurement", f"late: {age:.6g} s old, too old to tell the state by now")
+            )
             return None
         return np.asarray((low + high) / 2)
 
-    def _compare(self, reading: Reading, faults: list[Fault]) -> None:
+    def _compare(self, reading: CheckedMeasurement, faults: list[FlightFault]) -> None:
         stamp = max(reading.stamp, self.filter.t)
         if stamp > reading.stamp + self._same:  # only before the first accepted one
-            faults.append(Fault("measurement", "late: from before the start of the plan"))
+            faults.append(FlightFault("measurement", "late: from before the start of the plan"))
         elif not self.filter.reaches(stamp):
-            faults.append(Fault("estimate", "nothing to compare with: the last measurement is too long ago"))
+            faults.append(
+                FlightFault("estimate", "nothing to compare with: the last measurement is too long ago")
+            )
             self.filter.restart(*reading)
             self.agreed = 1
         else:
@@ -95,10 +99,10 @@ class Observer:
                 self.conflicts *= self.agreed < self._enough
                 return
             name = self.grid.system.state_names[conflict]
-            faults.append(Fault("estimate", f"conflict: {name} contradicts earlier measurements"))
+            faults.append(FlightFault("estimate", f"conflict: {name} contradicts earlier measurements"))
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in
 
-    def _read(self, measurement: object, instant: float) -> Reading | str:
+    def _read(self, measurement: object, instant: float) -> CheckedMeasurement | str:
         """A measurement at a decision's instant [s], remembered if its form is in order; or what is wrong."""
         if not isinstance(measurement, Measurement):
             return "missing" if measurement is None else "malformed: not a measurement"
@@ -124,7 +128,7 @@ class Observer:
             given = numbers(measurement.half_widths, self._shape)
             if given is None:
                 return "malformed: the half widths"
-            half, moved = given, self.grid.system.displaced  # jitter displaces what is measured
+            half, moved = given, self.grid.system.state_offset  # jitter displaces what is measured
         if not ((half >= 0) & (half + moved <= self.grid.half_widths)).all():  # also for nan
             return "half widths: not between zero and the scene's"
         half = half + moved
@@ -134,4 +138,4 @@ class Observer:
         repeated, self._newest, self._state = contents == self._state, stamp, contents
         if repeated:
             return "frozen: the same state as before with a new stamp"
-        return Reading(stamp, x, half)
+        return CheckedMeasurement(stamp, x, half)

@@ -14,19 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...model.foreign import Unreadable, kind_of, settled
 from ...model.system import Array
+from ...model.untrusted import Unreadable, kind_of, sanitize
+from ..filter_input import commanded
 from ..methods.monitor import Monitor
 from ..methods.on_board import MonitorOnBoard
-from ..received import commanded
 from .decision_clock import DecisionClock
 from .decision_log import DecisionLog, jsonable, restored
 from .estimate import Measurement
-from .observer import Observer
-from .runtime_options import Fault, OnlineDecision, RuntimeOptions
+from .observer import MeasurementCheck
+from .runtime_options import FlightFault, OnlineDecision, RuntimeOptions
 
 
-class _Told(NamedTuple):
+class _CallArguments(NamedTuple):
     """Arguments of one call, as they are used and logged."""
 
     now: Any
@@ -68,11 +68,13 @@ class OnlineMonitor:
         self.limits = self.options.limits(self.grid)
         self._log, self._timer = log, timer
         self.clock = DecisionClock(self.grid.period, self.limits.tolerance, self.limits.drift)
-        self.observer = Observer(self.grid, self.limits, self.options.farthest, self.options.reacquire)
-        self._noted: list[Fault] = []  # of U, since the last step
+        self.observer = MeasurementCheck(
+            self.grid, self.limits, self.options.farthest, self.options.reacquire
+        )
+        self._noted: list[FlightFault] = []  # of U, since the last step
         self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
-        self._unwritten: list[Fault] = []  # of the log
-        self._latch: list[Fault] = []  # why S flies for good
+        self._unwritten: list[FlightFault] = []  # of the log
+        self._latch: list[FlightFault] = []  # why S flies for good
         self._asked: object = None
 
     def command(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
@@ -87,13 +89,13 @@ class OnlineMonitor:
         if not wrong and self._timer() - begun > self.limits.budget:
             wrong = "over its time budget"
         if u is None or wrong:
-            self._noted.append(Fault("controller", wrong))
+            self._noted.append(FlightFault("controller", wrong))
             return None
         return np.asarray(np.clip(u, -limit, limit))
 
     def resynchronise(self, now: float) -> None:
         """Say what the clock will read at the next call [s], after it was found wrong."""
-        self._asked = Unreadable(kind_of(now)) if now is None else settled(now)
+        self._asked = Unreadable(kind_of(now)) if now is None else sanitize(now)
 
     def step(
         self,
@@ -125,12 +127,12 @@ class OnlineMonitor:
             until `resynchronise`.
         """
         begun = self._timer()
-        given = _Told(
-            settled(now),
-            Measurement.settled(measurement),
-            settled(applied),
-            settled(reference),
-            settled(number),
+        given = _CallArguments(
+            sanitize(now),
+            Measurement.sanitize(measurement),
+            sanitize(applied),
+            sanitize(reference),
+            sanitize(number),
             self._asked,
         )
         self._asked = None
@@ -152,16 +154,16 @@ class OnlineMonitor:
             self._record(self._log, answer, noted, given)
         return answer
 
-    def _own_fault(self, text: str, faults: list[Fault]) -> None:
+    def _own_fault(self, text: str, faults: list[FlightFault]) -> None:
         self._strikes += 1
-        faults.insert(0, Fault("monitor", text))
+        faults.insert(0, FlightFault("monitor", text))
 
-    def _decide(self, given: _Told, faults: list[Fault]) -> tuple[int, int, float, str]:
+    def _decide(self, given: _CallArguments, faults: list[FlightFault]) -> tuple[int, int, float, str]:
         if given.resynchronised is not None:
             if isinstance(given.resynchronised, float) and isfinite(given.resynchronised):
                 self.clock.resynchronise(given.resynchronised)
             else:
-                faults.append(Fault("clock", "asked to resynchronise to no finite number"))
+                faults.append(FlightFault("clock", "asked to resynchronise to no finite number"))
         k, wrong = self.clock.read(given.now, given.reference, given.number)
         if wrong is not None:
             faults.append(wrong)
@@ -177,20 +179,24 @@ class OnlineMonitor:
             return k, 0, np.nan, "the plan has ended"
         mode, margin, reason = self.monitor.explained(k, state, before)
         if mode and not self._flown and self._dwelt < self.options.min_dwell:
-            faults.append(Fault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S"))
+            faults.append(
+                FlightFault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S")
+            )
         return k, mode, margin, reason
 
-    def _latched(self, faults: list[Fault]) -> None:
+    def _latched(self, faults: list[FlightFault]) -> None:
         o, agreed, conflicts = self.options, self.observer.agreed, self.observer.conflicts
         if not self._latch and o.latch is not None and self._strikes >= o.latch:
-            self._latch.append(Fault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
+            self._latch.append(FlightFault("rule", f"latched: {self._strikes} faults of U or of the monitor"))
         if not self._latch and o.latch_conflicts is not None and conflicts >= o.latch_conflicts:
-            self._latch.append(Fault("rule", f"latched: {conflicts} conflicts between measurements"))
+            self._latch.append(FlightFault("rule", f"latched: {conflicts} conflicts between measurements"))
         faults += self._latch
         if agreed < o.reacquire:
-            faults.append(Fault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
+            faults.append(FlightFault("rule", f"re-acquiring: {agreed} of {o.reacquire} measurements agree"))
 
-    def _answer(self, k: int, mode: int, margin: float, reason: str, faults: list[Fault]) -> OnlineDecision:
+    def _answer(
+        self, k: int, mode: int, margin: float, reason: str, faults: list[FlightFault]
+    ) -> OnlineDecision:
         until, wrong = -np.inf, [fault for fault in faults if not fault.harmless]
         mode = 0 if wrong else mode
         if mode:
@@ -203,7 +209,9 @@ class OnlineMonitor:
         unwritten, self._unwritten = self._unwritten, []
         return OnlineDecision(k, mode, margin, until, reason, (*faults, *unwritten))
 
-    def _record(self, log: DecisionLog, answer: OnlineDecision, noted: list[Fault], given: _Told) -> None:
+    def _record(
+        self, log: DecisionLog, answer: OnlineDecision, noted: list[FlightFault], given: _CallArguments
+    ) -> None:
         try:
             record = {
                 "k": answer.k,
@@ -216,7 +224,7 @@ class OnlineMonitor:
             record |= {name: jsonable(value) for name, value in given._asdict().items()}
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
-            self._unwritten.append(Fault("log", "the line before could not be written"))
+            self._unwritten.append(FlightFault("log", "the line before could not be written"))
 
 
 LATE = "monitor: deadline missed"
@@ -246,6 +254,6 @@ def replay_log(
     for record in flown:
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
-        online._noted += [Fault("controller", text) for text in record["controller"]]
-        answers.append(online.step(*(restored(record.get(name)) for name in _Told._fields[:-1])))
+        online._noted += [FlightFault("controller", text) for text in record["controller"]]
+        answers.append(online.step(*(restored(record.get(name)) for name in _CallArguments._fields[:-1])))
     return answers

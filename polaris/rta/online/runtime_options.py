@@ -12,7 +12,7 @@ HARMLESS = ("missed", "log")
 """Families that do not keep U from flying: what they tell of is over, and no premise of the proof."""
 
 
-class Fault(NamedTuple):
+class FlightFault(NamedTuple):
     """One fault: its family, and a text that begins alike for the same kind of fault.
 
     Families are clock, missed, measurement, estimate, controller, monitor, log, and rule: no fault of its
@@ -89,7 +89,7 @@ class RuntimeOptions:
             if name in ("reacquire", "min_dwell") or getattr(self, name) is not None:
                 whole(name, getattr(self, name), 1)
 
-    def limits(self, grid: DecisionGrid) -> "Limits":
+    def limits(self, grid: DecisionGrid) -> "Durations":
         """Return all options as numbers for one scene.
 
         Raises
@@ -101,7 +101,7 @@ class RuntimeOptions:
         if self.tolerance is not None and self.tolerance > widest:
             raise ScenarioError("tolerance", self.tolerance, f"must be below half the period of {period:g} s")
         max_age = self.max_age or period
-        return Limits(
+        return Durations(
             max_age,
             max(self.memory or 10 * period, max_age, period),
             self.tolerance or max(min(grid.latency, widest), 1e-6 * period),
@@ -112,7 +112,7 @@ class RuntimeOptions:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Durations:
     """The durations among `RuntimeOptions` [s]."""
 
     max_age: float
@@ -140,7 +140,7 @@ class OnlineDecision:
         U may fly no longer than this [s]: without a new answer S takes over then. Minus infinity for S.
     reason : str
         The tightest limit and when S would meet it, or what was wrong.
-    faults : tuple of Fault
+    faults : tuple of FlightFault
         Everything that was wrong, in the order in which it was found. Any but those of the log keep U
         from flying.
     """
@@ -150,4 +150,4 @@ class OnlineDecision:
     margin: float
     until: float
     reason: str
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[FlightFault, ...] = ()

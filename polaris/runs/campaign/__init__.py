@@ -1,5 +1,5 @@
 """Campaigns: any number of runs over scenarios, seeds and grids of values, on any executor."""
 
-from reach.numerics.packages import door
+from reach.numerics.packages import attach
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.errors import NoAnswer, PolarisError
 from ...model.system import Array
@@ -39,7 +39,7 @@ class Case:
 class Task:
     """One batch of runs of one case (TOML); a worker with another `version` of this package refuses."""
 
-    kind: "Kind"
+    kind: "CampaignRuns"
     case: int
     batch: int
     text: str
@@ -49,7 +49,7 @@ class Task:
     version: str
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """One run of a campaign, flown again."""
@@ -93,7 +93,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Kind(ABC):
+class CampaignRuns(ABC):
     """Kind of run of a campaign, as plain data. Every run is flown once by each of the `modes`."""
 
     modes: tuple[str, ...]

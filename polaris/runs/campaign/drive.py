@@ -35,7 +35,7 @@ class Driver:
         self.failed = set(self.folder.failures())
         with going_on(lambda: f"{self.done} runs are kept in {self.folder.path}"):
             missing = deque(task for task in self.folder.plan.tasks() if not self._kept(task))
-            self._tell()
+            self._report()
             losses = 0
             while missing:
                 before = self.done
@@ -72,7 +72,7 @@ class Driver:
         elif task.case not in self.failed:
             self.failed.add(task.case)
             self.folder.fail(task.case, batch)
-        self._tell()
+        self._report()
 
     def _same_schedule(self, task: Task, schedule: str) -> None:
         """Refuse a schedule other than that of the case's earlier runs; `PolarisError`."""
@@ -83,7 +83,7 @@ class Driver:
                 " processors, other versions of the solver, or another black box"
             )
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         plan = self.folder.plan
         self.progress(self.done, plan.runs * (len(plan.cases) - len(self.failed)))
 

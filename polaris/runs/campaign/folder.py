@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.errors import NotCertified, ScenarioError
 from ...model.files import parse_json
@@ -25,14 +25,14 @@ from ...model.version import version
 from ..files.atomic import CAMPAIGN as MANIFEST
 from ..files.atomic import adding, check_target, refuse_taken, replacing, try_writing
 from ..files.folder import provenance, read_json
-from ..files.ownership import Owned, read_list, tidy
+from ..files.ownership import OwnedPaths, read_list, tidy
 from ..files.tables import json_text, write_text
 from .batch import Batch, Columns, Task, joined
 from .formats import FORMATS, usable
 from .plan import CampaignPlan
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class CampaignFolder:
     """A campaign on disk.
@@ -174,7 +174,7 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
     tidy(path)
     for case, failure in folder.failures().items():
         name = folder._failure(case).relative_to(path).as_posix()
-        if failure["exit_code"] == NotCertified.exit_code and name in Owned(path):
+        if failure["exit_code"] == NotCertified.exit_code and name in OwnedPaths(path):
             folder._failure(case).unlink()
     return folder
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...inspection.flights.blocks import Outcome, fly_block
+from ...inspection.flights.blocks import BlockOutcome, fly_block
 from ...inspection.flights.sampling import InitialConditions
-from ...inspection.flights.simulation import BatchFilter, Flights, InspectionRun, Kept
+from ...inspection.flights.simulation import BatchFilter, FlightBatch, InspectionRun, RunRecorder
 from ...model.system import Array
 from ...scenario.reading import parse_toml
 from ...scenario.scenario import MonteCarloScenario
@@ -18,7 +18,7 @@ from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..files.arrays import held_by
 from ..files.folder import summary_of
 from ..inspections.inspection import ARRAYS
-from .batch import Batch, Case, Kind, Replayed, Task, of_mode
+from .batch import Batch, CampaignRuns, Case, Replayed, Task, of_mode
 
 BLOCK = 100  # runs flown together: what fits into fast memory
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -41,7 +41,7 @@ GUARANTEE = {
 
 
 @dataclass(frozen=True)
-class InspectionRuns(Kind):
+class InspectionRuns(CampaignRuns):
     """Runs of a ``monte_carlo`` scenario; the modes are its studies, on the same initial conditions."""
 
     name: ClassVar[str] = "inspection"
@@ -49,12 +49,12 @@ class InspectionRuns(Kind):
     ranking: ClassVar[str] = ""
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """Fly a task, or one run of it (see `Kind.fly`)."""
+        """Fly a task, or one run of it (see `CampaignRuns.fly`)."""
         scenario, drawn, filters = _made(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
-        flights = Flights(q, x, sun, plan.duration_s, plan.period_s)
-        kept = [] if run is None else [Kept(flights, run)]
+        flights = FlightBatch(q, x, sun, plan.duration_s, plan.period_s)
+        kept = [] if run is None else [RunRecorder(flights, run)]
         outcome = fly_block(flights, filters[mode], *kept)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
@@ -66,7 +66,7 @@ class InspectionRuns(Kind):
         return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
-        """Summarise the runs of a campaign (see `Kind.summarise`)."""
+        """Summarise the runs of a campaign (see `CampaignRuns.summarise`)."""
         (case,), runs = folder.plan.cases, folder.plan.runs
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign
@@ -94,10 +94,10 @@ def case_of(scenario: MonteCarloScenario) -> Case:
     return Case(scenario.name, (), scenario.set("campaign.runs", 1).to_toml())
 
 
-def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, Outcome]:
+def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, BlockOutcome]:
     """Results of every study, from the columns of all runs."""
     studies = _made(case.text)[0].model.studies
-    return {study.name: Outcome(of_mode(columns, study.name)) for study in studies}
+    return {study.name: BlockOutcome(of_mode(columns, study.name)) for study in studies}
 
 
 def initial_states(columns: Mapping[str, Array]) -> Array:
@@ -121,7 +121,7 @@ def _names(deputies: int) -> list[str]:
     return [f"deputy_{i}_{name}" for i in range(deputies) for name in STATES]
 
 
-def _study(name: str, outcome: Outcome) -> dict[str, Any]:
+def _study(name: str, outcome: BlockOutcome) -> dict[str, Any]:
     runs, successes = len(outcome.success), int(outcome.success.sum())
     return {
         "name": name,

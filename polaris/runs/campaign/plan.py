@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.checks import whole
 from ...model.errors import ScenarioError
@@ -16,19 +16,19 @@ from ...model.version import version
 from ...scenario.base import parse_assignment
 from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
 from ...synthesis.controllers.black_box import Ask
-from .batch import Case, Kind, Task
+from .batch import CampaignRuns, Case, Task
 from .inspections import InspectionRuns
 from .schedules import Boxes, ScheduleRuns
 
 FORMAT, VERSION = "polaris campaign", 3
 
-KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
+KINDS: dict[str, type[CampaignRuns]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
 """Kinds of run by the name in a manifest."""
 
 BATCH = 250  # runs per task: enough to be worth sending, few enough to lose little with a worker
 
 
-@brief
+@short_repr
 @dataclass(frozen=True)
 class CampaignPlan:
     """A campaign, as its manifest keeps it.
@@ -43,7 +43,7 @@ class CampaignPlan:
         Same seed and cases, same runs, whoever flies them.
     batch : int
         Runs per task; another size is another campaign, for every batch has a seed of its own.
-    kind : Kind
+    kind : CampaignRuns
         Kind of flights of a batch; by default runs of schedules.
 
     Raises
@@ -56,7 +56,7 @@ class CampaignPlan:
     runs: int
     seed: int = 0
     batch: int = BATCH
-    kind: Kind = ScheduleRuns()
+    kind: CampaignRuns = ScheduleRuns()
 
     def __post_init__(self) -> None:
         whole("--runs", self.runs, 1)

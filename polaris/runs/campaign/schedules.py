@@ -30,7 +30,7 @@ from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import synthesize
 from ..files.tables import columns
 from ..schedule import digest
-from .batch import Batch, Columns, Kind, Replayed, Task, of_mode
+from .batch import Batch, CampaignRuns, Columns, Replayed, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Modes: the schedule, S alone, the preferred U alone; further U are ``experimental_2`` and so on."""
@@ -116,7 +116,7 @@ def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
 
 
 @dataclass(frozen=True)
-class ScheduleRuns(Kind):
+class ScheduleRuns(CampaignRuns):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
     The modes are among ``polaris``, ``safety``, ``experimental`` (the preferred one), ``experimental_2`` and
@@ -152,17 +152,17 @@ class ScheduleRuns(Kind):
                 raise ScenarioError("--mode", mode, f"must be one of {names} for {label}")
 
     def data(self) -> dict[str, Any]:
-        """Return the kind as plain data (see `Kind.data`)."""
+        """Return the kind as plain data (see `CampaignRuns.data`)."""
         return super().data() | {"boxes": sorted(self.boxes.asks) if self.boxes else None}
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> "ScheduleRuns":
-        """Build the kind (see `Kind.from_data`); what is asked of black boxes is given, not read."""
+        """Build the kind (see `CampaignRuns.from_data`); what is asked of black boxes is given, not read."""
         named = data["boxes"]
         return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """Fly a task, or one run of it (see `Kind.fly`)."""
+        """Fly a task, or one run of it (see `CampaignRuns.fly`)."""
         schedule, known = schedule_of(task.text, self.boxes)
         number = _number(mode)
         name = mode if number is None else schedule.controllers[number].name
@@ -186,7 +186,7 @@ class ScheduleRuns(Kind):
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
-        """Summarise the runs of a campaign (see `Kind.summarise`)."""
+        """Summarise the runs of a campaign (see `CampaignRuns.summarise`)."""
         cases, plan, failures = [], folder.plan, folder.failures()
         for number, case in enumerate(plan.cases):
             row: dict[str, Any] = {
@@ -198,7 +198,7 @@ class ScheduleRuns(Kind):
             failure = failures.get(number)
             if failure is None:
                 rows = folder.read(number, COLUMNS)
-                row["modes"] = {mode: _told(of_mode(rows, mode), worst) for mode in self.modes}
+                row["modes"] = {mode: _cell_summary(of_mode(rows, mode), worst) for mode in self.modes}
             else:
                 row |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             cases.append(row)
@@ -263,7 +263,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
     return Replayed(arrays, table)
 
 
-def _told(columns: Columns, worst: int) -> dict[str, Any]:
+def _cell_summary(columns: Columns, worst: int) -> dict[str, Any]:
     runs, violations = len(columns["run"]), int(columns["collided"].sum())
     low, high = violation_interval(violations, runs)
     means: dict[str, Any] = {}

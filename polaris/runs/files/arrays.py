@@ -13,9 +13,9 @@ from reach.numerics.files import open_regular
 from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
-from ...simulation.baselines import Flights
+from ...simulation.baselines import FlightEnvelope
 from ...synthesis.schedule.schedule import Schedule
-from ..picture import SlicePicture, TubePicture
+from ..plot_data import SliceData, TubeData
 
 LARGEST = 2**30  # most bytes of the arrays of a file, compressed or not
 
@@ -23,7 +23,7 @@ SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "o
 """Attribute of slices by the name of its array."""
 
 
-def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
+def set_arrays(schedule: Schedule, slices: SliceData) -> dict[str, Any]:
     """Return what the recoverable sets are made from, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
@@ -82,11 +82,11 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     }
 
 
-def tube_pictures(arrays: Mapping[str, Any], C: Array) -> dict[str, TubePicture]:
-    """Return the reachable positions and states out of `tube_arrays`, by attribute of `Picture`."""
+def tube_pictures(arrays: Mapping[str, Any], C: Array) -> dict[str, TubeData]:
+    """Return the reachable positions and states out of `tube_arrays`, by attribute of `PlotData`."""
     matrices = {"tube": C, "state_tube": np.eye(C.shape[1])}
     return {
-        name: TubePicture(
+        name: TubeData(
             arrays["center"] @ M.T,
             (arrays["generators"] @ M.T).transpose(2, 0, 3, 1),
             arrays["bow"] @ np.abs(M).T,
@@ -107,7 +107,7 @@ FLIGHTS = {  # attribute of the flights of a controller or method by the name of
 }
 
 
-def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
+def flight_arrays(flown: Mapping[str, FlightEnvelope]) -> dict[str, Any]:
     """Return some runs of every controller or method, and the envelope of all of them."""
     parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
     return {name: values for part in parts for name, values in part.items() if values is not None}
@@ -162,12 +162,12 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def read_flights(path: Path) -> dict[str, Flights]:
+def read_flights(path: Path) -> dict[str, FlightEnvelope]:
     """Read what `flight_arrays` gave, by key."""
     arrays, out = read_arrays(path), {}
     for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
         fields: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
         fields["controller"] = str(arrays.get(f"{key}_controller", key))
         fields["labels"] = tuple(fields["labels"].tolist())
-        out[key] = Flights(**fields)
+        out[key] = FlightEnvelope(**fields)
     return out

@@ -15,7 +15,7 @@ from typing import Literal, NoReturn
 from ...model.errors import ScenarioError
 from .ownership import (
     MANIFEST,
-    Owned,
+    OwnedPaths,
     beside_name,
     discard,
     extend_list,
@@ -128,7 +128,7 @@ def _check_existing(target: Path, out: str | Path, names: tuple[str, ...], campa
 
 def refuse_taken(folder: Path, names: Iterable[str]) -> None:
     """Raise a `ScenarioError` that names the first file in the way which Polaris did not write as it is."""
-    owned = Owned(folder)
+    owned = OwnedPaths(folder)
     for name in names:
         if os.path.lexists(folder / name) and name not in owned:
             why = "was changed since Polaris wrote it" if name in owned.listed else "is not Polaris's"
@@ -235,7 +235,7 @@ def adding(
         if taken == "refused":
             refuse_taken(holder, [prefix + path.name for path in there])
         for path in there if taken == "kept" else ():
-            if prefix + path.name not in Owned(holder):
+            if prefix + path.name not in OwnedPaths(holder):
                 (place / path.name).rename(spare(folder, f"{path.name}.kept", place / path.name))
         for path in new:
             extend_list(holder, prefix + path.name, sha256(path))

@@ -8,7 +8,7 @@ import numpy as np
 from reach.networks.layers import Activation, Affine, Diagonal
 
 from ...certificate.files.repeated import LAW
-from ...certificate.model.bodies import MOVES
+from ...certificate.model.obstacle_boxes import MOVES
 from ...model.keys import python_name
 from ...synthesis.controllers.black_box import BlackBox
 from ...synthesis.controllers.controllers import AffineController, Controller

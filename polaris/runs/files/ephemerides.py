@@ -52,7 +52,7 @@ def export_oem(folder: str | Path) -> list[Path]:
     if orbit is None or orbit.elements is None:
         rule = "must be given: inertial frames need the target's orbit and its epoch (see Real orbits)"
         raise ScenarioError("orbit.elements", None, rule, str(run.path))
-    env, elements = Environment.of(scenario), orbit.elements
+    env, elements = Environment.from_scenario(scenario), orbit.elements
     with readable(run.path):
         tracks = [*_tracks(run.path, scenario)]
     # One integration over whole nanoseconds: equal epochs have equal states of the target in all files.

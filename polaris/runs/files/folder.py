@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.errors import ScenarioError
 from ...model.files import load_json
@@ -30,14 +30,14 @@ SCENARIO = "scenario.toml"
 class RunKind:
     """Kind of run folder: its files and the functions that write and read them.
 
-    `write` writes the files but for the scenario's copy, `tell` gives the summary (both None where a campaign
-    writes as it flies), `read` what is drawn; `fly` is what `polaris.run` does with a scenario.
+    `write` writes the files but for the scenario's copy, `to_summary` gives the summary (both None where a
+    campaign writes as it flies), `read` what is drawn; `fly` is what `polaris.run` does with a scenario.
     """
 
     name: str  # as the scenario's kind, ``comparison`` or ``tradeoff``
     files: tuple[str, ...]  # all but the summary and the certificate
     write: Callable[[Path, Any, Any], None] | None
-    tell: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
+    to_summary: Callable[[Any, Any, Mapping[str, float]], dict[str, Any]] | None
     read: Callable[[Path, Any], Any]
     fly: Callable[[Any, Stages], Any] | None = None
     summary: str = "summary.json"
@@ -48,7 +48,7 @@ class RunKind:
         return (*self.files, self.summary)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class RunFolder:
     """A run folder on disk.
@@ -76,12 +76,12 @@ class RunFolder:
         """Contents of its summary."""
         return self.json(self.kind.summary)
 
-    def picture(self) -> Any:
+    def plot_data(self) -> Any:
         """Return the plot data of figures and pages, read from the files.
 
         Returns
         -------
-        Picture, InspectionRun, FuelRun, CampaignPicture, ComparisonPicture or list
+        PlotData, InspectionRun, FuelRun, CampaignData, ComparisonData or list
             By kind: a schedule, a flight, a flight into the fuel limit, many flights, a comparison, or the
             rows of a trade-off.
 
@@ -133,8 +133,8 @@ def write_folder(
 def _summarise(
     folder: Path, kind: RunKind, scenario: Scenario, result: Any, seconds: Mapping[str, float]
 ) -> None:
-    assert kind.tell is not None
-    summary = summary_of(scenario, kind.name, kind.tell(scenario, result, seconds))
+    assert kind.to_summary is not None
+    summary = summary_of(scenario, kind.name, kind.to_summary(scenario, result, seconds))
     write_text(folder / kind.summary, json_text(summary))
 
 

@@ -118,7 +118,7 @@ def linked(folder: Path, name: str) -> bool:
     return any((folder / part).is_symlink() for part in (path, *path.parents[:-1]))
 
 
-class Owned:
+class OwnedPaths:
     """Paths in a folder that Polaris wrote and nobody changed since, by the list of the folder."""
 
     def __init__(self, folder: Path) -> None:
@@ -160,7 +160,7 @@ def _same(one: Path, other: Path) -> bool:
 
 def _others(folder: Path) -> list[tuple[str, Path]]:
     """List everything in a folder that is not Polaris's, and empty folders; links are not followed."""
-    owned, others = Owned(folder), list[tuple[str, Path]]()
+    owned, others = OwnedPaths(folder), list[tuple[str, Path]]()
     for here, folders, names in os.walk(folder):
         for path in sorted(Path(here) / name for name in (*names, *folders)):
             name = path.relative_to(folder).as_posix()

@@ -160,9 +160,9 @@ def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return a heading and a sentence for everything that a guarantee claims besides."""
     rows = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
     rows += [("Estimate", _estimate(claim["estimate"]))] if claim.get("estimate") else []
-    rows += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    rows += [("Passive safety", drift_text(claim["abort"]))] if "abort" in claim else []
     powered = claim.get("powered_abort")
-    rows += [("Powered abort", abort_told(powered))] if powered else []
+    rows += [("Powered abort", abort_text(powered))] if powered else []
     return rows + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
 
 
@@ -180,7 +180,7 @@ def _withheld(claim: Mapping[str, Any]) -> str:
     )
 
 
-def abort_told(claim: Mapping[str, Any]) -> str:
+def abort_text(claim: Mapping[str, Any]) -> str:
     """Describe from which steps S reaches the orbit of an abort, and why not from the first of the others."""
     steps = claim["steps"]
     reached, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
@@ -218,7 +218,7 @@ def _estimate(claim: Mapping[str, Any]) -> str:
     return f"errors by state, in state order and SI units: {'; '.join(texts) or 'not bounded'}."
 
 
-def drift_told(claim: Mapping[str, Any]) -> str:
+def drift_text(claim: Mapping[str, Any]) -> str:
     """Describe from when to when all thrust may stop, and where the drift is not shown to stay clear."""
     spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
     margin = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"

@@ -30,7 +30,7 @@ def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelR
         return fly_fuel_limit(filtering, scenario.primary(), model.initial_state, flight.duration_s, shown)
 
 
-def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     model, q = scenario.model, run.inspection
     left = q.delta_v_max - run.delta_v
@@ -124,4 +124,4 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
     )
 
 
-FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _tell, _read, fly_fuel)
+FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _summary, _read, fly_fuel)

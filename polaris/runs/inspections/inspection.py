@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.constraints.constraint import KINDS
-from ...inspection.flights.judge import JudgedRun, Least, judge
-from ...inspection.flights.simulation import BACKUP, UNPROVEN, Flights, InspectionRun, fly_one, smoothness
+from ...inspection.flights.evaluation import EvaluatedRun, Least, least_values
+from ...inspection.flights.simulation import BACKUP, UNPROVEN, FlightBatch, InspectionRun, fly_one, smoothness
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ...scenario.scenario import FlightScenario
 from ...scenario.tables.filters import AssuredFilter, BarrierFilter
@@ -39,12 +39,12 @@ ARRAYS = {  # attribute of a flight by the name of its array
 }
 
 
-def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> JudgedRun:
+def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> EvaluatedRun:
     """Fly one flight of the inspection problem and judge it, also between the samples."""
     stages, flight = stages or Stages(), scenario.model.flight
     with stages.stage("flight"):
         x, sun = scenario.initial()
-        flights = Flights(
+        flights = FlightBatch(
             scenario.inspection(),
             x[None],
             np.array([sun]),
@@ -57,10 +57,10 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
         counting = stages.counting("flight: {} of {} periods")
         filtering = scenario.filter(scenario.model.filter, flight.period_s)
         run = fly_one(flights, filtering, lambda step: counting(step.k + 1, total))
-        return judge(run, scenario.families(), flight.between)
+        return least_values(run, scenario.families(), flight.between)
 
 
-def _write(folder: Path, scenario: FlightScenario, judged: JudgedRun) -> None:
+def _write(folder: Path, scenario: FlightScenario, judged: EvaluatedRun) -> None:
     rows = least_rows(judged.constraints | judged.barriers)
     for row in rows:
         row["deputies"] = " ".join(map(str, row["deputies"]))
@@ -126,7 +126,7 @@ def assumptions(scenario: FlightScenario) -> list[str]:
     ]
 
 
-def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(scenario: FlightScenario, flown: EvaluatedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json`` for one flight."""
     model, run = scenario.model, flown.run
     spent = run.delta_v[-1]
@@ -195,7 +195,7 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
     return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
 
 
-def guarantee(scenario: FlightScenario, flown: JudgedRun) -> dict[str, Any]:
+def guarantee(scenario: FlightScenario, flown: EvaluatedRun) -> dict[str, Any]:
     """Return the claim about one flight, and its assumptions."""
     run, spec = flown.run, scenario.model.filter
     barriers = isinstance(spec, BarrierFilter)
@@ -238,4 +238,6 @@ def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> 
     )
 
 
-FLIGHT = RunKind("inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _tell, _read, fly_flight)
+FLIGHT = RunKind(
+    "inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _summary, _read, fly_flight
+)

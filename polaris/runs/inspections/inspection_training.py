@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...inspection.backup.brake import Brake
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.sampling import InitialConditions
-from ...inspection.flights.simulation import BatchFilter, Errors
+from ...inspection.flights.simulation import BatchFilter, SampledErrors
 from ...model.checks import of_kind
 from ...model.system import Array
 from ...rta.one_call import RunTimeFilter
@@ -54,14 +54,14 @@ class InspectionFlights:
         self.runs, self.wanted, self.effort = runs, wanted_m, effort
         self.inspection, flight = scenario.inspection(), scenario.model.flight
         self.period, self.count = flight.period_s, round(flight.duration_s / flight.period_s)
-        self._parts = tuple((part, *self.inspection.held(self.period * part)) for part in (0.5, 1.0))
+        self._parts = tuple((part, *self.inspection.discretize(self.period * part)) for part in (0.5, 1.0))
         self.k, self.sun = np.zeros(runs, dtype=int), np.zeros(runs)
         self.x = self.seen = np.zeros((runs, self.inspection.deputies, 6))
         count = 3 * self.inspection.deputies
         self.limit, self.reads = np.full(count, self.inspection.thrust_max), 2 * count + 3
         self._drawn: list[tuple[Array, float]] = []
         self._unknown = scenario.uncertainty()
-        self._errors: Errors | None = None
+        self._errors: SampledErrors | None = None
         self._make: Callable[[float], RunTimeFilter] | None = None
         self._each: dict[int, RunTimeFilter] = {}
         self._batch: BatchFilter | None = None
@@ -90,7 +90,9 @@ class InspectionFlights:
         """
         if fresh or (self._errors is None and not self._unknown.exact):
             self._drawn, number = [], int(rng.integers(2**31))
-            self._errors = None if self._unknown.exact else Errors(self._unknown, self.inspection, number)
+            self._errors = (
+                None if self._unknown.exact else SampledErrors(self._unknown, self.inspection, number)
+            )
         x = self.x.copy()
         for run in np.flatnonzero(chosen).tolist():
             x[run], self.sun[run] = self._start(rng)

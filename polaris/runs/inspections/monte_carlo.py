@@ -54,7 +54,7 @@ def run_monte_carlo(
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignPicture:
+class CampaignData:
     """Plot data of a campaign: R runs of N deputies in S studies."""
 
     x: Array  # (R, N, 6), initial states
@@ -65,7 +65,7 @@ class CampaignPicture:
     counts: NDArray[np.intp]  # (S, kinds): runs with each
 
 
-def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
+def _read(path: Path, scenario: MonteCarloScenario) -> CampaignData:
     folder = read_campaign(path, same_version=False)
     columns = folder.read(0)
     results, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
@@ -78,7 +78,7 @@ def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
             failed[s, one["run"], list(one["deputies"])] = True
             counts[s, whats.index(one["what"])] += 1
     success = np.array([outcome.success for outcome in results.values()])
-    return CampaignPicture(x, tuple(results), success, failed, tuple(whats), counts)
+    return CampaignData(x, tuple(results), success, failed, tuple(whats), counts)
 
 
 MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)

@@ -16,7 +16,7 @@ def falsify_mission(folder: RunFolder, runs: int, seed: int) -> dict[str, Any]:
     Every leg has its share of the runs. A joint is attacked at the ends of the spans in which GO is given,
     from the corners of the leg's own start set, along every coordinate.
     """
-    picture, legs = folder.picture(), list[dict[str, Any]]()
+    picture, legs = folder.plot_data(), list[dict[str, Any]]()
     rng, joints = np.random.default_rng(seed), picture.certificate["joints"]
     for i, leg in enumerate(picture.legs):
         schedule, share, count = read_schedule(leg), None, 0

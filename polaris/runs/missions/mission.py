@@ -25,7 +25,7 @@ from ...model.errors import ScenarioError, SynthesisInfeasible
 from ...scenario.mission import MissionScenario, moves
 from ...scenario.tables.schedule import InitialBox
 from ...simulation.metrics import finite
-from ...simulation.mission import Flown, fly_on
+from ...simulation.mission import MissionFlights, fly_on
 from ...synthesis.legs.joint import Joint, joint, turn_of
 from ...synthesis.schedule.schedule import Schedule
 from ..files.arrays import read_arrays
@@ -40,12 +40,12 @@ MARGIN = 1e-9  # share by which sums are raised: the checker adds in another ord
 
 
 @dataclass(frozen=True, eq=False)
-class MissionPicture:
+class MissionData:
     """Plot data of a mission: claims of its certificate, runs of its legs, flights of all of them."""
 
     certificate: dict[str, Any]
     legs: tuple[RunFolder, ...]
-    flown: Flown
+    flown: MissionFlights
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class FlownMission:
     legs: Sequence[FlownSchedule]
     joints: Sequence[Joint]
     leaves: Sequence[float]
-    flown: Flown
+    flown: MissionFlights
 
 
 def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
@@ -120,7 +120,7 @@ def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, An
         elif upkeep is not None:
             waited = max(leaves - upkeep["settled_s"], 0.0)
             spent = upkeep["until_settled_m_s"] + waited * upkeep["rate_m_s2"]
-        spent = (spent + (system.owed / system.mass if i else 0.0)) * (1 + MARGIN)
+        spent = (spent + (system.carried_impulse / system.mass if i else 0.0)) * (1 + MARGIN)
         total += spent
         known = {
             "name": mission.model.legs[i].name,
@@ -161,7 +161,7 @@ def _write(folder: Path, mission: MissionScenario, made: FlownMission) -> None:
     write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
-def _tell(mission: MissionScenario, made: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(mission: MissionScenario, made: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``, whose claims are compared with the certificate's."""
     claims, legs = _claims(mission, made)
     clocks = list[dict[str, float | None]]()
@@ -174,16 +174,18 @@ def _tell(mission: MissionScenario, made: FlownMission, seconds: Mapping[str, fl
     return {"mission": data, "flown": made.flown.summary(), "seconds": dict(seconds)}
 
 
-def _read(folder: Path, mission: MissionScenario) -> MissionPicture:
+def _read(folder: Path, mission: MissionScenario) -> MissionData:
     data = read_json(folder / "certificate.json")
     legs = [
         RunFolder(folder / name, leg, SCHEDULE)
         for name, leg in zip(folders(mission), mission.legs(), strict=True)
     ]
-    return MissionPicture(data, tuple(legs), Flown(**read_arrays(folder / "trace.npz")))
+    return MissionData(data, tuple(legs), MissionFlights(**read_arrays(folder / "trace.npz")))
 
 
-MISSION = RunKind("mission", (SCENARIO, "certificate.json", "trace.npz"), _write, _tell, _read, fly_mission)
+MISSION = RunKind(
+    "mission", (SCENARIO, "certificate.json", "trace.npz"), _write, _summary, _read, fly_mission
+)
 """Run folder of a mission."""
 
 

@@ -17,14 +17,14 @@ from ...model.thrusters import Nozzles
 from ...model.thrusters import Thrusters as Errors
 from ...model.timing import Timing as Delays
 from ...model.timing import Transient
-from ...synthesis.safety.passive import Abort as AbortOptions
+from ...synthesis.safety.passive import DriftRequirement as AbortOptions
 from ...synthesis.safety.problem import PoweredAbort
 from .faults import Fault
 from .fields import BY_KIND, Described, ScenarioPart, per_axis, unit
 from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
-class Thrusters(ScenarioPart):
+class ThrustersTable(ScenarioPart):
     """Bounds on the difference of applied and commanded thrust, at any time and in any direction."""
 
     magnitude_error: f.Real = unit(
@@ -73,7 +73,7 @@ class Thrusters(ScenarioPart):
             return None
         errors = self.magnitude_error, float(np.deg2rad(self.misalignment_deg)), self.mass_error
         carried = self.remainder == "carried"
-        return Nozzles.of(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
+        return Nozzles.from_errors(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
 
     def in_turn(self, made: Allocation | None, period: float, faults: Sequence[Fault]) -> Allocation | None:
         """Return an allocation whose box is as large as pulses one after another fill a `period` [s].
@@ -106,7 +106,7 @@ class Thrusters(ScenarioPart):
             return layout.errors(period)
         bit, turned = self.impulse_bit_N_s / (2 * period), float(np.deg2rad(self.misalignment_deg))
         dropped = self.remainder == "dropped"
-        errors = Errors.of(self.magnitude_error, turned, self.mass_error, bit * dropped, system.m)
+        errors = Errors.from_errors(self.magnitude_error, turned, self.mass_error, bit * dropped, system.m)
         if not dropped:
             carried = 2 * bit * errors.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9)
             errors = replace(errors, bit=carried)
@@ -118,7 +118,7 @@ def strengths(faults: Sequence[Fault]) -> list[float]:
     return [1.0, *(left for fault in faults if 0 < (left := fault.build().left) < 1)]
 
 
-class Timing(Described, makes=Delays):
+class TimingTable(Described, makes=Delays):
     """See `polaris.model.timing.Timing`."""
 
 
@@ -126,7 +126,7 @@ def timed(
     system: Craft,
     timing: Delays,
     period: float,
-    thrusters: Thrusters | None,
+    thrusters: ThrustersTable | None,
     limits: Array,
     faults: Sequence[Fault],
 ) -> Craft:
@@ -137,13 +137,13 @@ def timed(
     ScenarioError
         If pulses do not fit into a period.
     """
-    made, layout = thrusters or Thrusters(), system.nozzles
+    made, layout = thrusters or ThrustersTable(), system.nozzles
     _require_whole(made, limits if layout is None else layout.allocation.limits, period, faults)
     in_turn = made.pulse == "staggered"
     fired = () if made.pulse == "held" else tuple((limits * (len(limits) if in_turn else 1)).tolist())
     carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
     if layout is not None:
-        fired, carried = layout.fired, layout.left
+        fired, carried = layout.fired, layout.max_carried
     edges = made.rise_s + made.fall_s
     if edges and not fired:
         raise ScenarioError("thrusters.rise_s, fall_s", edges, "must be 0 without pulses (thrusters.pulse)")
@@ -157,7 +157,7 @@ def timed(
     return system if timing == Delays() else predicting(system, timing, period)
 
 
-def _require_whole(thrusters: Thrusters, limits: Array, period: float, faults: Sequence[Fault]) -> None:
+def _require_whole(thrusters: ThrustersTable, limits: Array, period: float, faults: Sequence[Fault]) -> None:
     """Refuse pulses whose nearest multiple of the bit may be more than full thrust makes in a period."""
     bit, given = thrusters.impulse_bit_N_s, thrusters
     fits = given.directions is not None and given.pulse == "staggered"  # bits are counted in `in_turn`
@@ -170,7 +170,7 @@ def _require_whole(thrusters: Thrusters, limits: Array, period: float, faults: S
             raise ScenarioError("thrusters.impulse_bit_N_s", bit, rule)
 
 
-def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
+def allocation(given: ThrustersTable | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """Return the allocation of inputs to thrusters in every fault; None where nothing is said of them."""
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
     directions, limits = (given.directions, given.thrust_max_N) if given else (None, None)
@@ -180,9 +180,11 @@ def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
     if directions is None or limits is None:
         if given is not None and given.allocation != MIXES:
             raise ScenarioError("thrusters.allocation", given.allocation, "needs thrusters.directions")
-        return Allocation.of(*axis_pairs(u_max), u_max, failed) if failed else None
+        return Allocation.from_directions(*axis_pairs(u_max), u_max, failed) if failed else None
     largest = per_axis("thrusters.thrust_max_N", limits, len(directions))
-    return Allocation.of(np.array(directions), largest, u_max, failed, given.allocation if given else MIXES)
+    return Allocation.from_directions(
+        np.array(directions), largest, u_max, failed, given.allocation if given else MIXES
+    )
 
 
 def transients(
@@ -217,7 +219,7 @@ class GoalOrbit(ScenarioPart):
 Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
 
 
-class Abort(ScenarioPart):
+class AbortTable(ScenarioPart):
     """Aborts at any instant until T: passive (the drift stays clear), or powered (S reaches an orbit)."""
 
     drift_orbits: f.Real | None = unit("-", default=None, gt=0, le=100)

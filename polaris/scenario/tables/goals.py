@@ -38,7 +38,7 @@ class GoalTable(Described):
             rate = {"mean_motion": hill_rate(system, "goal.kind", self.kind)}
         else:
             rate = {"rate": system.mean_motion or USUAL_RATE}
-        goal: goals.Goal = self.make("goal", **rate).of(system)
+        goal: goals.Goal = self.make("goal", **rate).for_system(system)
         if isinstance(goal, goals.StationaryPoint):
             state, A = goal.center, system.A
             drift, size = (float(np.abs(x).max()) for x in (A @ state, state))

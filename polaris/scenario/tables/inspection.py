@@ -10,10 +10,10 @@ from pydantic import Field
 
 from ...inspection.inspection import Inspection
 from ...model import keys as f
-from .errors import Thrusters, Timing
+from .errors import ThrustersTable, TimingTable
 from .fields import BY_KIND, Described, Head, ScenarioPart, unit
 from .filters import Filter, FlightFilter, StrengtheningTable
-from .navigation import Estimate
+from .navigation import EstimateTable
 
 MOST_PERIODS = 200_000  # most control periods of one flight
 
@@ -114,9 +114,9 @@ class InspectionModel(_Filtered):
     filter: FlightFilter = unit("-", "Filter of the primary controller's thrust.")
     initial: Initial = unit("-", "Initial states.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
-    navigation: Estimate = unit("-", "Errors of the estimated states.", default_factory=Estimate)
-    thrusters: Thrusters = unit("-", "Errors of the thrusters.", default_factory=Thrusters)
-    timing: Timing = unit("-", "Delay and jitter of the filter.", default_factory=Timing)
+    navigation: EstimateTable = unit("-", "Errors of the estimated states.", default_factory=EstimateTable)
+    thrusters: ThrustersTable = unit("-", "Errors of the thrusters.", default_factory=ThrustersTable)
+    timing: TimingTable = unit("-", "Delay and jitter of the filter.", default_factory=TimingTable)
     primary: Phases = unit("-", "Primary controllers, one after another.")
 
 

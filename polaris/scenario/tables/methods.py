@@ -8,7 +8,7 @@ from ...synthesis.schedule.rules import SwitchingRules
 from .fields import Described, ScenarioPart, unit
 
 
-class Tracking(ScenarioPart):
+class TrackingTable(ScenarioPart):
     """The tracking controller of section III-A and the bound on its error."""
 
     Q: f.DiagonalOrMatrix = unit("1/unit of the state^2")
@@ -24,7 +24,7 @@ class Tracking(ScenarioPart):
     """Weights of the norm in this bound: chosen for the closed loop, none (loose), or n numbers > 0."""
 
 
-class Recoverable(ScenarioPart):
+class RecoverableTable(ScenarioPart):
     """States from which the safety controller recovers (Definition 1)."""
 
     kind: Literal["polytope", "ball"] = unit("-", default="polytope")
@@ -35,7 +35,7 @@ class Recoverable(ScenarioPart):
     that of the printed Algorithm 1."""
 
 
-class Planner(Described, makes=PlannerOptions):
+class PlannerTable(Described, makes=PlannerOptions):
     """Objective of the planner, and its options."""
 
     objective: Objective = unit("-", default="margin_then_fuel")
@@ -47,7 +47,7 @@ class Planner(Described, makes=PlannerOptions):
     """Share of the thrust limits left to the feedback beyond the need of the initial set, as room for U."""
 
 
-class Schedule(Described, makes=SwitchingRules):
+class ScheduleTable(Described, makes=SwitchingRules):
     """Choice of the switching schedule (Algorithm 2 and beyond)."""
 
     bound_programs: f.Whole = unit("-", default=400, ge=0, le=10**9)

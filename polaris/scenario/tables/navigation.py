@@ -19,7 +19,7 @@ PATH = "navigation.measurement"
 MOST_MISSED = 20  # most periods without a measurement that an observer is designed for
 
 
-class Estimate(ScenarioPart):
+class EstimateTable(ScenarioPart):
     """Bounds on estimate errors: of position and velocity in Hill's frame, else of states."""
 
     position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
@@ -71,13 +71,13 @@ class Sight(ScenarioPart):
         return np.array([off, angle, *turned * (1 + ROUNDING)])
 
 
-class Phase(Estimate, Sight):
+class Phase(EstimateTable, Sight):
     """Bounds from an instant of the schedule's clock until the next phase."""
 
     from_s: f.Positive = unit("s", "Start, later than that of the phase before.")
 
 
-class Measurement(Sight):
+class MeasurementTable(Sight):
     """Measurements of an observer with a steady Kalman gain, from which estimate errors are derived.
 
     It measures once a period: in Hill's frame the position, and the velocity if it has a bound. Missed
@@ -91,7 +91,7 @@ class Measurement(Sight):
     constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
     """Share of these errors that is an unknown constant of the flight, such as a camera's mounting. Range and
     bearing errors have none."""
-    initial: Estimate | None = unit("-", default=None)
+    initial: EstimateTable | None = unit("-", default=None)
     """Error bounds of the first estimate; by default the observer has run long before the start."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
@@ -120,10 +120,10 @@ class Measurement(Sight):
             parts["velocity_error_m_s"] = self.velocity_error_m_s
         return np.concatenate([per_axis(f"{PATH}.{k}", v, 3) for k, v in parts.items()])
 
-    def known(
+    def apply(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> Craft:
-        """Return the system whose estimates are an observer's; see `Navigation.known`."""
+        """Return the system whose estimates are an observer's; see `Navigation.apply`."""
         if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed, rule)
@@ -143,7 +143,7 @@ class Measurement(Sight):
         return replace(observing(system, observer, period), sights=self.sight(system, PATH)[None])
 
 
-class Navigation(Estimate, Sight):
+class Navigation(EstimateTable, Sight):
     """Bounds on the errors of the state estimate of every controller, arbitrary in time.
 
     Bounds are of position and velocity in Hill's frame, of states elsewhere, and hold until the first phase.
@@ -151,10 +151,10 @@ class Navigation(Estimate, Sight):
     """
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)
-    measurement: Measurement | None = unit("-", default=None)
+    measurement: MeasurementTable | None = unit("-", default=None)
     """Measurements of an observer, instead of bounds on estimates."""
 
-    def known(
+    def apply(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> Craft:
         """Return the system with these errors; `horizon`: steps, their length [s]; `late`: late faults."""
@@ -163,7 +163,7 @@ class Navigation(Estimate, Sight):
             if np.any(declared) or self.within_m or self.phases:
                 rule = "must be left out with bounds of estimates, within_m or phases in [navigation]"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self.measurement.known(system, horizon, period, timing, late)
+            return self.measurement.apply(system, horizon, period, timing, late)
         if not self.phases:
             return replace(system, estimate_error=_seen(declared, sights[0]), sights=np.array(sights))
         begin = [0.0, *(phase.from_s for phase in self.phases)]
@@ -180,7 +180,7 @@ class Navigation(Estimate, Sight):
         return replace(system, error_by_step=rows, sights=np.array(sights)[flown])
 
     def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
-        """Return the sets to stay inside where bounds of phases hold; `horizon` as for `known`."""
+        """Return the sets to stay inside where bounds of phases hold; `horizon` as for `apply`."""
         sets, T, slack = [], horizon[0] * horizon[1], INSTANT * horizon[1]
         first: Sight = self if self.measurement is None else self.measurement
         parts = [(first, "navigation" if first is self else PATH, "within", 0.0)]

@@ -7,11 +7,11 @@ from ...model.scene import keep_in, obstacles, satellite, state_limits, turning
 from .fields import BY_KIND, Described, ScenarioPart, unit
 
 
-class BoxObstacle(Described, makes=obstacles.BoxObstacle, kind="box", says="Axis-aligned box."):
+class BoxObstacleTable(Described, makes=obstacles.BoxObstacle, kind="box", says="Axis-aligned box."):
     """See `obstacles.BoxObstacle`."""
 
 
-class BallObstacle(Described, makes=obstacles.BallObstacle, kind="ball", says="Ball."):
+class BallObstacleTable(Described, makes=obstacles.BallObstacle, kind="ball", says="Ball."):
     """See `obstacles.BallObstacle`."""
 
 
@@ -19,57 +19,68 @@ WALL = "Convex polytope; may be unbounded (a wall is one row)."
 BODY = "Another body that obeys the system's dynamics."
 
 
-class PolytopeObstacle(Described, makes=obstacles.PolytopeObstacle, kind="polytope", says=WALL):
+class PolytopeObstacleTable(Described, makes=obstacles.PolytopeObstacle, kind="polytope", says=WALL):
     """See `obstacles.PolytopeObstacle`."""
 
 
-class SatelliteObstacle(Described, makes=satellite.SatelliteObstacle, kind="satellite", says=BODY):
+class SatelliteObstacleTable(Described, makes=satellite.SatelliteObstacle, kind="satellite", says=BODY):
     """See `satellite.SatelliteObstacle`."""
 
 
-class StateObstacle(
+class StateObstacleTable(
     Described, makes=state_limits.StateObstacle, kind="states", says="Positions and velocities."
 ):
     """See `state_limits.StateObstacle`."""
 
 
 Obstacle = Annotated[
-    BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle | StateObstacle, *BY_KIND
+    BoxObstacleTable
+    | BallObstacleTable
+    | PolytopeObstacleTable
+    | SatelliteObstacleTable
+    | StateObstacleTable,
+    *BY_KIND,
 ]
 
 
-class KeepInPolytope(
+class KeepInPolytopeTable(
     Described, makes=keep_in.KeepInPolytope, kind="polytope", says="Convex polytope to stay inside."
 ):
     """See `keep_in.KeepInPolytope`."""
 
 
-class KeepInCone(Described, makes=keep_in.KeepInCone, kind="cone", says="Cone to stay inside."):
+class KeepInConeTable(Described, makes=keep_in.KeepInCone, kind="cone", says="Cone to stay inside."):
     """See `keep_in.KeepInCone`."""
 
 
-class KeepInStates(
+class KeepInStatesTable(
     Described, makes=state_limits.KeepInStates, kind="states", says="Positions and velocities to stay inside."
 ):
     """See `state_limits.KeepInStates`."""
 
 
-class SpeedLimit(Described, makes=state_limits.SpeedLimit, kind="speed", says="Speed, by distance."):
+class SpeedLimitTable(Described, makes=state_limits.SpeedLimit, kind="speed", says="Speed, by distance."):
     """See `state_limits.SpeedLimit`."""
 
 
-class SpeedPolygon(
+class SpeedPolygonTable(
     Described, makes=state_limits.SpeedPolygon, kind="speed_polygon", says="Polygon of velocities."
 ):
     """See `state_limits.SpeedPolygon`."""
 
 
-class TurningKeepIn(Described, makes=turning.TurningKeepIn, kind="turning", says="Corridor that turns."):
+class TurningKeepInTable(Described, makes=turning.TurningKeepIn, kind="turning", says="Corridor that turns."):
     """See `turning.TurningKeepIn`."""
 
 
 KeepIn = Annotated[
-    KeepInPolytope | KeepInCone | KeepInStates | SpeedLimit | SpeedPolygon | TurningKeepIn, *BY_KIND
+    KeepInPolytopeTable
+    | KeepInConeTable
+    | KeepInStatesTable
+    | SpeedLimitTable
+    | SpeedPolygonTable
+    | TurningKeepInTable,
+    *BY_KIND,
 ]
 
 
@@ -107,7 +118,7 @@ ControllerReference = Annotated[
 ]
 
 
-class Affine(ScenarioPart):
+class AffineTable(ScenarioPart):
     """State feedback ``u = mu + K (ref - x)``, clipped at the thrust limits or not."""
 
     kind: Literal["affine", "saturated_affine"] = unit("-")
@@ -123,7 +134,7 @@ class Affine(ScenarioPart):
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-class AnyThrust(ScenarioPart):
+class AnyThrustTable(ScenarioPart):
     """Any thrust within the limits: covers black boxes, learned policies, pilots."""
 
     kind: Literal["any_thrust"] = unit("-", "Unknown controller within the thrust limits.")
@@ -156,7 +167,7 @@ class Neural(ScenarioPart):
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-class BlackBox(ScenarioPart):
+class BlackBoxTable(ScenarioPart):
     """A program that is asked for commands once a control period; its sets rest on samples.
 
     Give it with `polaris run --black-box NAME=COMMAND`, or as a callable. The guarantee is `statistical`.
@@ -174,4 +185,4 @@ class BlackBox(ScenarioPart):
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-Experimental = Annotated[Affine | AnyThrust | Neural | BlackBox, *BY_KIND]
+Experimental = Annotated[AffineTable | AnyThrustTable | Neural | BlackBoxTable, *BY_KIND]

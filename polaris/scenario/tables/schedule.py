@@ -20,11 +20,11 @@ from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
-from .errors import Abort, Chaser, Tank, Thrusters, Timing
+from .errors import AbortTable, Chaser, Tank, ThrustersTable, TimingTable
 from .faults import Fault
 from .fields import BY_KIND, Head, ScenarioPart, per_axis, unit
 from .goals import Goal
-from .methods import Planner, Recoverable, Schedule, Tracking
+from .methods import PlannerTable, RecoverableTable, ScheduleTable, TrackingTable
 from .navigation import Navigation
 from .orbit import Orbit
 from .scene import Experimental, KeepIn, Obstacle
@@ -152,7 +152,7 @@ class Horizon(ScenarioPart):
     )
 
 
-class Feedback(ScenarioPart):
+class FeedbackTable(ScenarioPart):
     """Clock of the flight computer: every period the state is read, and the input set and held."""
 
     GONE = {"kind": "is gone, as all feedback is sampled: write period_s alone, or leave out the table"}
@@ -162,7 +162,7 @@ class Feedback(ScenarioPart):
     rounded down to a whole part of step_s (2 to 200 parts)."""
 
 
-class Simulation(ScenarioPart):
+class SimulationTable(ScenarioPart):
     """Simulated closed-loop runs of metrics and figures. They prove nothing."""
 
     runs: f.Whole = unit("-", "Runs per controller.", default=100, ge=1, le=1_000_000)
@@ -177,26 +177,26 @@ class ScenarioModel(Head):
     """Sources of the model error, for `polaris model-error`. Elements or files may give its numbers and the
     mean motion ([real orbits](orbits.md))."""
     navigation: Navigation | None = unit("-", "Errors of the state estimate; none by default.", default=None)
-    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none by default.", default=None)
-    timing: Timing | None = unit("-", "Delay of commands; none by default.", default=None)
+    thrusters: ThrustersTable | None = unit("-", "Errors of the thrusters; none by default.", default=None)
+    timing: TimingTable | None = unit("-", "Delay of commands; none by default.", default=None)
     faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "Size of the chaser; a point by default.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted by default.", default=None)
-    abort: Abort | None = unit("-", "Passive and powered aborts.", default=None)
+    abort: AbortTable | None = unit("-", "Passive and powered aborts.", default=None)
     initial_set: InitialSet = unit("-")
     """All possible initial states (Theta); two ephemerides may give them ([real orbits](orbits.md))."""
     horizon: Horizon = unit("-", "Time covered and its steps.")
-    feedback: Feedback = unit("-", "Control period.", default_factory=Feedback)
-    tracking: Tracking = unit("-", "Tracking feedback of the safety controller.")
-    recoverable: Recoverable = unit("-", "Recoverable sets.", default_factory=Recoverable)
-    planner: Planner = unit("-", "Planner of the reference.", default_factory=Planner)
+    feedback: FeedbackTable = unit("-", "Control period.", default_factory=FeedbackTable)
+    tracking: TrackingTable = unit("-", "Tracking feedback of the safety controller.")
+    recoverable: RecoverableTable = unit("-", "Recoverable sets.", default_factory=RecoverableTable)
+    planner: PlannerTable = unit("-", "Planner of the reference.", default_factory=PlannerTable)
     goal: Goal = unit("-", "Goal of the reference.")
     obstacles: tuple[Obstacle, ...] = unit("-", "Sets to stay out of.", default=(), max_length=64)
     keep_in: tuple[KeepIn, ...] = unit("-", "Sets to stay inside.", default=(), max_length=16)
     experimental: tuple[Experimental, ...] = unit("-", min_length=1, max_length=8)
     """Experimental controllers in order of preference."""
-    schedule: Schedule = unit("-", "Choice of the switching schedule.", default_factory=Schedule)
-    simulation: Simulation = unit("-", "Closed-loop runs.", default_factory=Simulation)
+    schedule: ScheduleTable = unit("-", "Choice of the switching schedule.", default_factory=ScheduleTable)
+    simulation: SimulationTable = unit("-", "Closed-loop runs.", default_factory=SimulationTable)
 
     def scene_parts(self) -> list[tuple[str, Obstacle | KeepIn]]:
         """Obstacles and keep-in sets with their paths in the file."""

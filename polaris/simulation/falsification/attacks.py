@@ -11,7 +11,7 @@ from ...model.system import Array
 from ...synthesis.schedule.schedule import Schedule
 from ..delayed import flies
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
-from ..failing import Failing, drawn
+from ..fault_times import FaultTimes, drawn
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
@@ -29,7 +29,7 @@ class Attack:
     x0: Array
     w: Array
     free: Array | None
-    failing: Failing | None = None
+    failing: FaultTimes | None = None
 
     def pick(self, chosen: NDArray[np.intp]) -> Attack:
         """Return the attacks of some of the runs."""
@@ -63,7 +63,7 @@ class Attacker:
         self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
-    def of(
+    def from_schedule(
         cls,
         schedule: Schedule,
         tail: bool,
@@ -102,9 +102,9 @@ class Attacker:
         self._unseen(w, then, failing)
         return Attack(before.x0, w, before.free, failing)
 
-    def _unseen(self, w: Array, rows: Array, failing: Failing) -> None:
+    def _unseen(self, w: Array, rows: Array, failing: FaultTimes) -> None:
         """Set the disturbance while navigation is lost, unanswered: its worst case along rows at the end."""
-        (Ad, _, Dd), p = self.flight.held, self.flight.system.p
+        (Ad, _, Dd), p = self.flight.discrete, self.flight.system.p
         for back in range(1, int((failing.ends - failing.begins).max()) + 1):
             at = np.flatnonzero(failing.missing(failing.ends - back))
             along = rows[at] @ Dd

@@ -12,10 +12,10 @@ from ...model.craft import Array, Craft
 from ...model.scene.timed_polytope import TimedPolytope
 from ...synthesis.safety.carried_rows import error_tube
 from ...synthesis.safety.clearance import facet_room
-from ...synthesis.safety.demand import command_errors
+from ...synthesis.safety.feedforward import command_errors
 from ...synthesis.schedule.schedule import Schedule
 from ..allocating import thrusts_of
-from ..failing import Failing
+from ..fault_times import FaultTimes
 from ..firing import begins
 from ..run_metrics import Runs, held_path
 from ..simulate import flown_modes
@@ -77,11 +77,11 @@ class Claims:
         return flown_modes(self.schedule, self.tail, self.asks)
 
     @cached_property
-    def moved(self) -> Array:
+    def impulse_offset(self) -> Array:
         """Return how far carried impulses take flights at nodes from where the proof has them, shape (n,)."""
-        return self.system.displaced_at_nodes * bool(self.system.timing.carried)
+        return self.system.state_offset_at_nodes * bool(self.system.timing.carried)
 
-    def grown(self, u: TimedPolytope, size: Array) -> Array:
+    def growth(self, u: TimedPolytope, size: Array) -> Array:
         """Return by how much a polytope grows [m] where states are so far from the proof's, (n,)."""
         away = np.abs(u.rows(self.system)) @ size
         return away if u.of_state else np.full_like(away, np.linalg.norm(np.abs(self.system.position) @ size))
@@ -92,7 +92,7 @@ class Claims:
 
         Without what the polytopes are grown by because of what is carried: that is flown.
         """
-        fine = [u.fine(self.q)[: self.cells] - self.grown(u, self.moved) for u in self.unsafe]
+        fine = [u.fine(self.q)[: self.cells] - self.growth(u, self.impulse_offset) for u in self.unsafe]
         return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
@@ -143,7 +143,7 @@ class Claims:
         if self.cells > K:
             tube = error_tube(safety.tracking, safety.clearance.after_jump(self.schedule.final), rows)
             ages = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
-            need[K:] = tube.at(ages) + safety.clearance.scheduled(rows)[K : self.cells]
+            need[K:] = tube.at_ages(ages) + safety.clearance.scheduled(rows)[K : self.cells]
         return need, bow
 
     def period_at(self, time: float) -> int:
@@ -164,7 +164,7 @@ class Attained:
     below: Array
 
 
-def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Attained:
+def attained(claims: Claims, runs: Runs, failing: FaultTimes | None = None) -> Attained:
     """Measure runs against the limits of a schedule; where something fails, one step per node was flown."""
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
@@ -215,8 +215,8 @@ def _look_closer(
     grown = np.abs(rows) @ late
     if system.timing.fired:  # not, then, what the polytopes are grown by because of them
         x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
-        sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
-        grown += np.diff([claims.grown(u, size) for size in sizes], axis=0)[0]
+        sizes = claims.impulse_offset, claims.impulse_offset + np.array(system.timing.pulsed)
+        grown += np.diff([claims.growth(u, size) for size in sizes], axis=0)[0]
     s = s[:, None]
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
     margin = np.max(x @ rows.T - ((1 - s) * left + s * right) + grown, axis=-1)
@@ -261,7 +261,7 @@ def _measure_thrust(
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
     wrong = command_errors(system, gain, claims.cells, safety.problem.K)
-    limit = system.u_max + np.abs(gain) @ claims.moved - np.repeat(wrong, claims.q, axis=0)[flown]
+    limit = system.u_max + np.abs(gain) @ claims.impulse_offset - np.repeat(wrong, claims.q, axis=0)[flown]
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
     left = limit - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)

@@ -37,7 +37,7 @@ def drifted(
     moved = powers(expm(flight.system.A * flight.delta / flight.parts), len(ahead) - 1)
     place = np.einsum("jin,sn->sji", moved, runs.states[run, node])
     for o, item in enumerate(flight.sets):
-        offsets = item.at(node[:, None] * h + ahead, flight.delta)
+        offsets = item.offsets_at(node[:, None] * h + ahead, flight.delta)
         rows = item.rows(flight.system)
         pushed = _pushes(flight.system, rows, moved, ahead)
         best = (place @ rows.T - offsets).argmax(axis=-1)

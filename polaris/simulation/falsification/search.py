@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.checks import of_kind, whole
 from ...model.system import Array
@@ -29,7 +29,7 @@ SMALLEST = 50  # fewest runs in a batch, but for the last
 ROUND = ("worst", "again", "again", "mutate", "mutate", "random", "spending")  # one batch each
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Falsification:
     """Result of a search.
@@ -134,12 +134,12 @@ class _Search:
     ) -> None:
         self.schedule, self.wanted, self.flown = schedule, runs, 0
         asks = None if code is None else code.asks
-        self.main = Attacker.of(schedule, False, rng, asks=asks)
+        self.main = Attacker.from_schedule(schedule, False, rng, asks=asks)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
-        self.tail = Attacker.of(schedule, True, rng, asks=asks) if proven_after else None
+        self.tail = Attacker.from_schedule(schedule, True, rng, asks=asks) if proven_after else None
         transients = schedule.safety.problem.system.transients
-        self.failing = Attacker.of(schedule, proven_after, rng, True) if transients else None
-        self.code = code and code.of(schedule)
+        self.failing = Attacker.from_schedule(schedule, proven_after, rng, True) if transients else None
+        self.code = code and code.require_schedule(schedule)
         for attacker in filter(None, (self.main, self.tail, self.failing)):
             attacker.flight.code = self.code
         limits = len(self.main.claims.names)

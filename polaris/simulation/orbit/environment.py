@@ -77,7 +77,7 @@ class Environment:
         check_fields(self, "orbit")
 
     @classmethod
-    def of(cls, scenario: Any) -> "Environment":
+    def from_scenario(cls, scenario: Any) -> "Environment":
         """Return the environment a scenario declares.
 
         Raises

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.errors import ScenarioError
 from ...model.scene.satellite import SatelliteObstacle
@@ -21,7 +21,7 @@ from .residual import Residual, residual_bound, two_digits
 MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back through the tubes, but weakly
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ModelError:
     """Bound on the error of the linear model over the states that a schedule visits.
@@ -113,7 +113,7 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     ScenarioError
         If the scenario does not say enough.
     """
-    env = Environment.of(scenario)
+    env = Environment.from_scenario(scenario)
     schedule = synthesize(scenario) if schedule is None else schedule
     region = visited(schedule)
     residual = residual_bound(env, *region.extent)
@@ -146,7 +146,7 @@ def error_within(scenario: Any, distance: float) -> Residual:
     ScenarioError
         If the scenario does not say enough.
     """
-    env = Environment.of(scenario)
+    env = Environment.from_scenario(scenario)
     return residual_bound(env, distance, distance, 2 * env.mean_motion * distance)
 
 

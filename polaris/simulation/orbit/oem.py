@@ -88,7 +88,7 @@ class Ephemeris:
     breaks: tuple[int, ...] = (0,)
     source: str = ""
 
-    def at(self, epochs: Sequence[int]) -> Array:
+    def states_at(self, epochs: Sequence[int]) -> Array:
         """States (M, 6) at epochs [ns], between those of the file by Hermite's polynomial of 8 states.
 
         Raises

@@ -56,7 +56,7 @@ def visited(schedule: Schedule) -> Region:
     for k, step in enumerate(schedule.steps):
         booked = at_nodes(step.tube.bow) + at_nodes(curve[k])
         middle = safety.clearance.nodes[k] + step.tube.nodes.c
-        width = step.tube.nodes.half_widths + booked + safety.problem.system.displaced
+        width = step.tube.nodes.half_widths + booked + safety.problem.system.state_offset
         lower.append((middle - width).min(axis=0))
         upper.append((middle + width).max(axis=0))
     names = tuple(schedule.controllers[int(mode)].name for mode in schedule.modes)
@@ -84,7 +84,7 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
     need = np.maximum(tube.over_cells(cells, q), tube.need[-1])
     need = need + safety.clearance.scheduled(tube.table.rows)[first:].max(axis=1)
     nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
-    n, need = tracking.system.n, need + np.tile(tracking.system.displaced, 2)
+    n, need = tracking.system.n, need + np.tile(tracking.system.state_offset, 2)
     return Region(
         ("safety",) * cells,
         _times(first, cells, tracking.delta),

@@ -41,7 +41,7 @@ def start_set(
             raise ScenarioError(
                 "initial_set.ephemeris", given, f"has another {name}: it {rule}", chaser.source
             )
-    own, other = target.at([epoch])[0], chaser.at([epoch])[0]
+    own, other = target.states_at([epoch])[0], chaser.states_at([epoch])[0]
     covariance = _inertial(chaser, epoch, other, rotating)
     if covariance is None:
         dates = ", ".join(epoch_text(one) for one in sorted(chaser.covariances)[:3]) or "none"

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
+from reach.short_repr import short_repr
 
 from ...model.system import Array
 from ...model.thrusters import Thrusters
 from ...synthesis.schedule.schedule import Schedule
 from ..delayed import Predicting
 from ..disturbances import disturbances, limit_rows
-from ..failing import drawn
+from ..fault_times import drawn
 from ..integration import Integrator
 from ..on_board import FlightCode
 from ..run_metrics import Runs
@@ -24,7 +24,7 @@ from .environment import MU, Environment
 from .frame import ellipse_place, frame_rates, near_circular, near_ellipse, on_ellipse, relative_rate
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TrueFlights:
     """Closed loops in the nonlinear motion.
@@ -97,7 +97,7 @@ def fly_true(
     prompt = system.timing.instant and system.observer is None
     lost = any(not len(fault.thrust) for fault in system.transients)
     flight = (_TrueMotion if prompt and not lost else _Predicting)(schedule, modes, substeps)
-    flight.code = code and code.of(schedule)
+    flight.code = code and code.require_schedule(schedule)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
     if system.transients:

@@ -23,7 +23,7 @@ from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.tracking import Tracking
 from .controllers import AnyThrust, Controller, TubeSegment
-from .neural import WIDER, NeuralController, misapplied, no_tube, reduced
+from .neural import WIDER, NeuralController, no_tube, reduced, thruster_offset
 
 Ask = Callable[[float, Array, Array], Any]
 """Commands (R, m) at a time [s] for states (R, n), beside the state (n,) of the safe reference.
@@ -99,7 +99,7 @@ class BlackBox:
     fits: Mapping[int, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
         if hasattr(self.ask, "reset"):
             object.__setattr__(self, "memory", True)
 
@@ -137,7 +137,7 @@ class BlackBox:
         system = self.system
         return LinearFlow.continuous(system.A, system.D, system.w_max, self.tracking.flow.h)
 
-    def fly(self, start: Zonotope, k: int, before: Before = ()) -> FittedSegment:
+    def propagate(self, start: Zonotope, k: int, before: Before = ()) -> FittedSegment:
         """Return the reachable set over step k of all that commands within the bands, under any disturbance.
 
         With memory they are fitted to flights from the initial set on, in which those `before` flew the
@@ -151,7 +151,7 @@ class BlackBox:
             G = np.hstack([K @ e.G, np.diag(r)])
             after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
             commanded = np.abs(K @ e.c + c) + np.abs(G).sum(axis=1) * (1 + WIDER)
-            push, within = misapplied(system, self.flow, np.minimum(commanded, system.u_max))
+            push, within = thruster_offset(system, self.flow, np.minimum(commanded, system.u_max))
             nodes.append(reduced(after + push))
             bows.append(bow + rounding + within)
             if not np.all(nodes[-1].extent < FARTHEST):
@@ -211,7 +211,7 @@ class BlackBox:
 
 
 @dataclass(frozen=True)
-class Statement:
+class SampledBound:
     """Bound from samples on the steps of black boxes, from flights that no band was fitted to.
 
     Attributes

@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from reach.brief import brief
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 from reach.tubes.flow import LinearFlow
 
 from ...model.craft import Array, Craft
@@ -28,7 +28,7 @@ states per state of the plant, and of those with an observer, whose noise is fre
 checker keeps 64: with more here, it would not confirm some claims."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TubeSegment:
     """Reachable set of one controller over a step, sound in continuous time (docs/theory.md, Theorem 10).
@@ -72,7 +72,7 @@ class Controller(Protocol):
     def name(self) -> str:
         """Name in tables and figures."""
 
-    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+    def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Return the set reached over step k from a set of errors; of loop states, for S and affine laws."""
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
@@ -83,7 +83,7 @@ class Controller(Protocol):
         """
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class AffineController(AffineLaw):
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, unlimited or clipped to the thrust limits.
@@ -110,7 +110,7 @@ class AffineController(AffineLaw):
         Whether commands beyond the limits are part of the model.
     """
 
-    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+    def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k, with errors of the thrusters as large as what is commanded in it allows.
 
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
@@ -180,7 +180,7 @@ class AffineController(AffineLaw):
         """Return a law without feedback: loop states beside the error move under it as under any law."""
         return replace(self, name="idle", gain=0 * self.gain, _levels={})
 
-    def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
+    def with_reference(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """Return the law beside another safe reference, which is its own as well if the first one was."""
         own = reference if self.own is self.reference else self.own
         law = replace(self, reference=reference, own=own, tracking=tracking, _levels={})
@@ -225,9 +225,9 @@ class AnyThrust:
     tracking: Tracking
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
 
-    def along(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
+    def with_reference(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
         """Return the controller beside another safe reference."""
         return replace(self, reference=reference, tracking=tracking)
 
@@ -249,7 +249,7 @@ class AnyThrust:
         direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
         return np.asarray(np.sign(direction) * self.system.u_max)
 
-    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+    def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k under every input within the limits."""
         push = self._push
         step = -(self.flow.input_map(self.system.B) @ self.reference.nu[k])
@@ -268,18 +268,18 @@ class AnyThrust:
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
-def fly_states(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:
+def propagate_states(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:
     """Return the tube of a controller over step k from loop states; `s` is the safety controller."""
     if isinstance(law, AffineController):
-        return law.fly(start, k)
-    return beside_errors(law.fly(s.tracking.true_error(start), k), start, s)
+        return law.propagate(start, k)
+    return beside_errors(law.propagate(s.tracking.true_error(start), k), start, s)
 
 
 def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> TubeSegment:
     """Return a tube of true errors with the other loop states, which move by themselves from `start` on."""
     if tube.end.dim == start.dim:
         return tube
-    idle, n, away = s.idle, s.system.n, s.tracking.displaced
+    idle, n, away = s.idle, s.system.n, s.tracking.state_offset
     caused = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
     others = idle.powers[:, n:, n:] @ Zonotope(start.c[n:], start.G[n:]) + caused
 

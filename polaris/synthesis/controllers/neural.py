@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from reach.brief import brief
 from reach.networks.layers import Activation, Affine
 from reach.networks.loop import ORDER, NetworkLoop
 from reach.networks.network import Network
 from reach.numerics.errors import Unresolved
 from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 from reach.tubes.flow import LinearFlow
 
 from ...model.craft import Array, Craft
@@ -32,7 +32,7 @@ WIDER = 0.02
 otherwise, so that its bands are others than these."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class NeuralController:
     """``u = clip(policy)``, renewed at the start of every control period and held.
@@ -67,7 +67,7 @@ class NeuralController:
     unsafe: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
         self.policy.check(self.senses, self.name)
 
     @property
@@ -75,7 +75,7 @@ class NeuralController:
         """Return the feedback of the safety controller."""
         return self.tracking.feedback
 
-    def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
+    def with_reference(self, reference: Reference, tracking: Tracking) -> "NeuralController":
         """Return it beside another safe reference, which is its own too if it shares the present one."""
         own = reference if self.own is self.reference else self.own
         return replace(self, reference=reference, own=own, tracking=tracking)
@@ -83,20 +83,20 @@ class NeuralController:
     @cached_property
     def senses(self) -> Senses:
         """Return the quantities that the network can read."""
-        return Senses.of(self.system, self.policy.inputs, self.unsafe, f"{self.name}.inputs")
+        return Senses.from_inputs(self.system, self.policy.inputs, self.unsafe, f"{self.name}.inputs")
 
     @cached_property
-    def told(self) -> tuple[Array, Array]:
+    def obstacle_motion(self) -> tuple[Array, Array]:
         """Return the motion of bodies at every node: middle and half-widths, (K, q+1, 2d per body)."""
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         at = q * np.arange(cells)[:, None] + np.arange(q + 1)
-        middle, half = self.senses.whereabouts(self.tracking.flow.h, cells * q + 1)
+        middle, half = self.senses.state_boxes(self.tracking.flow.h, cells * q + 1)
         return middle[at], half[at]
 
     @cached_property
     def sight(self) -> Array:
         """Return the derivative of what is read by the motion of bodies, shape (r, 2d per body)."""
-        unit = np.eye(self.told[0].shape[-1])
+        unit = np.eye(self.obstacle_motion[0].shape[-1])
         return self._slopes(np.zeros((len(unit), self.system.n)), unit)
 
     def _slopes(self, x: Array, bodies: Array) -> Array:
@@ -117,7 +117,7 @@ class NeuralController:
     def loop(self) -> NetworkLoop:
         """Return the closed loop in error coordinates, limits and scales included."""
         system, policy, zeros = self.system, self.policy, np.zeros(self.system.m)
-        reads = self._slopes(np.eye(system.n), np.zeros((system.n, self.told[0].shape[-1])))
+        reads = self._slopes(np.eye(system.n), np.zeros((system.n, self.obstacle_motion[0].shape[-1])))
         limited = (
             Affine(np.diag(policy.output_scale / system.u_max), zeros),
             Activation("clip", -1.0, 1.0),
@@ -129,13 +129,13 @@ class NeuralController:
         return NetworkLoop(A, B, D, system.w_max, self.tracking.flow.h, network, reads, eta)
 
     @cached_property
-    def known(self) -> tuple[Array, Array]:
+    def reference_input(self) -> tuple[Array, Array]:
         """Return what is read where the error is 0, at every node, and how far it may be off: (K, q+1, r)."""
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
         nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
         own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
-        bodies, C = self.told[0], np.abs(self.loop.C)
+        bodies, C = self.obstacle_motion[0], np.abs(self.loop.C)
         read = self._stack(own, safe, times, nu, bodies)
         # The two references are stored states: what is made of them is known up to their round-off.
         off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * bodies)
@@ -170,7 +170,7 @@ class NeuralController:
         return self.policy.network.pullback(read, weights * self.policy.output_scale)
 
     def _read(self, k: int, own: Array, x: Array, later: float, bodies: Array | None = None) -> Array:
-        bodies = self.told[0][k, self.node(later)] if bodies is None else bodies
+        bodies = self.obstacle_motion[0][k, self.node(later)] if bodies is None else bodies
         read = self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], bodies)
         return np.broadcast_to(read, (*x.shape[:-1], read.shape[-1]))
 
@@ -178,18 +178,18 @@ class NeuralController:
         """Number of the node of a step some seconds after its start."""
         return min(round(later / self.tracking.flow.h), self.feedback.nodes_per_cell)
 
-    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+    def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
         nodes, bows, mu = [start], [], self.reference.nu[k]
-        read, off = self.known
+        read, off = self.reference_input
         try:
             for i in range(self.feedback.nodes_per_cell):
-                spread = self.sight * self.told[1][k, i]
+                spread = self.sight * self.obstacle_motion[1][k, i]
                 after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
                 commanded = np.abs(command.c) + command.half_widths * (1 + WIDER)
-                push, within = misapplied(self.system, self.loop.flow, commanded)
+                push, within = thruster_offset(self.system, self.loop.flow, commanded)
                 nodes.append(reduced(after.inflate(wider + self.booked) + push))
                 bows.append(bow + wider + within)
         except Unresolved as error:
@@ -203,13 +203,13 @@ class NeuralController:
 
         `nodes` are errors about the law's own reference. What is commanded at a node is held from there on.
         """
-        error, spread = nodes + self.offset[k], self.sight * self.told[1][k, :, None]
-        known = zip(*(part[k] for part in self.known), spread, strict=True)
+        error, spread = nodes + self.offset[k], self.sight * self.obstacle_motion[1][k, :, None]
+        known = zip(*(part[k] for part in self.reference_input), spread, strict=True)
         sets = [self.loop.command(error[i], *given) for i, given in enumerate(known)]
         return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
 
 
-def misapplied(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
+def thruster_offset(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
     """Return what thruster errors add by the next node, and until then, (n,), to commands up to `most`."""
     if system.thrusters.exact and not system.unknown.size:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach.brief import brief
 from reach.networks.network import Network
 from reach.networks.precision import MORE
+from reach.short_repr import short_repr
 
 from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
@@ -27,7 +27,9 @@ class Senses:
     bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
 
     @classmethod
-    def of(cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str) -> "Senses":
+    def from_inputs(
+        cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
+    ) -> "Senses":
         """Return the senses that inputs need in a scene; names the field if an input is none of them."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
@@ -55,9 +57,9 @@ class Senses:
                 inputs[f"{OF_BODY[i + 2]}:{body.name}"] = at - x @ rows.T
         return inputs
 
-    def whereabouts(self, h: float, count: int) -> tuple[Array, Array]:
+    def state_boxes(self, h: float, count: int) -> tuple[Array, Array]:
         """Box of what may be told at times h [s] apart: middle and half-widths, (count, 2d per body)."""
-        boxes = [body.whereabouts(self.system, h, count) for body in self.bodies]
+        boxes = [body.state_boxes(self.system, h, count) for body in self.bodies]
         none = np.zeros((count, 0))
         return np.hstack([none, *(c for c, _ in boxes)]), np.hstack([none, *(half for _, half in boxes)])
 
@@ -74,7 +76,7 @@ def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:
     return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen], axis=-1)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Policy:
     """``u = output_scale * network(input_scale * z)``, before the thrusters clip it.
@@ -115,7 +117,7 @@ class Policy:
 
     def steepest(self, system: Craft, unsafe: Iterable[object]) -> Array:
         """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
-        senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
+        senses, n = Senses.from_inputs(system, self.inputs, unsafe, "inputs"), system.n
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
         read = senses.parts(np.zeros(n), np.eye(n), *others)
         M, own = self.network.steepest(self.stack(read).T), self.network.rounding

@@ -11,7 +11,7 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..safety.continuation import PathRows
 from ..safety.end_condition import in_hills_frame
-from ..schedule.arrival import Tail, spare
+from ..schedule.arrival import Tail, slack_factor
 from ..schedule.rules import CHECKED
 from ..schedule.schedule import Schedule
 
@@ -78,9 +78,9 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     room = sides - states @ rows.T - ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     room = room - CHECKED * np.abs(np.concatenate([half_widths, half_widths]))
     need, far = tail.needs(along, len(states)), _settled(tail, along, len(states))
-    off = system.navigation + system.displaced_at_nodes
+    off = system.navigation + system.state_offset_at_nodes
     if system.error_by_step is not None:
-        off = system.error_by_step[-1] + system.displaced_at_nodes
+        off = system.error_by_step[-1] + system.state_offset_at_nodes
     seen = np.concatenate([off, off])
     inside = np.all(need <= room, axis=1)
     used = 1 + (need - room) / np.maximum(np.concatenate([half_widths, half_widths]), 1e-300)
@@ -115,7 +115,7 @@ def _settled(tail: Tail, along: PathRows, nodes: int) -> Array:
     """Bound rows at all nodes after the tail, shape (r,)."""
     node = tail.T + max(nodes, tail.safety.tracking.memory + 3)
     need = np.min([along.needs(each, node, node + 1)[0, 0] for each in tail.held], axis=0)
-    return np.asarray(need * (1 + spare(tail.safety.tracking)))
+    return np.asarray(need * (1 + slack_factor(tail.safety.tracking)))
 
 
 def _windows(inside: NDArray[np.bool_]) -> Windows:

@@ -21,8 +21,8 @@ from ...planning.solve import plan
 from ..tracker.tracking import Tracking
 from .carried_rows import error_tube
 from .clearance import facet_room
-from .demand import Scheduled
-from .end_condition import EndCondition, coast, judge_end, tail_length
+from .end_condition import EndCondition, coast, prove_end, tail_length
+from .feedforward import Feedforward
 from .goal_rows import inset
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
@@ -31,7 +31,7 @@ AFRESH = 2  # how often it is planned again where bows between nodes or errors b
 AGAIN = 1000, 2  # linear programs of a plan with coasting: so many, or so many times those without it
 
 
-class Clock:
+class StageClock:
     """Wall time by stage [s]; a stage named twice adds up."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Clock:
         self.laps[stage] = self.laps.get(stage, 0.0) + now - self._last
         self._last = now
 
-    def after(self, before: Mapping[str, float]) -> dict[str, float]:
+    def with_earlier(self, before: Mapping[str, float]) -> dict[str, float]:
         """Return the stages of earlier work and those timed here; ``other`` is what passed since the last."""
         self.lap("other")
         return {name: before.get(name, 0.0) + self.laps.get(name, 0.0) for name in [*before, *self.laps]}
@@ -63,7 +63,9 @@ class Attempts:
     margin: Margin
     end: EndCondition
 
-    def __init__(self, problem: Problem, tracking: Tracking, clock: Clock, given: Plan | None = None) -> None:
+    def __init__(
+        self, problem: Problem, tracking: Tracking, clock: StageClock, given: Plan | None = None
+    ) -> None:
         self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
         self.tail = tail_length(tracking)
         ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
@@ -120,12 +122,12 @@ class Attempts:
         short = self.margin.need - self.margin.room
         if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
             return None
-        caused, rows = Scheduled(self.tracking, last, K), self.tracking.commands
+        caused, rows = Feedforward(self.tracking, last, K), self.tracking.commands
         margins = tuple(
-            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.rows(system)).max(axis=1)
+            margin + np.clip(bow, 0, 1.1 * short) + caused.response(-each.rows(system)).max(axis=1)
             for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
         )
-        limit = np.maximum(asked.u_limit - caused.along(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
+        limit = np.maximum(asked.u_limit - caused.response(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
         return replace(asked, margins=margins, u_limit=limit)
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
@@ -149,11 +151,11 @@ class Attempts:
         yield coast(planned, self.tail)
         yield planned, np.zeros(problem.system.n)
 
-    def settled(self, reference: Reference, recoverable: RecoverableSet) -> bool:
+    def record(self, reference: Reference, recoverable: RecoverableSet) -> bool:
         """Take down what an attempt proves; whether it is more than the next one could."""
         self.margin = recoverable.margin_at(0, self.start)
         if reference.cells > self.problem.K:
-            self.end = judge_end(
+            self.end = prove_end(
                 self.tracking, reference, self.problem.K, self.tail, self.unsafe, self.margin
             )
         return self.end.proven
@@ -190,17 +192,19 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     start = start_about(problem, tracking)
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
-    largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    largest = float(
+        np.min(tracking.max_feedback / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1))
+    )
     rows = tracking.commands, *(-unsafe.rows(system) for unsafe in sets)
     tubes = (error_tube(tracking, start, each) for each in rows)
-    thrust, *margins = (np.maximum(tube.over_cells(K, q), tube.left_over(largest)) for tube in tubes)
+    thrust, *margins = (np.maximum(tube.over_cells(K, q), tube.remainder(largest)) for tube in tubes)
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + tracking.worst_noise
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         errors = errors_alone(tracking, int(axis), system.as_ideal())
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
-        late = 0.0 if system.timing.instant else errors_alone(tracking, int(axis), system.prompt)
+        late = 0.0 if system.timing.instant else errors_alone(tracking, int(axis), system.without_delay)
         if late > 0:
             share += f" ({late:.4g} of that for delay, missed periods and jitter)"
         if system.transients:

@@ -13,7 +13,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..tracker.error_bounds import ErrorBounds
-from .recoverable import Margin, RecoverableSet, left
+from .recoverable import Margin, RecoverableSet, slack_share
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class BallSets(RecoverableSet):
         rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)
-        more = self.clearance.round_off(rows) + tracking.upset(rows)[-1]
+        more = self.clearance.round_off(rows) + tracking.transient_need(rows)[-1]
         return gamma, gain * tracking.system.unbiased.w_max + more
 
     @cached_property
@@ -82,11 +82,11 @@ class BallSets(RecoverableSet):
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
         gamma, more = self._needs
-        taken = self.clearance.limits.taken[0, period:]
+        taken = self.clearance.limits.tightening[0, period:]
         room = self._room[period:] + taken
         size = norm / self._decayed(len(room))
         need = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
-        share = np.where(np.isinf(room), np.inf, left(need, room))
+        share = np.where(np.isinf(room), np.inf, slack_share(need, room))
         j, row = (int(x) for x in np.unravel_index(int(np.argmin(share)), share.shape))
         time = float((period + j) * self.clearance.tracking.flow.h)
         name = self.clearance.limits.name((period + j) // self.clearance.q, row)

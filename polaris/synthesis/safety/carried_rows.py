@@ -41,7 +41,9 @@ class CarriedRows:
     between: bool = True
 
     @classmethod
-    def of(cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True) -> "CarriedRows":
+    def from_tracking(
+        cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True
+    ) -> "CarriedRows":
         """Return the table of some rows, made once for every tracker."""
         key = rows.shape[1], rows.tobytes(), failing, between
         table: CarriedRows = tracking.tables.get(key) or cls(tracking, rows, failing, between)
@@ -71,8 +73,8 @@ class CarriedRows:
     def beside_errors(self) -> Array:
         """Need of what may be handed over beside a true error, whatever law has flown, (memory + 3, r)."""
         tracking = self.tracking
-        size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.displaced))
-        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.displaced + self.bend * size
+        size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.state_offset))
+        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.bend * size
         return np.asarray(np.vstack([own, self.beyond * size]) + self.handed[0] @ tracking.remembered)
 
     @cached_property
@@ -81,13 +83,13 @@ class CarriedRows:
         tracking = self.tracking
         if self.between:
             return tracking.disturbance(self.rows, self.failing)
-        need = tracking.responses(self.rows, tracking.profile)
+        need = tracking.responses(self.rows, tracking.feedback_bound)
         return need + self._upset[np.minimum(np.arange(len(need)) + 2, len(need) - 1)]
 
     @cached_property
     def _upset(self) -> Array:
         """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 3, r)."""
-        return self.tracking.upset(self.rows) * self.failing
+        return self.tracking.transient_need(self.rows) * self.failing
 
     @cached_property
     def bend(self) -> Array:
@@ -108,16 +110,16 @@ class CarriedRows:
         return np.asarray(size * self.tracking.decay[-1])
 
     @cached_property
-    def settled(self) -> Array:
+    def settled_need(self) -> Array:
         """Need at nodes for ever once S has settled, a fault included, shape (r,)."""
-        return np.asarray(self.tracking.settled(self.rows) + self._upset[-1])
+        return np.asarray(self.tracking.settled_need(self.rows) + self._upset[-1])
 
     def long_after(self, start: Zonotope) -> Array:
         """Bound rows at nodes more than `Tracking.long` periods after a hand-over of a set, shape (r,)."""
-        faded = 1.0 if self.tracking.profile is None else self.tracking.decay[-1]
-        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled)
+        faded = 1.0 if self.tracking.feedback_bound is None else self.tracking.decay[-1]
+        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled_need)
 
-    def at(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
+    def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
         """Return the needs from a set at ages within the memory, shape (ages, r)."""
         start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
         carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
@@ -131,12 +133,12 @@ class CarriedRows:
         others = np.abs(whole.c[..., n:]) + np.abs(whole.G[..., n:, :]).sum(axis=-1)
         return self.tracking.error(whole).norm_bound(self.tracking.W), others
 
-    def tube(self, start: Zonotope) -> "Tube":
+    def tube(self, start: Zonotope) -> "SetTightening":
         """Return the needs from a set, for all time."""
         radius, others = self.sizes_of(start)
         beyond = self.beyond * radius + self.handed[0, -1] @ others + self.disturbance[-1]
-        need = np.vstack([self.at(start, slice(None)), beyond])
-        return Tube(self, need + ROUNDING * np.abs(need))
+        need = np.vstack([self.from_set(start, slice(None)), beyond])
+        return SetTightening(self, need + ROUNDING * np.abs(need))
 
     def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:
         """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
@@ -169,27 +171,27 @@ def _rounded(centre: Array, spread: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Tube:
+class SetTightening:
     """Needs of S's error from one set along the rows of a table, for all time."""
 
     table: CarriedRows
     need: Array  # by age, (memory + 3, r); the last entry holds for every later time
 
-    def at(self, ages: NDArray[np.int_]) -> Array:
+    def at_ages(self, ages: NDArray[np.int_]) -> Array:
         """Return the need at ages [periods] of any shape, shape (..., r)."""
         return np.asarray(self.need[np.clip(ages, 0, len(self.need) - 1)])
 
     def over_cells(self, cells: int, q: int, node: int = 0) -> Array:
         """Return the largest need within every planning cell of a set handed over at a node, (cells, r)."""
         ages = np.arange(q + 1) - node
-        return np.asarray(self.at(np.arange(cells)[:, None] * q + ages).max(axis=1))
+        return np.asarray(self.at_ages(np.arange(cells)[:, None] * q + ages).max(axis=1))
 
-    def left_over(self, radius: float) -> Array:
+    def remainder(self, radius: float) -> Array:
         """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
         table = self.table
         return np.asarray(table.beyond * radius + table.beside_errors[-1] + table.disturbance[-1])
 
 
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> SetTightening:
     """Return a tight bound on ``row e(t)`` under S from a set at time 0 (see `CarriedRows`)."""
-    return CarriedRows.of(tracking, rows, failing).tube(start)
+    return CarriedRows.from_tracking(tracking, rows, failing).tube(start)

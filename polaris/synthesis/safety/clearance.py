@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array
@@ -16,10 +16,10 @@ from ...planning.reference import Reference
 from ..tracker.intersample import at_nodes
 from ..tracker.tracking import Tracking
 from .carried_rows import error_tube
-from .demand import Scheduled, command_noise
+from .feedforward import Feedforward, command_noise
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Clearance:
     """Room around the reference: per cell one separating facet for every unsafe set, and thrust.
@@ -93,12 +93,12 @@ class Clearance:
         return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
 
     @cached_property
-    def _scheduled(self) -> Scheduled:
-        return Scheduled(self.tracking, self.reference, self.planned)
+    def _scheduled(self) -> Feedforward:
+        return Feedforward(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array, between: bool = True) -> Array:
-        """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Scheduled`)."""
-        return self._scheduled.along(rows, between)
+        """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Feedforward`)."""
+        return self._scheduled.response(rows, between)
 
     @cached_property
     def limits(self) -> "Limits":
@@ -147,7 +147,7 @@ class Limits:
     def rows(self) -> Array:
         """All rows, shape (r, N)."""
         tracking = self.clearance.tracking
-        often = 1 if tracking.profile is None else 2
+        often = 1 if tracking.feedback_bound is None else 2
         return np.vstack([tracking.whole(self.clearance.obstacle_rows[0]), *[tracking.commands] * often])
 
     @property
@@ -169,8 +169,8 @@ class Limits:
         clearance, tracking, q = self.clearance, self.clearance.tracking, self.clearance.q
         above, below = clearance.thrust
         thrust = [below, above]
-        if tracking.profile is not None:
-            level = tracking.profile[0] * (1 - ROUNDING) - tracking.noise
+        if tracking.feedback_bound is not None:
+            level = tracking.feedback_bound[0] * (1 - ROUNDING) - tracking.noise
             thrust += [level - clearance.jumped(tracking.gain)] * 2
         facets, index = by_ends(clearance.room), np.repeat(clearance.obstacle_rows[1], q, axis=0)
         room = np.full((2, len(index), len(self.rows)), np.inf)
@@ -187,7 +187,7 @@ class Limits:
         return taken
 
     @cached_property
-    def taken(self) -> Array:
+    def tightening(self) -> Array:
         """Part of the room already taken by these errors and the jump into the tail, shape (2, periods, r).
 
         A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
@@ -197,8 +197,8 @@ class Limits:
 
     @cached_property
     def most_taken(self) -> Array:
-        """Largest part of the room of each row that is `taken`, shape (r,)."""
-        return np.asarray(self.taken.max(axis=(0, 1)))
+        """Largest part of the room of each row that is `tightening`, shape (r,)."""
+        return np.asarray(self.tightening.max(axis=(0, 1)))
 
     @cached_property
     def ahead(self) -> Array:

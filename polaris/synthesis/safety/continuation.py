@@ -15,7 +15,7 @@ from ...model.tolerances import ROUNDING
 from ..tracker.intersample import at_nodes
 from .carried_rows import CarriedRows
 from .clearance import Clearance, by_ends
-from .recoverable import Margin, RecoverableSet, left
+from .recoverable import Margin, RecoverableSet, slack_share
 
 COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
 FIRST = 64  # limits of the least share by the norm, whose exact needs show which others matter
@@ -48,7 +48,7 @@ class PathRows:
     @cached_property
     def table(self) -> CarriedRows:
         """Rows, carried back through S's loop."""
-        return CarriedRows.of(self.clearance.tracking, self.rows, self.failing, self.between)
+        return CarriedRows.from_tracking(self.clearance.tracking, self.rows, self.failing, self.between)
 
     @cached_property
     def path(self) -> Array:
@@ -58,13 +58,13 @@ class PathRows:
         need = np.concatenate([need, np.stack([need[1, -1:]] * 2)], axis=1)
         tail = need[:, clearance.planned * clearance.q :]
         tail[:] = np.maximum.accumulate(tail[:, ::-1], axis=1)[:, ::-1]
-        displaced = np.abs(plant) @ clearance.tracking.system.displaced_at_nodes
+        displaced = np.abs(plant) @ clearance.tracking.system.state_offset_at_nodes
         return np.asarray(need + clearance.round_off(plant) + displaced * (not self.between))
 
     def needs(self, handed: HandOver, first: int, last: int) -> Array:
         """Return the needs at both ends of the periods from a node until another, (2, last - first, r)."""
         ages = np.arange(first, last + 1)[:, None] - np.arange(handed.first, handed.last + 1)
-        needs = self.table.tube(handed.states).at(ages).max(axis=1)
+        needs = self.table.tube(handed.states).at_ages(ages).max(axis=1)
         if not self.between:
             far = ages[:, -1] > self.clearance.tracking.long
             needs[far] = np.minimum(needs[far], self.table.long_after(handed.states))
@@ -73,7 +73,7 @@ class PathRows:
 
 
 @dataclass(eq=False)
-class Ahead:
+class LimitsAhead:
     """Needs and room of a stack of sets along the limits ahead, shape (sets, entries).
 
     A need along the first entries, twice as many as `near` has, is the bound by the norm until it is worked
@@ -94,7 +94,7 @@ class Ahead:
         self._worked_out = np.zeros(self.near.shape[1], dtype=bool)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def is_final(self) -> NDArray[np.bool_]:
         """Return True for the entries whose need is final, shape (entries,)."""
         return np.concatenate([self._worked_out] * 2 + [np.ones(self.beyond.shape[1], dtype=bool)])
 
@@ -139,15 +139,17 @@ class Continuation(RecoverableSet):
     @cached_property
     def table(self) -> CarriedRows:
         """Rows of the limits, carried back."""
-        return CarriedRows.of(self.clearance.tracking, self.clearance.limits.rows)
+        return CarriedRows.from_tracking(self.clearance.tracking, self.clearance.limits.rows)
 
     @cached_property
     def disturbance(self) -> Array:
         """Need besides the state, round-off of the reference included, by age, shape (memory + 3, r)."""
         tracking, table = self.clearance.tracking, self.table
         need = table.disturbance + self.clearance.round_off(table.plant)
-        if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
-            falls = tracking.profile[0] - np.vstack([tracking.profile, tracking.profile[-1:]])
+        if tracking.feedback_bound is not None:  # a bound that falls is the first one, of which more is taken
+            falls = tracking.feedback_bound[0] - np.vstack(
+                [tracking.feedback_bound, tracking.feedback_bound[-1:]]
+            )
             need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
         return need
 
@@ -175,7 +177,7 @@ class Continuation(RecoverableSet):
 
     def _ahead(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array], spare: float
-    ) -> "Ahead":
+    ) -> "LimitsAhead":
         """Return all limits that may need more than a share `spare` of their room.
 
         Of a stack of sets of the loop state at the nodes `at`, the first one least, or at the only one, with
@@ -201,11 +203,11 @@ class Continuation(RecoverableSet):
         end, rows = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
         period = np.hstack([node, node - 1, np.full((len(at), r), start)])
         where = end, np.clip(period, 0, last), rows
-        room, taken = limits.room[where], limits.taken[where]
+        room, taken = limits.room[where], limits.tightening[where]
         room[(period < at[0]) | (period > last)] = np.inf
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
-        return Ahead(near, pushed, beyond, taken, room + taken, (end, period, rows), exact)
+        return LimitsAhead(near, pushed, beyond, taken, room + taken, (end, period, rows), exact)
 
     def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
         """Return the share of the room left, the need, the room and the places of limits ahead.
@@ -215,12 +217,12 @@ class Continuation(RecoverableSet):
         ahead = self._ahead(*tube)
         ahead.work_out(_least(self._left(ahead).min(axis=0), FIRST))
         share = self._left(ahead).min(axis=0)
-        ahead.work_out(np.asarray(share <= share[ahead.known].min(initial=np.inf)))
+        ahead.work_out(np.asarray(share <= share[ahead.is_final].min(initial=np.inf)))
         return self._left(ahead), ahead.need, ahead.room, ahead.where
 
-    def _left(self, ahead: "Ahead") -> Array:
+    def _left(self, ahead: "LimitsAhead") -> Array:
         """Return the shares of the room left; a booked limit that is met is no tightest one."""
-        share, rows = left(ahead.need, ahead.room), ahead.where[2]
+        share, rows = slack_share(ahead.need, ahead.room), ahead.where[2]
         share[np.isinf(ahead.room) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share
 

@@ -17,7 +17,7 @@ from ...model.system import Array
 from ...model.timing import Transient
 from ...model.tolerances import ROUNDING
 from ..sources.late_faults import touched
-from ..sources.outages import Difference
+from ..sources.outages import OutageDifference
 from ..sources.pulses import PULSES
 from ..sources.thrusters import THRUSTERS
 from ..tracker.long_flight import Inputs
@@ -35,7 +35,9 @@ class Corrections:
         """Values that enter in every period of whatever step, under any commands."""
         tracking, system = self.tracking, self.tracking.system
         off = tracking.step_errors.max(axis=0)
-        return Inputs.of(tracking.tightening.closed, system, (system.u_max,) * 2, off, np.zeros(system.n))
+        return Inputs.from_loop(
+            tracking.tightening.closed, system, (system.u_max,) * 2, off, np.zeros(system.n)
+        )
 
     @cached_property
     def mean(self) -> float | None:
@@ -112,12 +114,12 @@ class Corrections:
             largest = max(largest, self._spent(each.sum(axis=0) + later))
         return largest
 
-    def moved(self, size: Array, count: int) -> float:
+    def answer_bound(self, size: Array, count: int) -> float:
         """Bound the thrust that answers to errors up to some size, shape (n,) [N]."""
         size = np.pad(size, (0, self.tracking.loop.N - len(size)))
         return self._spent(self._summed @ size + self._later(size, count))
 
-    def late(self, count: int) -> float:
+    def late_fault_thrust(self, count: int) -> float:
         """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
 
         Until then every command answers to no more than what it has moved by then. What an observer that
@@ -125,19 +127,19 @@ class Corrections:
         """
         system, h, largest = self.tracking.system, self.tracking.flow.h, 0.0
         for fault, difference, wrong in self._faults():
-            sums = difference.along(self._answers).sum(axis=0)
-            sums = sums + self._later(difference.along(np.eye(self.tracking.loop.N)), count)
+            sums = difference.support(self._answers).sum(axis=0)
+            sums = sums + self._later(difference.support(np.eye(self.tracking.loop.N)), count)
             until = fault.lasts + system.timing.delay + h * (2 * system.timing.missed + 1)
             meanwhile = touched(until, h)
             if not len(fault.thrust) and self.tracking.loop.settled is None:
                 meanwhile = 0 if system.observer is None else max(count, meanwhile)
-            sums = sums + meanwhile * difference.along(self._answers[0])
+            sums = sums + meanwhile * difference.support(self._answers[0])
             largest = max(largest, self._spent(sums) + wrong * fault.lasts / h)
         return largest
 
-    def _faults(self) -> Iterator[tuple[Transient, Difference, float]]:
+    def _faults(self) -> Iterator[tuple[Transient, OutageDifference, float]]:
         """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""
-        left = iter(self.tracking.upsets)
+        left = iter(self.tracking.transients)
         for fault in self.tracking.system.transients:
             wrong = fault.wrong(self.tracking.system.thrusters).sum(axis=1) if len(fault.thrust) else [0.0]
             for each in wrong:

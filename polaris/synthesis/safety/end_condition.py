@@ -95,7 +95,7 @@ def _stays(system: LinearSystem, x: Array) -> bool:
     return in_hills_frame(system) or not np.any(system.A @ x)
 
 
-def judge_end(
+def prove_end(
     tracking: Tracking,
     reference: Reference,
     planned: int,

@@ -8,8 +8,8 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from reach.brief import brief
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 
 from ...model.errors import NotCertified, SynthesisInfeasible
 from ...model.timing import Transient
@@ -18,7 +18,7 @@ from ...planning.reference import Reference
 from ..controllers.controllers import AffineController, construct_s
 from ..tracker.error_bounds import ErrorBounds, get_err_bounds
 from ..tracker.tracking import Tracking
-from .attempts import Attempts, Clock
+from .attempts import Attempts, StageClock
 from .ball_sets import BallSets
 from .clearance import Clearance, best_facets
 from .continuation import Continuation
@@ -33,7 +33,7 @@ LESSER = (0.35, 0.25, 0.15)
 """The same where no safe reference is found with the first of them: the less feedback, the less errors."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Safety:
     """Output of Algorithm 1.
@@ -89,7 +89,7 @@ class Safety:
             return None
         return FreeFlight(problem.abort, problem.system, sets, problem.delta)
 
-    def under(self, faults: tuple[Transient, ...]) -> RecoverableSet:
+    def recoverable_with(self, faults: tuple[Transient, ...]) -> RecoverableSet:
         """Return the recoverable sets along the same reference if these faults alone were isolated late."""
         system = replace(self.problem.system, transients=faults)
         clearance = replace(self.clearance, tracking=replace(self.tracking, system=system))
@@ -165,7 +165,7 @@ def find_safety(problem: Problem, along: Plan | None = None, like: Safety | None
 
 def _of_share(problem: Problem, along: Plan | None, like: Safety | None = None) -> Safety:
     """Return `find_safety` with the share of the thrust limits given for S's feedback, or the first."""
-    clock, share = Clock(), problem.thrust_share or SHARES[0]
+    clock, share = StageClock(), problem.thrust_share or SHARES[0]
     if like is not None and like.tracking.level == share:
         return _proven(problem, like.bounds, Attempts(problem, like.tracking, clock, along), like.controller)
     # Lines 1 and 2: solveARE, Lambda.
@@ -189,7 +189,7 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         return SynthesisInfeasible(text, error.shortfall, error.relax)
     text = f"{error.condition} A safe reference exists without faults that are isolated late."
     for fault in faults:
-        sets, start = free.under((fault,)), free.start
+        sets, start = free.recoverable_with((fault,)), free.start
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
             start = free.tracking.true_error(start)
         margin = sets.margin_at(0, start)
@@ -210,12 +210,14 @@ def _proven(
     """
     clock, tracking = attempts.clock, attempts.tracking
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
-        s = s.along(reference, tracking) if s else construct_s(tracking, reference)  # line 7: constructS
+        s = (
+            s.with_reference(reference, tracking) if s else construct_s(tracking, reference)
+        )  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.
         facets = best_facets(tracking, reference, attempts.unsafe, attempts.start)
         clearance = Clearance(tracking, reference, attempts.unsafe, facets, problem.K, jump)
         recoverable = get_recover(problem.recoverable, clearance, bounds)  # line 9: GetRecover
-        if attempts.settled(reference, recoverable):
+        if attempts.record(reference, recoverable):
             break
     assert s is not None
     attempts.require_start(recoverable)

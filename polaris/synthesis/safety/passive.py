@@ -30,7 +30,7 @@ FINE = 0.1  # largest angle [rad] by which the fastest mode turns in one part of
 
 
 @dataclass(frozen=True)
-class Abort:
+class DriftRequirement:
     """Requirement on the drift after all thrust stops."""
 
     horizon: float  # for how long the drift must stay clear [s]
@@ -66,7 +66,7 @@ class Drift:
 class FreeFlight:
     """Free motion of a system over a horizon, and the unsafe sets as far ahead."""
 
-    abort: Abort
+    abort: DriftRequirement
     system: LinearSystem
     unsafe: tuple[TimedPolytope, ...]  # as far ahead as the drift from the last step is followed
     delta: float  # step of the schedule [s]
@@ -116,7 +116,7 @@ class FreeFlight:
             pushed = pushed + np.max(less, axis=0)  # thrust stops up to a step later
         return carried, bend, pushed
 
-    def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
+    def drifts(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
         """Return the drifts of flights whose thrust stops in step k: one of all, or groups if not clear.
 
         `nodes` is a stack of q+1 sets of states, which lie on chords between them up to `bow`, shape (q, n).
@@ -198,7 +198,7 @@ class PassiveSafety:
         rooms = [part.room.min() for parts in self.drifts if clear(parts) for part in parts if part.room.size]
         return float(min(rooms)) * (1 - ROUNDING) if rooms else None
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what a run claims of it."""
         abort, delta = self.flight.abort, self.flight.delta
         return {

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach.brief import brief
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
+from reach.short_repr import short_repr
 
 from ...model.allocation import Allocation
 from ...model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
@@ -20,7 +20,7 @@ from ...planning.goals import Goal
 from ...planning.problem import Objective, PlannerOptions
 from ..tracker.feedback import Feedback, choose_feedback
 from ..tracker.lqr import lqr_gain
-from .passive import Abort
+from .passive import DriftRequirement
 
 RECOVERABLE_KINDS = ("polytope", "ball")
 
@@ -39,7 +39,7 @@ class PoweredAbort:
     velocity_tolerance: float | None = None  # as `Problem.goal_velocity_tolerance` [m/s]
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Input of Algorithm 1.
@@ -94,7 +94,7 @@ class Problem:
         Solver, time limit, gap.
     gains : tuple of ndarray
         Gains of the experimental controllers, so that a period that is not given is short enough for them.
-    abort : Abort or None
+    abort : DriftRequirement or None
         What is asked of the drift should all thrust stop; None for nothing.
     powered : PoweredAbort or None
         What is asked of an abort with thrust; None for nothing.
@@ -126,13 +126,13 @@ class Problem:
     thrust_share: float | None = None
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
-    abort: Abort | None = None
+    abort: DriftRequirement | None = None
     powered: PoweredAbort | None = None
     tank: float | None = None
     allocation: Allocation | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
         if not isinstance(self.initial_set, Zonotope):
             raise ScenarioError("initial_set", type(self.initial_set).__name__, "must be a reach.Zonotope")
         if self.initial_set.batch or self.initial_set.dim != self.system.n:
@@ -152,7 +152,7 @@ class Problem:
             )
         if not isinstance(self.planner, PlannerOptions):
             raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
-        object.__setattr__(self, "goal", self.goal.of(self.system))
+        object.__setattr__(self, "goal", self.goal.for_system(self.system))
         if self.goal_tolerance is not None:
             positive("goal.tolerance_m", self.goal_tolerance, "m")
         if self.goal_velocity_tolerance is not None:
@@ -189,7 +189,7 @@ class Problem:
 
 def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: float) -> None:
     """Raise a ScenarioError unless a tolerance of velocities bounds some of every coordinate's."""
-    rates, asked = velocities(system.A, system.position), goal.of(system).conditions
+    rates, asked = velocities(system.A, system.position), goal.for_system(system).conditions
     if not rates.any(axis=1).all():
         rule = "must be left out, as a coordinate of the position has no velocity among the states (C A x)"
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)

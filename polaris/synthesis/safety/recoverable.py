@@ -121,7 +121,7 @@ def missing(margin_limit: str, short: float) -> str:
     return f"{directed(short, '.4g', up=True)}{unit}"
 
 
-def left(need: Array, room: Array) -> Array:
+def slack_share(need: Array, room: Array) -> Array:
     """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room.
 
     Rounded down: a need that is too small to show beside 1 still leaves less than everything.

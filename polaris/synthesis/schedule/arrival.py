@@ -25,7 +25,7 @@ with time, in its own way."""
 
 
 @dataclass(frozen=True)
-class Approach:
+class GoalDistance:
     """Distance from the goal, S flying from T on.
 
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
@@ -50,7 +50,7 @@ class Approach:
 
 
 @dataclass(frozen=True)
-class Arrival(Approach):
+class Arrival(GoalDistance):
     """Proof of the goal, and bound on what is spent until then."""
 
     delta_v: float  # velocity change until then, at most [m/s]
@@ -61,7 +61,7 @@ class Spending:
     """Bounds on the velocity change of a flight."""
 
     schedule: float  # until T [m/s]
-    goal: float  # until the node of `Approach` [m/s]
+    goal: float  # until the node of `GoalDistance` [m/s]
     settled: float | None  # until S has forgotten what it took over [m/s]; None where nothing is said of it
     weights: Sequence[Weights | None]  # for each step, those of the tail included
 
@@ -77,13 +77,13 @@ class Upkeep:
     tank: float | None  # velocity change that there is propellant for [m/s], if it is known
     lasts: float | None  # until when the tank certainly lasts [s]; None if it is not known, or for ever
 
-    def told(self) -> dict[str, float | None]:
+    def to_dict(self) -> dict[str, float | None]:
         """Return the claim of a run, by key."""
         names = "settled_s", "until_settled_m_s", "rate_m_s2", "per_orbit_m_s", "tank_m_s", "lasts_s"
         return dict(zip(names, astuple(self), strict=True))
 
 
-def spare(tracking: Tracking) -> float:
+def slack_factor(tracking: Tracking) -> float:
     """Share by which bounds are larger than found."""
     return ROUNDING if tracking.system.ideal else SPARE
 
@@ -101,7 +101,7 @@ class Nearness:
         return goal_rows(self.safety.problem)
 
     @cached_property
-    def along(self) -> PathRows:
+    def goal_rows(self) -> PathRows:
         """Rows of the goal along the path."""
         return PathRows(self.safety.clearance, self.rows[0], self.failing, between=False)
 
@@ -116,9 +116,13 @@ class Nearness:
         problem, tracking, rows = self.safety.problem, self.safety.tracking, self.rows[0]
         if problem.goal_tolerance is not None:
             return problem.goal_tolerance
-        need = self.along.table.settled + self.safety.clearance.scheduled(rows, between=False)[-1, -1]
-        need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
-        hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
+        need = (
+            self.goal_rows.table.settled_need + self.safety.clearance.scheduled(rows, between=False)[-1, -1]
+        )
+        need = need + np.abs(rows) @ tracking.system.state_offset_at_nodes
+        hold = (
+            float(np.max(need, initial=0.0)) * (1 + slack_factor(tracking)) * (1 + GOAL_SHARE)
+        )  # the jump apart
         return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
     def distance(self, states: Array, need: Array, size: float = ROUNDING) -> Array:
@@ -141,13 +145,13 @@ class Tail(Nearness):
         """Node at T."""
         return self.safety.problem.K * self.safety.clearance.q
 
-    def until(self, nodes: int) -> list[Spell]:
+    def steps_until(self, nodes: int) -> list[Spell]:
         """Return the steps of at least so many periods."""
         s, clearance = self.safety.controller, self.safety.clearance
         while len(self.spells) * clearance.q < nodes:
             before = self.spells[-1].tube.end if self.spells else clearance.after_jump(self.held[-1].states)
             k = self.safety.problem.K + len(self.spells)
-            self.spells.append(Spell.of(s, s.fly(before, k), k))
+            self.spells.append(Spell.from_tube(s, s.propagate(before, k), k))
         return self.spells
 
     def needs(self, along: PathRows, nodes: int) -> Array:
@@ -162,10 +166,10 @@ class Tail(Nearness):
         need: Array = np.min(each, axis=0)
         need = need + SPARE * np.abs(need) * (not tracking.system.ideal)
         near = min(nodes - 1, tracking.memory)
-        if tracking.profile is None:
+        if tracking.feedback_bound is None:
             return need
-        away = np.abs(rows) @ tracking.system.displaced_at_nodes
-        parts = [spell.tube.nodes.support(rows)[:-1] for spell in self.until(near)]
+        away = np.abs(rows) @ tracking.system.state_offset_at_nodes
+        parts = [spell.tube.nodes.support(rows)[:-1] for spell in self.steps_until(near)]
         flown = np.concatenate([need[:0], *parts])[:near]
         flown = flown * (1 + ROUNDING) + SPARE * np.abs(flown) + away
         return np.concatenate([np.minimum(need[:near], flown), need[near:]])
@@ -173,28 +177,30 @@ class Tail(Nearness):
     def correcting(self, nodes: int) -> float:
         """Bound S's velocity change over so many periods after T, each for itself [m/s]."""
         tracking, system = self.safety.tracking, self.safety.problem.system
-        flown = FlightSpending(self.until(nodes), nodes).apart(nodes) if nodes else 0.0
+        flown = FlightSpending(self.steps_until(nodes), nodes).apart(nodes) if nodes else 0.0
         flown *= tracking.flow.h / system.mass
-        return min(tracked(self.commands, self.held, self.T, self.T + nodes), flown) * (1 + spare(tracking))
+        return min(tracked(self.commands, self.held, self.T, self.T + nodes), flown) * (
+            1 + slack_factor(tracking)
+        )
 
-    def spending(self, before: Sequence[Spell], approach: Approach) -> Spending:
+    def spending(self, before: Sequence[Spell], approach: GoalDistance) -> Spending:
         """Bound the velocity change of the whole flight, from its steps `before` T."""
         tracking, system, T = self.safety.tracking, self.safety.problem.system, self.T
         nodes = [approach.node] * (approach.reached is True)
-        nodes += [self.settling] * (self.tops is not None)
+        nodes += [self.settling] * (self.max_commands is not None)
         last = max(nodes, default=0)
-        flight = FlightSpending([*before, *self.until(last)], T + last)
+        flight = FlightSpending([*before, *self.steps_until(last)], T + last)
         scale = tracking.flow.h / system.mass
-        until = flight.until(T) * scale * (1 + ROUNDING)
+        until = flight.thrust_bound(T) * scale * (1 + ROUNDING)
 
         def at(node: int) -> float:
-            apart = until * (1 + spare(tracking)) + self.correcting(node)
+            apart = until * (1 + slack_factor(tracking)) + self.correcting(node)
             if node not in nodes:
                 return apart * (1 + ROUNDING)
-            whole = flight.until(T + node) * scale * (1 + spare(tracking))
+            whole = flight.thrust_bound(T + node) * scale * (1 + slack_factor(tracking))
             return min(apart, whole) * (1 + ROUNDING)
 
-        settled = None if self.tops is None else at(self.settling)
+        settled = None if self.max_commands is None else at(self.settling)
         return Spending(until, at(approach.node), settled, flight.weights)
 
     def drift(self, x: Array, node: int) -> float | None:
@@ -208,19 +214,19 @@ class Tail(Nearness):
         largest = np.max(both.rows @ x + size + self.needs(both, node + 1)[-1])
         return float(6 * np.pi * largest * (1 + ROUNDING))
 
-    def approach(self) -> Approach:
+    def approach(self) -> GoalDistance:
         """Return what is proven of the goal at the nodes from T on, until the end of the coasting tail."""
         problem, tracking, reference = self.safety.problem, self.safety.tracking, self.safety.reference
         seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]
         states = np.concatenate([reference.chi[problem.K][None], *(cell[1:] for cell in cells)])
-        distances = self.distance(states, self.needs(self.along, len(states)))
+        distances = self.distance(states, self.needs(self.goal_rows, len(states)))
         within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
         best = int(within[0]) if len(within) else int(np.argmin(distances))
-        middle = self.along.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
+        middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
-        return Approach(
+        return GoalDistance(
             reached=True if len(within) else "not_proven" if near else False,
             by=problem.K * problem.delta + best * tracking.flow.h if len(within) else None,
             distance=float(distances[best]),
@@ -236,7 +242,7 @@ class Tail(Nearness):
         alone, moved = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
         within = most, self.commanded_before(nodes)
         closed = tracking.tightening.closed
-        lasting = Inputs.of(closed, system, within, tracking.step_errors[-1], moved).lasting()
+        lasting = Inputs.from_loop(closed, system, within, tracking.step_errors[-1], moved).lasting()
         if lasting is None:
             return alone, 0.0
         rows, each = lasting
@@ -273,7 +279,7 @@ class Tail(Nearness):
         return self.safety.tracking.memory + 2
 
     @cached_property
-    def tops(self) -> Array | None:
+    def max_commands(self) -> Array | None:
         """Bound on S's commands from then on (m,) [N].
 
         None if S need not track a coasting reference, or is not proven to keep within its thrust.
@@ -285,18 +291,18 @@ class Tail(Nearness):
         return bound if np.all(bound <= self.safety.problem.system.u_max) else None
 
     def upkeep(self, spending: Spending) -> Upkeep | None:
-        """Bound S's velocity change for all time (Proposition 14 (d)); None where `tops` is None."""
+        """Bound S's velocity change for all time (Proposition 14 (d)); None where `max_commands` is None."""
         problem, tracking, system = self.safety.problem, self.safety.tracking, self.safety.problem.system
-        tops, nodes, taken = self.tops, self.settling, spending.schedule
+        tops, nodes, taken = self.max_commands, self.settling, spending.schedule
         if tops is None or spending.settled is None:
             return None
         thrust = self.long_flight(nodes, tops)
-        rate, once = (part / system.mass * (1 + spare(tracking)) for part in thrust)
+        rate, once = (part / system.mass * (1 + slack_factor(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
         ahead = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.fired)
-        ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does
+        ahead = ahead * (1 + slack_factor(tracking)) + once * h  # a pulse ends before its period does
         until = spending.settled + ahead
-        before = system.owed / system.mass
+        before = system.carried_impulse / system.mass
         orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
         tank, lasts = problem.tank, None
         if tank is not None and rate > 0:

@@ -12,10 +12,10 @@ from reach.sets.zonotope import Zonotope
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array
 from ...planning.reference import Reference
-from ..controllers.controllers import AffineController, Controller, fly_states
+from ..controllers.controllers import AffineController, Controller, propagate_states
 from ..safety.carried_rows import CarriedRows
 from ..safety.clearance import facet_room
-from ..safety.demand import Scheduled
+from ..safety.feedforward import Feedforward
 from ..tracker.tracking import Tracking
 
 
@@ -42,7 +42,9 @@ class HandOvers:
     @cached_property
     def _rows(self) -> CarriedRows:
         normals = [-body.rows(self.tracking.system) for body in self.unsafe]
-        return CarriedRows.of(self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))]))
+        return CarriedRows.from_tracking(
+            self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))])
+        )
 
     def _by_set(self, needs: Array) -> list[Array]:
         ends = np.cumsum([len(body.normals) for body in self.unsafe])
@@ -59,18 +61,18 @@ class HandOvers:
     def since(self, handed: Zonotope) -> list[Array]:
         """Return what S needs in each cell after it took over a set of errors, one (K, F) per unsafe set."""
         nodes, index = self._lags
-        return self._by_set(self._rows.at(handed, nodes)[index].max(axis=1))
+        return self._by_set(self._rows.from_set(handed, nodes)[index].max(axis=1))
 
     def tables(self, handed: Sequence[Zonotope]) -> list[Array]:
         """Stack `since` of several sets, one (sets, K, F) per unsafe set."""
         return [np.array(each) for each in zip(*map(self.since, handed), strict=True)]
 
-    def caused(self, reference: Reference) -> list[Array]:
+    def feedforward(self, reference: Reference) -> list[Array]:
         """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
-        needs = Scheduled(self.tracking, reference, reference.cells).along(self._rows.rows)
+        needs = Feedforward(self.tracking, reference, reference.cells).response(self._rows.rows)
         return self._by_set(needs.max(axis=1)[: self.K])
 
-    def along(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
+    def tighten(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
         """Return what S needs along a reference, and how much the best facet of each cell lacks of it.
 
         Parameters
@@ -85,7 +87,7 @@ class HandOvers:
             Per unsafe set the need (K, F) and the lack (K, 1) [m].
         """
         pairs, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
-        for i, (body, need) in enumerate(zip(self.unsafe, self.caused(reference), strict=True)):
+        for i, (body, need) in enumerate(zip(self.unsafe, self.feedforward(reference), strict=True)):
             largest = np.zeros_like(need)
             for k, table in tables.items():
                 largest[k:] = np.maximum(largest[k:], table[i][: self.K - k])
@@ -104,5 +106,5 @@ def reached_sets(
     """
     sets = [start, *known]
     for k in range(len(known), len(laws)):
-        sets.append(fly_states(laws[k], sets[-1], k, s).end)
+        sets.append(propagate_states(laws[k], sets[-1], k, s).end)
     return sets

@@ -61,9 +61,9 @@ class LookAhead:
         """Modes of the best schedule found under a dwell time [steps] and a cap on switches.
 
         Never worse than greedy under the same rules, nor than itself or greedy under a lower cap or a longer
-        dwell time of up to `EACH` steps or among `rungs`.
+        dwell time of up to `EACH` steps or among `dwell_times`.
         """
-        root, tried = _Place(0, self.start), rungs(dwell, self.K)
+        root, tried = _Place(0, self.start), dwell_times(dwell, self.K)
         highest = self.K if cap is None else cap
         bars = [0.0] * (self.K + 2)  # worth found with so many switches or fewer, under stricter dwell times
         best, done, searched = _Path(root), 0, 0
@@ -184,7 +184,7 @@ class LookAhead:
         return _Path(place, path.worth + gained, path.switches + switched)
 
 
-def rungs(dwell: int, K: int) -> tuple[int, ...]:
+def dwell_times(dwell: int, K: int) -> tuple[int, ...]:
     """Dwell times searched: 1, 2, 3, 4, and then each half as much again, from the one asked for to K."""
     ladder = [1, 2, 3]
     while ladder[-1] < K:

@@ -23,14 +23,14 @@ from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..controllers.controllers import TubeSegment
 from ..safety.attempts import perceive_unsafe, plan_problem
-from ..safety.carried_rows import CarriedRows, Tube
+from ..safety.carried_rows import CarriedRows, SetTightening
 from ..safety.clearance import Clearance
 from ..safety.corrections import Corrections
-from ..safety.end_condition import coast, judge_end, tail_length
+from ..safety.end_condition import coast, prove_end, tail_length
 from ..safety.get_safety import Safety, get_recover
 from ..safety.problem import PoweredAbort, Problem
+from .abort_branch import AbortBranch, AbortStep, Takeover
 from .arrival import SPARE
-from .takeover import Branch, Takeover, Way
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
@@ -38,7 +38,12 @@ ARRIVES = 1.0, 0.8
 """Shares of that time after which the plan of a branch ends: a shorter flight spends less on corrections, and
 the errors of its last commands fade before the orbit is due."""
 PROGRAMS = 300  # most linear programs that the plan of one branch takes
-TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"  # of an abort in a step, as in `PoweredSafety.told`
+TOLD = (
+    "leaves_s",
+    "by_s",
+    "delta_v_m_s",
+    "safe_until_s",
+)  # of an abort in a step, as in `PoweredSafety.to_dict`
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +52,8 @@ class PoweredSafety:
 
     asked: PoweredAbort
     delta: float  # step of the schedule [s]
-    branches: tuple[Branch, ...]
-    ways: tuple[Way, ...]
+    branches: tuple[AbortBranch, ...]
+    ways: tuple[AbortStep, ...]
 
     def require(self) -> None:
         """Raise `SynthesisInfeasible`, or `NotCertified` for a budget, if a required abort is not proven."""
@@ -62,7 +67,7 @@ class PoweredSafety:
             raise NotCertified(f"{message}; raise {way.budget} by {way.short:.4g}")
         raise SynthesisInfeasible(f"{message}.", way.short, "raise abort.within_s, or widen the orbit.")
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the claims that a run makes of it, as JSON."""
         steps, delta = list[dict[str, Any]](), self.delta
         for k, way in enumerate(self.ways):
@@ -97,25 +102,25 @@ def powered(
     asked, delta = safety.problem.powered, safety.problem.delta
     if asked is None:
         return None
-    taken = Takeover.each(safety, flown, spent)
+    taken = Takeover.for_steps(safety, flown, spent)
     search = BranchSearch(safety, asked, taken)
     if asked.goal is None:
-        own = Branch(safety.problem.K, safety, search.corrections)
+        own = AbortBranch(safety.problem.K, safety, search.corrections)
         return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
     if known is not None:
         parts = zip(known.steps, known.inputs, known.facets, strict=True)
         made = tuple(search.branch(*part) for part in parts)
         replayed = (
-            Way(None, why=why) if place is None else made[place].serve(each, asked, place)
+            AbortStep(None, why=why) if place is None else made[place].serve(each, asked, place)
             for each, place, why in zip(taken, known.serve, known.why, strict=True)
         )
         return PoweredSafety(asked, delta, made, tuple(replayed))
-    branches, ways = list[Branch](), list[Way]()
+    branches, ways = list[AbortBranch](), list[AbortStep]()
     while len(ways) < len(taken):
-        served, lost = list[Way](), list[Way]()
+        served, lost = list[AbortStep](), list[AbortStep]()
         for branch in search.branches(len(ways)):
             if isinstance(branch, str):
-                lost.append(Way(None, why=branch))
+                lost.append(AbortStep(None, why=branch))
                 continue
             for each in taken[len(ways) : branch.step]:
                 way = branch.serve(each, asked, len(branches))
@@ -127,7 +132,7 @@ def powered(
                 break
             lost.append(way)
         ways += served or [
-            min(lost, key=lambda way: way.lacks, default=Way(None, why="there is no time for a branch"))
+            min(lost, key=lambda way: way.lacks, default=AbortStep(None, why="there is no time for a branch"))
         ]
     return PoweredSafety(asked, delta, tuple(branches), tuple(ways))
 
@@ -139,14 +144,14 @@ class BranchSearch:
     safety: Safety
     asked: PoweredAbort
     taken: Sequence[Takeover]
-    _tubes: dict[tuple[bytes, int], list[tuple[int, Tube]]] = field(default_factory=dict, repr=False)
+    _tubes: dict[tuple[bytes, int], list[tuple[int, SetTightening]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def corrections(self) -> Corrections:
         """Bounds on S's corrections, along whatever branch."""
         return Corrections(self.safety.tracking)
 
-    def branches(self, k: int) -> Iterator[Branch | str]:
+    def branches(self, k: int) -> Iterator[AbortBranch | str]:
         """Yield branches for aborts from step k on, late ones first; or why there is none."""
         assert self.asked.within is not None
         time, steps = int(self.asked.within / self.safety.problem.delta * (1 + ROUNDING)), len(self.taken)
@@ -158,7 +163,7 @@ class BranchSearch:
                     if isinstance(branch, str):
                         break  # less time will not do
 
-    def _leave(self, k: int, b: int, n: int) -> Branch | str:
+    def _leave(self, k: int, b: int, n: int) -> AbortBranch | str:
         """Return a branch of n steps that leaves at the start of step b > k; or why there is none."""
         tracking = self.safety.tracking
         problem, tail = self._aborted(b + n), tail_length(tracking)
@@ -179,7 +184,7 @@ class BranchSearch:
         aborted = replace(problem, K=K, abort=None, powered=None)
         return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
 
-    def branch(self, b: int, inputs: Array, facets: NDArray[np.int_]) -> Branch:
+    def branch(self, b: int, inputs: Array, facets: NDArray[np.int_]) -> AbortBranch:
         """Return the branch that leaves the reference at the start of step b and flies these inputs."""
         safety, tracking = self.safety, self.safety.tracking
         problem, tail = self._aborted(b + len(inputs)), tail_length(tracking)
@@ -189,13 +194,13 @@ class BranchSearch:
         reference, jump = coast(path, tail)
         clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
         recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
-        end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
+        end = prove_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
         start = recoverable.margin_at(0, safety.start)
         proven = replace(safety, clearance=clearance, recoverable=recoverable, start_margin=start, end=end)
         proven = replace(
             proven, problem=problem, plan=known_plan(path, problem.K, facets), reference=reference
         )
-        return Branch(b, proven, self.corrections)
+        return AbortBranch(b, proven, self.corrections)
 
     def _wanted(self, asked: PlanProblem, taken: Sequence[Takeover], tail: int) -> PlanProblem:
         """Return the planning problem of a branch, with what S needs where it may take over."""
@@ -220,11 +225,11 @@ class BranchSearch:
         asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
         return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)
 
-    def _from(self, taken: Takeover, rows: Array) -> list[tuple[int, Tube]]:
+    def _from(self, taken: Takeover, rows: Array) -> list[tuple[int, SetTightening]]:
         """Needs along rows from some of the sets that S may take over in a step, and at which nodes."""
         key, n = (rows.tobytes(), taken.k), self.safety.problem.system.n
         if key not in self._tubes:
-            table = CarriedRows.of(self.safety.tracking, rows)
+            table = CarriedRows.from_tracking(self.safety.tracking, rows)
             self._tubes[key] = []
             for i in sorted({0, len(taken.sets) // 2, len(taken.sets) - 1}):
                 one = Zonotope(taken.sets.c[i], taken.sets.G[i])

@@ -73,7 +73,7 @@ class SwitchingRules:
         for weight in self.weights:
             positive("schedule.weights", weight, "-")
 
-    def worths(self, modes: int) -> tuple[float, ...]:
+    def mode_values(self, modes: int) -> tuple[float, ...]:
         """Return the worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
         given = (0.0, *self.weights)[:modes]
         return given + (1.0,) * (modes - len(given))

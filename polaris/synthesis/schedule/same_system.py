@@ -52,7 +52,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     Raises `ScenarioError`, naming the controller, what it has, and what it must have.
     """
     if not isinstance(getattr(controller, "name", None), str) or not callable(
-        getattr(controller, "fly", None)
+        getattr(controller, "propagate", None)
     ):
         rule = "must be a Controller: a name in text, and fly and command (AnyThrust is one)"
         raise ScenarioError("experimental", type(controller).__name__, rule)
@@ -63,7 +63,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         rule = "must be built on the reference of this Safety, not of another one"
         raise ScenarioError("experimental", name, rule)
     system, own = getattr(controller, "system", problem.system), getattr(controller, "own", reference)
-    _same_parts(f"{name}.system", Craft.of(system), problem.system)
+    _same_parts(f"{name}.system", Craft.from_system(system), problem.system)
     for fault in problem.system.transients:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
@@ -72,7 +72,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         if not within and not anything:
             rule = f"must be any thrust or a law known to the problem, as {fault.name} is isolated late"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
-    _same_parts(f"{name}.own.system", Craft.of(own.system), problem.system)
+    _same_parts(f"{name}.own.system", Craft.from_system(own.system), problem.system)
     _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
     shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
     given = np.shape(own.chi), np.shape(own.nu)

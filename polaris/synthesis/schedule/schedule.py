@@ -7,16 +7,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from reach.brief import brief
 from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 
 from ...model.errors import ScenarioError
 from ...model.scene.obstacle import chaser_radius
 from ...model.scene.satellite import SatelliteObstacle
 from ...model.scene.state_limits import StateLimit
 from ...model.system import Array
-from ..controllers.black_box import FittedSegment, Statement
+from ..controllers.black_box import FittedSegment, SampledBound
 from ..controllers.controllers import Controller, TubeSegment, construct_s
 from ..controllers.neural import NeuralController
 from ..safety.continuation import HandOver
@@ -24,13 +24,13 @@ from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
 from ..sources.craft import assumed
-from .arrival import Approach, Arrival, Spending, Tail, Upkeep, spare
+from .arrival import Arrival, GoalDistance, Spending, Tail, Upkeep, slack_factor
 from .powered import KnownBranches, PoweredSafety, powered
 from .rules import Prices, SwitchingRules
 from .spending import FlightSpending, Spell
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Step:
     """One step of the schedule.
@@ -60,7 +60,7 @@ class Step:
         return self.recoverable.margin(self.k, self.tube.states, self.tube.bow)
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """A switching schedule L with everything its proof rests on.
@@ -82,7 +82,7 @@ class Schedule:
     worth : Prices, optional
         Objective of a flight at the scenario's prices, a function of its shares of the time by mode, its
         velocity change [m/s] and its number of switches; known where references were planned with U in view.
-    statement : Statement, optional
+    statement : SampledBound, optional
         What sampled flights say of the steps that black boxes fly.
     branches : KnownBranches, optional
         Branches of aborts with thrust that were planned before; others are planned when they are asked for.
@@ -95,7 +95,7 @@ class Schedule:
     seconds: Mapping[str, float] = field(default_factory=dict)
     library: Sequence["Schedule"] = ()
     worth: Prices | None = None
-    statement: Statement | None = None
+    statement: SampledBound | None = None
     branches: KnownBranches | None = None
 
     def _brief(self) -> Mapping[str, object]:
@@ -148,7 +148,10 @@ class Schedule:
                 if isinstance(law, NeuralController)
             ],
         )
-        return *premises.told(), "arithmetic: double precision, its round-off covered by rounding allowances"
+        return (
+            *premises.sentences(),
+            "arithmetic: double precision, its round-off covered by rounding allowances",
+        )
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:
@@ -175,7 +178,7 @@ class Schedule:
 
     @cached_property
     def _spells(self) -> list[Spell]:
-        return [Spell.of(self.controllers[step.mode], step.tube, step.k) for step in self.steps]
+        return [Spell.from_tube(self.controllers[step.mode], step.tube, step.k) for step in self.steps]
 
     @cached_property
     def delta_v_middle(self) -> float:
@@ -202,7 +205,7 @@ class Schedule:
         return Tail(self.safety, held=(HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
-    def approach(self) -> Approach:
+    def approach(self) -> GoalDistance:
         """Return what is proven of the goal: reached or not, and by when."""
         return self.tail.approach()
 
@@ -229,12 +232,12 @@ class Schedule:
         rows, beside = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
         flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
         largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
-        least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded
+        least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # whatever is commanded
         bounds = {
             "settled": None if self.upkeep is None else self.tail.estimate(tracking.memory + 2),
             "experimental": np.max(largest, axis=0) + beside if flown else None,
         }
-        more = 1 + spare(tracking)
+        more = 1 + slack_factor(tracking)
         return {k: None if x is None else (np.minimum(x, least) * more).tolist() for k, x in bounds.items()}
 
     @cached_property
@@ -268,7 +271,7 @@ class Schedule:
         steps = [replace(step, recoverable=safety.recoverable) for step in self.steps[:k]]
         reached = steps[-1].tube.end if steps else safety.start
         for later in range(k, safety.problem.K):
-            steps.append(Step(0, s.fly(reached, later), later, safety.recoverable))
+            steps.append(Step(0, s.propagate(reached, later), later, safety.recoverable))
             reached = steps[-1].tube.end
         return Schedule(replace(safety, controller=s), (s, *self.controllers[1:]), tuple(steps), reached)
 
@@ -278,7 +281,7 @@ class Schedule:
 
         This is what a budget, `SwitchingRules.delta_v_max`, is held against.
         """
-        until_end = self.spending.schedule * (1 + spare(self.safety.tracking))
+        until_end = self.spending.schedule * (1 + slack_factor(self.safety.tracking))
         return self.spending.goal if self.approach.reached is True else until_end
 
     @property
@@ -286,7 +289,9 @@ class Schedule:
         """Bound `spent` by that of every period [m/s], which takes little time."""
         tail, spells = self.tail, self._spells
         scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass
-        apart = FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + spare(tail.safety.tracking))
+        apart = (
+            FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + slack_factor(tail.safety.tracking))
+        )
         return apart + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)
 
     def share(self, mode: int | None = None) -> float:
@@ -317,5 +322,5 @@ def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
         return ()
     system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
     rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
-    bow = tube.bow + system.displaced + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
-    return flight.after(k, tube.nodes + arc, bow)
+    bow = tube.bow + system.state_offset + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    return flight.drifts(k, tube.nodes + arc, bow)

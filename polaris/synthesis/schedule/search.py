@@ -12,7 +12,7 @@ from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ..controllers.black_box import BlackBox
 from ..controllers.controllers import AffineController, Controller, TubeSegment, beside_errors
-from ..safety.attempts import Clock
+from ..safety.attempts import StageClock
 from ..safety.get_safety import Safety
 from ..safety.passive import clear
 from ..safety.problem import Problem
@@ -23,7 +23,7 @@ from .schedule import Schedule, Step, drift_of
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class PartialSchedule:
     """A schedule under construction: the set reached at step k, and how it came about."""
 
     reached: Zonotope
@@ -43,7 +43,7 @@ class Branch:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class ScheduleSearch:
     """Controllers over one `Safety`, and the rules by which they take turns.
 
     `intended` holds the mode for which the reference was planned, step by step, if it was planned with U in
@@ -55,14 +55,14 @@ class Search:
     controllers: tuple[Controller, ...]
     rules: SwitchingRules
     progress: Callable[[int, int], None] | None = None
-    clock: Clock = field(
-        default_factory=Clock
+    clock: StageClock = field(
+        default_factory=StageClock
     )  # of the whole synthesis, which searches made from this one share
     intended: tuple[int, ...] | None = None
     came: WeakKeyDictionary[Zonotope, tuple[Zonotope, int]] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
-    def over(
+    def from_scenario(
         cls,
         scenario: Any,
         safety: Safety,
@@ -70,8 +70,8 @@ class Search:
         rules: SwitchingRules | None,
         progress: Callable[[int, int], None] | None,
         fits: bool = False,
-        clock: Clock | None = None,
-    ) -> "Search":
+        clock: StageClock | None = None,
+    ) -> "ScheduleSearch":
         """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
 
         What does not belong together is refused because its tubes would mean nothing; a safety that has just
@@ -93,15 +93,15 @@ class Search:
         if len(rules.weights) > len(experimental):
             rule = f"must be at most one per controller ({len(experimental)})"
             raise ScenarioError("schedule.weights", f"{len(rules.weights)} weights", rule)
-        return cls(safety, (safety.controller, *experimental), rules, progress, clock or Clock())
+        return cls(safety, (safety.controller, *experimental), rules, progress, clock or StageClock())
 
-    def wanted(self, k: int) -> Sequence[int]:
+    def candidates(self, k: int) -> Sequence[int]:
         """Experimental controllers to try in step k: in order of preference, or the one that is intended."""
         if self.intended is None:
             return range(1, len(self.controllers))
         return [mode for mode in self.intended[k : k + 1] if mode != SAFETY]
 
-    def options(self, branch: Branch) -> Iterator[tuple[int, int]]:
+    def options(self, branch: PartialSchedule) -> Iterator[tuple[int, int]]:
         """Modes to try from a branch, each with the steps it must last; S last, and always possible."""
         k, K, cap = branch.k, self.safety.problem.K, self.rules.max_switches
         if self.rules.strategy == "look_ahead" and self.intended is None:
@@ -112,14 +112,14 @@ class Search:
             self.progress(k, K)
         settled = k == 0 or branch.held >= self.rules.min_dwell
         spent = branch.switches + (k > 0) + 1  # there, and back to S should it fail
-        for mode in self.wanted(k):
+        for mode in self.candidates(k):
             if mode == branch.mode:
                 yield mode, 1
             elif settled and (cap is None or spent <= cap):
                 yield mode, self.rules.min_dwell
         yield SAFETY, 1  # U has always flown its whole dwell, so S may take over
 
-    def fly(self, branch: Branch, mode: int, steps: int) -> Branch | None:
+    def extend(self, branch: PartialSchedule, mode: int, steps: int) -> PartialSchedule | None:
         """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
         for _ in range(min(steps, self.safety.problem.K - branch.k)):
             tube = self.tube(branch.reached, branch.k, mode)
@@ -128,7 +128,7 @@ class Search:
             step = Step(mode, tube, branch.k, self.safety.recoverable)
             switched = branch.k > 0 and mode != branch.mode
             held = 1 if switched or branch.k == 0 else branch.held + 1
-            branch = Branch(tube.end, (*branch.steps, step), held, branch.switches + switched)
+            branch = PartialSchedule(tube.end, (*branch.steps, step), held, branch.switches + switched)
         return branch
 
     def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
@@ -136,7 +136,7 @@ class Search:
         controller, tracking = self.controllers[mode], self.safety.tracking
         recalls = isinstance(controller, BlackBox) and controller.memory
         known = start if isinstance(controller, AffineController) else tracking.true_error(start)
-        flown = controller.fly(known, k, *([self._before(start)] if recalls else []))  # GetReach
+        flown = controller.propagate(known, k, *([self._before(start)] if recalls else []))  # GetReach
         tube = check_segment(controller, known, flown, self.safety)
         tube = beside_errors(tube, start, self.safety.controller)
         self.came[tube.end] = start, mode
@@ -171,12 +171,12 @@ class Search:
             self.safety.problem.K,
             prove,
             lambda reached: float(self.safety.tracking.error(reached).norm_bound(W)),
-            self.rules.worths(len(self.controllers)),
+            self.rules.mode_values(len(self.controllers)),
             self.rules.beam,
         )
         return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)
 
-    def schedule(self, branch: Branch) -> Schedule:
+    def schedule(self, branch: PartialSchedule) -> Schedule:
         """Return the schedule that a complete branch stands for, with what it rests on."""
         if self.progress and self.rules.strategy == "greedy":
             self.progress(branch.k, branch.k)

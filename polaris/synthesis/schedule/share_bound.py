@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from ..controllers.controllers import AffineController
 from .rules import SwitchingRules
 from .schedule import Schedule
-from .undisturbed import FREE, Flights, Held
+from .undisturbed import FREE, Held, UndisturbedFlights
 
 NODES = 2000  # most nodes of an integer program; what it has proven until then is used
 SLACK = 1e-4  # steps by which its bound is lowered, for its tolerances
@@ -105,7 +105,7 @@ class Master:
         flown = answer.x[: self.K * self.modes].reshape(self.K, self.modes)
         return fewest, tuple(int(mode) for mode in flown.argmax(axis=1))
 
-    def worth(self, worths: Sequence[float]) -> float:
+    def objective_bound(self, worths: Sequence[float]) -> float:
         """Proven bound on the mean worth of a step, by that of each mode; 0 if there is no schedule."""
         largest = max(worths)
         least = self._cheapest([1.0 - worth / largest for worth in worths])[0]
@@ -117,10 +117,10 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     safety = schedule.safety
     problem, laws = safety.problem, schedule.controllers[1:]
     own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
-    worths = rules.worths(len(laws) + 1)
+    worths = rules.mode_values(len(laws) + 1)
     if limit == 0 or len(own) < len(laws) or problem.K > STEPS:
         return ShareBound(1.0, max(worths))
-    flights, master = Flights(safety, own), Master(problem.K, len(laws) + 1, rules)
+    flights, master = UndisturbedFlights(safety, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
         fewest, held = master.solve()
@@ -133,5 +133,5 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
         master.demand(flights.widened(held))
         demands += 1
     share = 1.0 - min(least, problem.K) / problem.K
-    worth = share * max(worths) if len(set(worths[1:])) <= 1 else master.worth(worths)
+    worth = share * max(worths) if len(set(worths[1:])) <= 1 else master.objective_bound(worths)
     return ShareBound(share, min(worth, share * max(worths)), flights.programs, demands, ended)

@@ -16,7 +16,7 @@ from ...model.tolerances import ROUNDING
 from ..controllers.controllers import AffineController, Controller, TubeSegment
 from ..controllers.neural import NeuralController
 from ..safety.continuation import HandOver, PathRows
-from ..safety.demand import command_noise
+from ..safety.feedforward import command_noise
 from ..tracker import storage
 from ..tracker.affine_law import clip_band
 from ..tracker.long_flight import Inputs, carried_across
@@ -39,7 +39,7 @@ class Spell:
     commands: Array | None = None  # bound on what is commanded, where the law is affine [N], (q, m)
 
     @classmethod
-    def of(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
+    def from_tube(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
         """Build the spell of step k; a controller known by its thrust limits alone is charged all of them."""
         q = len(tube.bow)
         if isinstance(law, NeuralController):  # it flies on exact states
@@ -90,7 +90,7 @@ class Spell:
                 middles[i] = slope * middles[i] + offset
             key = closed.gain.tobytes() + bands.tobytes()
             if key not in known:
-                known[key] = Inputs.of(closed, law.system, within, 0 * rounding, rounding, bands)
+                known[key] = Inputs.from_loop(closed, law.system, within, 0 * rounding, rounding, bands)
             inputs.append(known[key])
         if np.any(law.system.matrix):
             loop = here.closed.loop
@@ -144,14 +144,14 @@ class FlightSpending:
             q = len(self.spells[k].most)
             left, step = periods - k * q, self.spells[k].linear
             if left > 0 and step is not None:
-                steps.append(step.until(left))
+                steps.append(step.first_periods(left))
         return steps
 
     def apart(self, periods: int) -> float:
         """Bound the thrust of so many periods, each for itself [N] (Proposition 14 (b))."""
         return float(np.concatenate([spell.most for spell in self.spells])[:periods].sum())
 
-    def until(self, periods: int) -> float:
+    def thrust_bound(self, periods: int) -> float:
         """Bound the thrust of so many periods [N] (Proposition 14 (b), (c))."""
         total = 0.0
         for run in self.runs:

@@ -11,15 +11,15 @@ from ...model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ...planning.problem import Plan
 from ..controllers.controllers import AffineController, AnyThrust, Controller
 from ..controllers.neural import NeuralController
-from ..safety.attempts import Clock
+from ..safety.attempts import StageClock
 from ..safety.get_safety import LESSER, SHARES, Safety, find_safety, get_safety
 from ..safety.recoverable import directed
-from .in_view import views
 from .look_ahead import SAFETY
+from .objective import Objective, is_as_good
+from .recourse import views
 from .rules import CHECKED, SwitchingRules
 from .schedule import Schedule, Step
-from .search import Branch, Search
-from .worth import Worth, as_good
+from .search import PartialSchedule, ScheduleSearch
 
 LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
 DEARER = (0.0, 0.3, 3.0)  # added in turn to the price of velocity change while no schedule keeps the budget
@@ -63,55 +63,55 @@ def synthesize(
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
     recourse = safety is None if recourse is None else recourse
-    fits, clock = safety is None, Clock()
+    fits, clock = safety is None, StageClock()
     if experimental is None and hasattr(scenario, "check_black_boxes"):
         scenario.check_black_boxes(())
     if safety is None:
         safety = get_safety(scenario)
         clock.lap("safety controller")
         clock.laps["safety controller"] -= sum(safety.seconds.values())
-    search = Search.over(scenario, safety, experimental, rules, progress, fits, clock)
+    search = ScheduleSearch.from_scenario(scenario, safety, experimental, rules, progress, fits, clock)
     clock.lap("experimental controllers")
     in_view = recourse and safety.problem.recourse != "none"
-    best = most_worthy(search, in_view)
-    free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
+    best = best_schedule(search, in_view)
+    free = recourse and safety.problem.thrust_share is None and safety.tracking.feedback_bound is not None
     best = best_share(search, best, in_view) if free else best
     if best.powered is not None:
         best.powered.require()
         clock.lap("powered abort")
-    return replace(best, seconds=clock.after(safety.seconds))
+    return replace(best, seconds=clock.with_earlier(safety.seconds))
 
 
-def turns(search: Search) -> bool:
+def laws_turn(search: ScheduleSearch) -> bool:
     """Return True if all laws are known to fly beside another reference, too."""
     known = AffineController, AnyThrust, NeuralController
     return all(isinstance(law, known) for law in search.controllers[1:])
 
 
-def along(search: Search, safety: Safety) -> Search:
-    """Return the search along the reference of another `Safety`; all its laws must turn (see `turns`)."""
+def with_safety(search: ScheduleSearch, safety: Safety) -> ScheduleSearch:
+    """Return the search along the reference of another `Safety`; all its laws must turn (see `laws_turn`)."""
     laws: Any = search.controllers[1:]
-    turned = [law.along(safety.reference, safety.tracking) for law in laws]
+    turned = [law.with_reference(safety.reference, safety.tracking) for law in laws]
     return replace(search, safety=safety, controllers=(safety.controller, *turned))
 
 
-def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
+def best_share(search: ScheduleSearch, first: Schedule, recourse: bool) -> Schedule:
     """Return the most worthy of a schedule and those with other shares of thrust booked for errors of S."""
     best, problem = first, search.safety.problem
     errors = problem.system.thrusters.table(problem.system.m).max()
     shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())
-    worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
-    for share in shares if turns(search) else ():
+    worth = Objective.beside(first, search.rules, search.safety)  # `first` may fly another reference
+    for share in shares if laws_turn(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share), like=search.safety)
             search.clock.lap("thrust shares")
-            other = most_worthy(along(search, safety), recourse)
+            other = best_schedule(with_safety(search, safety), recourse)
             best = max(best, other, key=lambda schedule: worth.alone(schedule, recourse))
     search.clock.lap("thrust shares")
     return best
 
 
-def most_worthy(search: Search, recourse: bool) -> Schedule:
+def best_schedule(search: ScheduleSearch, recourse: bool) -> Schedule:
     """Return the schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
     search.clock.lap("schedule")
@@ -127,47 +127,49 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
     return best
 
 
-def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
+def arriving(search: ScheduleSearch, first: Schedule) -> tuple[ScheduleSearch, Schedule]:
     """Return another schedule that is proven to arrive, with no less of U, if the first one is not.
 
     Its reference ends inside the goal, by all that the first one's flights may be off, or by what they lack.
     """
     safety, approach = first.safety, first.approach
     goal, lack = safety.problem.goal.conditions, approach.distance * (1 + CHECKED) - approach.tolerance
-    if approach.reached is True or not goal.inequalities or not turns(search):
+    if approach.reached is True or not goal.inequalities or not laws_turn(search):
         return search, first
     for length in (approach.distance, lack):
         with suppress(SynthesisInfeasible, NotCertified):
             deeper = replace(safety.problem, goal_inset=length)
-            other = along(search, find_safety(deeper, like=safety))
+            other = with_safety(search, find_safety(deeper, like=safety))
             again = switching_logic(other)
             if again.approach.reached is True and again.share() >= first.share():
                 return other, again
     return search, first
 
 
-def switching_logic(search: Search) -> Schedule:
+def switching_logic(search: ScheduleSearch) -> Schedule:
     """Algorithm 2, for the controllers and by the rules of a search."""
     safety = search.safety  # lines 1 and 2: K steps; GetSafety
-    branch = Branch(safety.start)  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
+    branch = PartialSchedule(
+        safety.start
+    )  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
     while branch.k < safety.problem.K:  # line 7; t1 and t2 of lines 8 and 9 are the ends of step k
         for mode, steps in search.options(branch):  # lines 10 and 16: U is tried first, else S
-            ahead = search.fly(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached
+            ahead = search.extend(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached
             if ahead is not None:  # line 13: inside C_S over all of [t1, t2]; S needs no such test
                 branch = ahead  # lines 11 and 17: Theta; 14 and 19: the mode; 20 and 21: the next step
                 break
     return search.schedule(branch)  # lines 22 and 23: the switching logic, with S
 
 
-def with_recourse(search: Search, printed: Schedule) -> Schedule:
+def with_recourse(search: ScheduleSearch, printed: Schedule) -> Schedule:
     """Return the most worthy schedule: the printed one, or one along a reference planned with U in view.
 
     Each candidate passes both algorithms whole. First come those that keep the budget of velocity change,
-    then those proven safe for as long as the printed one, then those that are proven to arrive (`Worth`).
+    then those proven safe for as long as the printed one, then those that are proven to arrive (`Objective`).
     While none keeps the budget, more are looked for at higher prices of velocity change.
     """
     problem = printed.safety.problem
-    if not turns(search):
+    if not laws_turn(search):
         return printed
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
@@ -175,16 +177,16 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
             safety = find_safety(problem, plan, printed.safety)
         except SynthesisInfeasible:
             return None
-        return switching_logic(replace(along(search, safety), intended=intended))
+        return switching_logic(replace(with_safety(search, safety), intended=intended))
 
-    worth, late = Worth.beside(printed, search.rules, printed.safety), False
+    worth, late = Objective.beside(printed, search.rules, printed.safety), False
     best, others = printed, list[Schedule]()
 
     def compare(other: Schedule) -> None:
         """Keep the better one, and the other without its tubes."""
         nonlocal best
         worse, best = (best, other) if worth(other) > worth(best) else (other, best)
-        others.append(Reflown.of(search, worse))
+        others.append(Reflown.from_schedule(search, worse))
 
     for other in with_clearance(search, printed):
         compare(other)
@@ -193,10 +195,10 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         searches = views(printed, replace(worth, rules=dear))
         for other in (each for view in searches for each in view.schedules(prove)):
             compare(other)
-        late |= any(view.late for view in searches)
+        late |= any(view.cut_by_clock for view in searches)
         if best.keeps(search.rules):
             break
-    library = tuple(one for one in others if as_good(one, best, search.rules))
+    library = tuple(one for one in others if is_as_good(one, best, search.rules))
     if late:
         text = "planner.time_limit_s ended the search for a reference along U's path early"
         warnings.warn(f"{text}: another machine or run may find another one", ClockWarning, stacklevel=3)
@@ -208,13 +210,13 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 class Reflown(Sequence[Step]):
     """Steps of a schedule that are propagated again on first access: their tubes take much memory."""
 
-    def __init__(self, search: Search, modes: tuple[int, ...]) -> None:
+    def __init__(self, search: ScheduleSearch, modes: tuple[int, ...]) -> None:
         self.search, self.modes = search, modes
 
     @classmethod
-    def of(cls, search: Search, schedule: Schedule) -> Schedule:
+    def from_schedule(cls, search: ScheduleSearch, schedule: Schedule) -> Schedule:
         """Return a schedule without its tubes, but with what was worked out to compare it."""
-        steps = cls(along(search, schedule.safety), tuple(schedule.modes.tolist()))
+        steps = cls(with_safety(search, schedule.safety), tuple(schedule.modes.tolist()))
         light = replace(schedule, steps=steps)
         known = {"modes", "approach", "spending", "delta_v_middle", "passive"} & vars(schedule).keys()
         vars(light).update({name: vars(schedule)[name] for name in known})
@@ -238,7 +240,7 @@ class Reflown(Sequence[Step]):
         return steps
 
 
-def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
+def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule]:
     """Yield the schedule along a reference that clears unsafe sets by what U lacked along the first one."""
     problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
     refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)
@@ -247,10 +249,10 @@ def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
         extra = problem.extra_margin + lack
         with suppress(SynthesisInfeasible, NotCertified):
             wider = replace(problem, objective="margin_then_fuel", extra_margin=extra)
-            yield switching_logic(along(search, find_safety(wider, like=first.safety)))
+            yield switching_logic(with_safety(search, find_safety(wider, like=first.safety)))
 
 
-def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
+def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
     """Return the longest beginning of a schedule after which S alone keeps the rules.
 
     Of several the most worthy: budget of velocity change, and what is required of the drift.
@@ -276,17 +278,17 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
                 many = tried
         kept += [best] if best else []
     if not kept and witness is not None:
-        raise not_clear(witness)
+        raise passive_safety_error(witness)
     if not kept:
         need = directed(least * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
             f"no schedule within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the smallest proven"
             f" delta-v is {need} m/s; raise the budget, or give more time or a wider goal"
         )
-    return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
+    return max(kept, key=Objective.beside(over[0], search.rules, search.safety))
 
 
-def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
+def passive_safety_error(witness: Mapping[str, Any]) -> SynthesisInfeasible:
     """Build the error raised when passive safety is required but not proven."""
     return SynthesisInfeasible(
         f"passive safety is required, but not proven under S alone: if all thrust stops {in_words(witness)}.",

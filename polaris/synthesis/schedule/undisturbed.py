@@ -30,7 +30,7 @@ STRETCH = (8, 4, 2, 1)  # steps by which a window of an impossible flight is str
 Held = tuple[int, ...]  # mode whose law every step obeys, or `FREE`
 
 
-class Flights:
+class UndisturbedFlights:
     """Undisturbed flights from the middle of the initial set, and whether one keeps clear.
 
     Parameters
@@ -64,7 +64,7 @@ class Flights:
         self._found: list[tuple[Array, Array, Array, Array]] = []
         self.programs = 0
 
-    def fly(self, held: Held) -> tuple[Array, Array, Array]:
+    def propagate(self, held: Held) -> tuple[Array, Array, Array]:
         """States at the ends of some steps: centres (k, n), generators (k, n, N), sizes met on the way.
 
         Only as many as round-off is covered by `ROUNDING` of the sizes: an unstable law makes it grow.
@@ -115,7 +115,7 @@ class Flights:
         """Return True if it is proven that no flight keeps clear, as far as the steps are given."""
         self.programs += 1
         try:
-            flown = self.fly(held)
+            flown = self.propagate(held)
             if not all(part.size and np.all(np.isfinite(part)) for part in (flown[0], flown[2])):
                 return False
             asked = _Clear(self, *flown)
@@ -148,7 +148,7 @@ class Flights:
 class _Clear:
     """The facets beyond which a flight can be: rows ``a g >= need`` over the shares g of its generators."""
 
-    def __init__(self, flights: Flights, c: Array, G: Array, size: Array) -> None:
+    def __init__(self, flights: UndisturbedFlights, c: Array, G: Array, size: Array) -> None:
         reach = size @ np.abs(flights.system.position).T
         self.unit, self.programs, self.never = float(reach.max()), 0, False
         self.ways: list[tuple[Array, Array]] = []

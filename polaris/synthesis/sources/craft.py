@@ -5,7 +5,7 @@ from functools import reduce
 
 import numpy as np
 
-from ...certificate.assumptions import Premises
+from ...certificate.assumptions import Assumptions
 from ...model.craft import Craft
 from ..tracker.loop import Loop
 from .delay import Delay
@@ -35,7 +35,7 @@ late act once in a flight and extend none (`late_faults`)."""
 def sources(system: Craft, h: float) -> tuple[Source, ...]:
     """Return the sources that a system declares, its law renewed every h [s], in the order of `SOURCES`."""
     kinds: tuple[type[Source], ...] = SOURCES
-    return tuple(source for kind in kinds if (source := kind.of(system, h)) is not None)
+    return tuple(source for kind in kinds if (source := kind.from_system(system, h)) is not None)
 
 
 def craft_loop(system: Craft, h: float) -> Loop:
@@ -43,14 +43,14 @@ def craft_loop(system: Craft, h: float) -> Loop:
 
     Errors of navigation that depend on the step of the flight count with their least (`step_errors`).
     """
-    plain = Loop.of(system.A, system.B, h)
+    plain = Loop.from_plant(system.A, system.B, h)
     return reduce(lambda loop, source: source.extend(loop), sources(system, h), plain)
 
 
-def assumed(system: Craft, h: float) -> Premises:
+def assumed(system: Craft, h: float) -> Assumptions:
     """Return what is assumed of a system and of all its sources, its law renewed every h [s]."""
-    prompt, observer, each = system.prompt, system.observer, system.nozzles or system.on_time
-    return Premises(
+    prompt, observer, each = system.without_delay, system.observer, system.nozzles or system.on_time
+    return Assumptions(
         system.w_max,
         h,
         bias=system.bias.tolist(),

@@ -26,7 +26,7 @@ class Delay:
     seconds: float
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "Delay | None":
+    def from_system(cls, system: Craft, h: float) -> "Delay | None":
         """Return the delay where the loop remembers it."""
         return cls(system.timing.delay) if system.timing.delay > 0 and remembers(system) else None
 

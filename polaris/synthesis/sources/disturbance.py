@@ -17,7 +17,7 @@ class Disturbance:
     w_max: float
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "Disturbance":
+    def from_system(cls, system: Craft, h: float) -> "Disturbance":
         """Return the disturbance, which there always is."""
         return cls(system.D, system.w_max)
 
@@ -33,7 +33,7 @@ class Bias:
     rates: Array
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "Bias | None":
+    def from_system(cls, system: Craft, h: float) -> "Bias | None":
         """Return the bias of the disturbance, if one is declared."""
         return cls(system.biases) if system.biases.size else None
 

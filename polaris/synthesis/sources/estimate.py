@@ -26,19 +26,19 @@ class Estimate:
     unseen: Mapping[int, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "Estimate | None":
+    def from_system(cls, system: Craft, h: float) -> "Estimate | None":
         """Return the box of estimates as they are measured, or as a whole where the loop has no states."""
         timing, steps = system.timing, system.error_by_step
-        known = system if steps is None else system.known_to(np.min(steps, axis=0))
+        known = system if steps is None else system.with_estimate_error(np.min(steps, axis=0))
         if not remembers(system):
             least = known.estimate_off(np.zeros(known.m))
             if np.any(known.estimate_off(known.u_max) != least):
-                return cls(least, known.grown, known.unseen)
+                return cls(least, known.proportional_errors, known.unseen)
             return cls(least) if np.any(least) else None
         if system.observer is not None or not np.any(known.navigation):
             return None
         if timing.delay > 0:
-            return cls(system.measured + displaced(system, h))
+            return cls(system.measured + state_offset(system, h))
         return cls(np.maximum(known.navigation - system.carried_away, 0.0))
 
     def extend(self, loop: Loop) -> Loop:
@@ -56,9 +56,9 @@ class Estimate:
         return np.asarray(self.grown(u) @ added.T)
 
 
-def displaced(system: Craft, h: float) -> Array:
+def state_offset(system: Craft, h: float) -> Array:
     """Bounds on what jitter and pulses displace states by as they are measured, shape (n,)."""
-    return when_measured(system.timing, h, system.displaced_at_nodes - system.carried_away)
+    return when_measured(system.timing, h, system.state_offset_at_nodes - system.carried_away)
 
 
 def step_errors(system: Craft) -> Array:

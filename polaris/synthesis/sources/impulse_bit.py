@@ -22,7 +22,7 @@ class CarriedImpulse:
     along: float = 0.0
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "CarriedImpulse | None":
+    def from_system(cls, system: Craft, h: float) -> "CarriedImpulse | None":
         """Return the carried impulse where the loop remembers it."""
         carried = system.timing.carried
         return cls(carried, system.thrusters.along) if carried and remembers(system) else None
@@ -49,9 +49,9 @@ class ImpulseDrift:
     drift: Array
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "ImpulseDrift | None":
+    def from_system(cls, system: Craft, h: float) -> "ImpulseDrift | None":
         """Return the drift, carried impulses included where a box stands for the estimate."""
-        drift = system.shifting if remembers(system) else system.adrift
+        drift = system.shifting if remembers(system) else system.impulse_rates
         return cls(drift) if drift.size else None
 
     def extend(self, loop: Loop) -> Loop:

@@ -9,7 +9,7 @@ from reach.numerics.linear import discretize, growth, powers
 from ...model.craft import Array, Craft
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
-from ..tracker.channel import along
+from ..tracker.channel import row_integral
 from ..tracker.loop import Loop
 from .source import remembers
 
@@ -19,7 +19,7 @@ def touched(seconds: float, h: float) -> int:
     return ceil(seconds / h * (1 - WHOLE))
 
 
-def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
+def wrong_thrust(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     """Bound what wrong thrust adds to the loop state until S flies, whoever flies meanwhile, shape (J, N).
 
     One row for each kind of wrong thrust. Commands that are made without the thruster take effect as late as
@@ -37,9 +37,9 @@ def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     return np.asarray(added)
 
 
-def hidden(system: Craft, gain: Array, h: float) -> Array:
+def undetected(system: Craft, gain: Array, h: float) -> Array:
     """Bound what wrong thrust adds to the states by the time that predictions know of it, shape (n,)."""
-    loop, pushed = Loop.of(system.A, system.B, h), [h] * _late(system, h)
+    loop, pushed = Loop.from_plant(system.A, system.B, h), [h] * _late(system, h)
     faults = (fault for fault in system.transients if len(fault.thrust))
     added = (_added(system, fault, loop, pushed, gain)[-1].max(axis=0) for fault in faults)
     return np.asarray(np.max([np.zeros(system.n), *added], axis=0))
@@ -70,7 +70,9 @@ def _added(
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
     if steep is not None and fault.networks is not None:
         steep = np.maximum(steep, fault.networks)
-    rows = np.vstack([np.eye(N), loop.known]) @ powers(loop.under(np.zeros((loop.m, n))).unfed, len(pushed))
+    rows = np.vstack([np.eye(N), loop.known]) @ powers(
+        loop.close(np.zeros((loop.m, n))).open_transition, len(pushed)
+    )
     enter = {length: _entering(loop, rows, length, loop.B) for length in {h, *pushed}}
     held, over, within = np.abs(rows @ loop.held), growth(loop.A, h), _within(loop, loop.B)
     ahead = (
@@ -101,7 +103,7 @@ def _entering(loop: Loop, rows: Array, length: float, M: Array) -> Array:
     added, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
     for a, b, E in loop.enter:
         if b > begins:
-            added += along(rows @ E, loop.A, M, loop.h, (max(a, begins), b), False)
+            added += row_integral(rows @ E, loop.A, M, loop.h, (max(a, begins), b), False)
     return added
 
 

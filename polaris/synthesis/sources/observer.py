@@ -9,7 +9,7 @@ from ...model.craft import Craft
 from ...model.timing import Observer
 from ..tracker.channel import Channel
 from ..tracker.loop import Array, Loop
-from .estimate import displaced
+from .estimate import state_offset
 from .source import remembers
 
 MEASUREMENT = "measurement"  # name of the channel
@@ -24,13 +24,13 @@ class Filter:
     settled: Array | None = None
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "Filter | None":
+    def from_system(cls, system: Craft, h: float) -> "Filter | None":
         """Return the observer where the loop remembers it."""
         seen = system.observer
         if seen is None or not remembers(system):
             return None
         settled = system.measured if seen.settled is None else seen.settled
-        return cls(seen, displaced(system, h), settled + system.carried_away)  # it sees states with that
+        return cls(seen, state_offset(system, h), settled + system.carried_away)  # it sees states with that
 
     def extend(self, loop: Loop) -> Loop:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""

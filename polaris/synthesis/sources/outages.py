@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ...model.craft import Array, Craft
-from ...model.estimates.observer import Filtering
+from ...model.estimates.observer import ObserverErrors
 from ...model.estimates.prediction import prediction_error
 from ...model.timing import Transient
 from ...model.tolerances import ROUNDING
@@ -20,7 +20,7 @@ from .observer import MEASUREMENT
 
 
 @dataclass(frozen=True, eq=False)
-class Difference:
+class OutageDifference:
     """Difference of the loop states of two flights, after any number of periods up to some.
 
     Attributes
@@ -35,11 +35,11 @@ class Difference:
     start: list[Array]
 
     @classmethod
-    def within(cls, box: Array) -> "Difference":
+    def within(cls, box: Array) -> "OutageDifference":
         """Build a difference within a box, shape (N,)."""
         return cls([np.diag(box)], [np.zeros((len(box), 0))])
 
-    def along(self, rows: Array) -> Array:
+    def support(self, rows: Array) -> Array:
         """Return its support along rows (..., N), shape (...)."""
         total = largest = np.zeros(rows.shape[:-1])
         for added, start in zip(self.added, self.start, strict=True):
@@ -48,8 +48,8 @@ class Difference:
         return np.asarray(largest)
 
 
-def lost(
-    system: Craft, fault: Transient, h: float, left: Callable[[Array, list[Difference]], Array]
+def outage_errors(
+    system: Craft, fault: Transient, h: float, left: Callable[[Array, list[OutageDifference]], Array]
 ) -> Array:
     """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (n,).
 
@@ -57,12 +57,12 @@ def lost(
     remains (`Tracking.left`). Periods may be missed before and after.
     """
     timing, every = system.timing, np.eye(system.n)
-    measured = system.measured + system.displaced
+    measured = system.measured + system.state_offset
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     error = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
-    return np.asarray((error + left(every, [Difference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
+    return np.asarray((error + left(every, [OutageDifference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
 
 
 def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
@@ -74,7 +74,7 @@ def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
     observer, timing, (h, A) = system.observer, system.timing, (limits.closed.loop.h, system.A)
     assert observer is not None
     late, count, gains = timing.missed, limits.horizon, (observer.gain, *observer.after)
-    measured, error = system.measured + system.displaced, system.thrusters.error(system.u_max)
+    measured, error = system.measured + system.state_offset, system.thrusters.error(system.u_max)
     expected = [prediction_error(system, measured, error, h * (j + 1)) for j in range(late + 1)]
     seen = [np.abs(observer.measures) @ each for each in expected]
     pairs = list(zip(gains, seen, strict=True))
@@ -86,7 +86,7 @@ def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
     first = np.max([np.abs(step) @ apart for step in steps], axis=0)
     first = first + np.max([np.abs(L - gains[-1]) @ (y + observer.noise) for L, y in pairs], axis=0)
     settled = system.measured if observer.settled is None else observer.settled
-    left = Filtering(system, observer, h).fading(first * (1 + ROUNDING), settled)
+    left = ObserverErrors(system, observer, h).fading(first * (1 + ROUNDING), settled)
     left = np.maximum.accumulate(left[::-1])[::-1]
     ages = timing.delay + h * np.arange(late + 1)
     carried = np.max([np.abs(expm(A * age)) for age in ages.tolist()], axis=0)
@@ -96,12 +96,14 @@ def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
     off = known[np.minimum(np.arange(count), len(known) - 1)] @ carried.T * (1 + ROUNDING)
     every, channel = np.eye(system.n), Channel("outage", off[0], noise=np.eye(system.n))
     response = limits.response(channel, every, every)
-    reached = response.at(off)[: count + 1].max(axis=0)
+    reached = response.at_nodes(off)[: count + 1].max(axis=0)
     whole = np.linalg.solve(every - np.abs(limits.transitions[count]), reached)
     return np.asarray((whole + response.between @ off[0] + off[0]) * (1 + ROUNDING))
 
 
-def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Array, count: int) -> Difference:
+def unmade(
+    closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Array, count: int
+) -> OutageDifference:
     """Return the difference that up to so many updates in a row make which an observer does not make.
 
     The other flight has the same disturbances and errors, and measures meanwhile as exactly as what is
@@ -117,7 +119,7 @@ def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Arra
         if seen.name == MEASUREMENT and seen.constant is not None:
             inexact = closed.sampled(seen) * np.maximum(2 * seen.constant - seen.size, 0.0)
             once, other = np.hstack([once, inexact]), np.hstack([other, 0 * inexact])
-    first, second, difference = np.eye(closed.loop.N), np.eye(closed.loop.N), Difference([], [])
+    first, second, difference = np.eye(closed.loop.N), np.eye(closed.loop.N), OutageDifference([], [])
     for _ in range(count):
         difference.added.append((second @ other - first @ once) * (1 + ROUNDING))
         first, second = closed.F @ first, blind.F @ second

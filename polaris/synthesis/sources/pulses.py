@@ -19,7 +19,7 @@ class PulseLead:
     lead: Lead
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "PulseLead | None":
+    def from_system(cls, system: Craft, h: float) -> "PulseLead | None":
         """Return the lead of pulses that are not centred."""
         return None if system.timing.lead is None else cls(system.timing.lead)
 

@@ -10,7 +10,7 @@ class Source(Protocol):
     """One way in which a flight differs from its model."""
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> Self | None:
+    def from_system(cls, system: Craft, h: float) -> Self | None:
         """Return the source as a system declares it, its law renewed every h [s]; None where it does not."""
 
     def extend(self, loop: Loop) -> Loop:

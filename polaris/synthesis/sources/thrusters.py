@@ -19,7 +19,7 @@ class ThrusterErrors:
     errors: Thrusters
 
     @classmethod
-    def of(cls, system: Craft, h: float) -> "ThrusterErrors | None":
+    def from_system(cls, system: Craft, h: float) -> "ThrusterErrors | None":
         """Return the errors of thrusters, with what jitter and pulses add to each input."""
         return None if system.thrusters.exact else cls(system.thrusters)
 

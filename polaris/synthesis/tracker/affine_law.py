@@ -54,7 +54,7 @@ class AffineLaw:
     _levels: dict[tuple[bytes, ...], "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
         shape = (self.system.m, self.system.n)
         if np.shape(self.gain) != shape or not np.all(np.isfinite(self.gain)):
             raise ScenarioError(f"{self.name}.gain", np.shape(self.gain), f"must be finite, of shape {shape}")
@@ -73,7 +73,7 @@ class AffineLaw:
         loop = self.tracking.loop
         if self.off is not None and np.any(self.tracking.step_errors):
             loop = loop.with_channels(Channel("steps", self.off, noise=np.eye(self.system.n)))
-        return loop.under(self.gain)
+        return loop.close(self.gain)
 
     @cached_property
     def flow(self) -> LinearFlow:
@@ -248,7 +248,7 @@ def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, A
     loop, K = law.closed.loop, law.closed.K
     slope, offset, radius = clip_band(law, d, mu)
     known = loop.held @ (slope * mu + offset - mu)
-    phi = law.closed.unfed - loop.held @ (slope[:, None] * K)
+    phi = law.closed.open_transition - loop.held @ (slope[:, None] * K)
     push = loop.held * radius
     return phi, known, push[:, radius > 0], slope
 

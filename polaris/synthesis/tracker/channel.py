@@ -53,7 +53,7 @@ class Channel:
     constant: Array | None = None
 
 
-def along(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], ball: bool) -> Array:
+def row_integral(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], ball: bool) -> Array:
     """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period: (..., k), or (..., 1) for a ball.
 
     Column by column, or of all columns together for a ball. The trapezoid rule, and ``d^3/12`` times a bound

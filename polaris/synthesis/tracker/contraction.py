@@ -45,7 +45,7 @@ class Contraction:
     level: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "system", Craft.of(self.system))
+        object.__setattr__(self, "system", Craft.from_system(self.system))
 
     @cached_property
     def flow(self) -> LinearFlow:

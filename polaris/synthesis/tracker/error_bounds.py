@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reach.brief import brief
 from reach.numerics.linear import powers
+from reach.short_repr import short_repr
 
 from ...model.checks import one_of
 from ...model.errors import ScenarioError
@@ -15,7 +15,7 @@ from ...model.tolerances import ROUNDING
 from .tracking import Tracking
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ErrorBounds:
     """ISS bounds on the error ``e = x - xi`` (docs/theory.md, Lemma 1), w being all that disturbs it.

@@ -29,7 +29,7 @@ class Feedback:
 
     def flow(self, system: LinearSystem, gain: Array, delta: float, error: Array | float = 0.0) -> LinearFlow:
         """Error dynamics under ``u = mu + gain (xi - x)``, every input off by `error` at most."""
-        h, E = delta / self.nodes_per_cell, Craft.of(system).error_map(np.asarray(error))
+        h, E = delta / self.nodes_per_cell, Craft.from_system(system).error_map(np.asarray(error))
         return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h, E)
 
 

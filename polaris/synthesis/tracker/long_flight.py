@@ -33,7 +33,7 @@ class Storage:
     cost: float = 0.0
 
     @classmethod
-    def of(cls, P: Array) -> "Storage":
+    def from_matrix(cls, P: Array) -> "Storage":
         """Return a storage without a linear part."""
         return cls(P, np.zeros(len(P)))
 
@@ -70,7 +70,7 @@ class Inputs:
     matrix: bool = False
 
     @classmethod
-    def of(
+    def from_loop(
         cls,
         closed: ClosedLoop,
         craft: Craft,
@@ -243,7 +243,7 @@ class Inputs:
         for attempt in range(ATTEMPTS):
             scale, P = np.where(np.arange(len(b)) < self.held, LOOSER**attempt, 1.0), np.zeros_like(self.F)
             for _ in range(PERIODS):
-                earlier = self.before(Storage.of(P), r * LOOSER**attempt, b * scale)
+                earlier = self.before(Storage.from_matrix(P), r * LOOSER**attempt, b * scale)
                 if earlier is None:
                     break
                 grown = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + LEAST * earlier.P.max())

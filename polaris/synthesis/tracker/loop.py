@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 from reach.numerics.linear import discretize, growth
 
-from .channel import Channel, along, norms
+from .channel import Channel, norms, row_integral
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class Loop:
     settled: Array | None = None
 
     @classmethod
-    def of(cls, A: Array, B: Array, h: float) -> "Loop":
+    def from_plant(cls, A: Array, B: Array, h: float) -> "Loop":
         """Build the loop of a law that sees the exact state at once, without any channel."""
         (n, m), unit = B.shape, np.eye(len(A))
         free, held = discretize(A, B, h)
@@ -207,7 +207,7 @@ class Loop:
             shown_now += [shown] * (len(cuts) - 1)
         return replace(self, enter=tuple(enter), shown_now=tuple(shown_now))
 
-    def under(self, gain: Array) -> "ClosedLoop":
+    def close(self, gain: Array) -> "ClosedLoop":
         """Close the loop by a law with a gain, shape (m, n); without navigation it sees the true state."""
         offset = self.offset_measured
         if self.navigated is None and np.any(offset):
@@ -230,14 +230,14 @@ class ClosedLoop:
         return np.asarray(self.gain @ self.loop.known)
 
     @cached_property
-    def unfed(self) -> Array:
+    def open_transition(self) -> Array:
         """Transition without commands, of what is applied beside them too, shape (N, N)."""
         return np.asarray(self.loop.free + self.loop.made @ self.loop.applied)
 
     @cached_property
     def F(self) -> Array:
         """Transition from node to node, shape (N, N)."""
-        return np.asarray(self.unfed - self.loop.held @ self.K)
+        return np.asarray(self.open_transition - self.loop.held @ self.K)
 
     @cached_property
     def rates(self) -> Array:
@@ -279,10 +279,12 @@ class ClosedLoop:
             total = norms(rows @ self.sampled(channel), channel.ball)
         if channel.rate is not None:
             for a, b, E in self.loop.enter:
-                total = total + along(rows @ E, self.loop.A, channel.rate, self.loop.h, (a, b), channel.ball)
+                total = total + row_integral(
+                    rows @ E, self.loop.A, channel.rate, self.loop.h, (a, b), channel.ball
+                )
         return np.asarray(total)
 
-    def held(self, channel: Channel) -> Array:
+    def held_map(self, channel: Channel) -> Array:
         """Return what a unit of a constant value adds to the next loop state in a period, shape (N, k)."""
         moved = self.sampled(channel)
         if channel.rate is not None:

@@ -40,7 +40,7 @@ class LinearStep:
     inputs: tuple[Inputs, ...]
     middle: Array
 
-    def until(self, periods: int) -> "LinearStep":
+    def first_periods(self, periods: int) -> "LinearStep":
         """Return the first periods."""
         return LinearStep(self.inputs[:periods], self.middle[:periods])
 
@@ -69,7 +69,7 @@ def storage(steps: Sequence[LinearStep], weights: Sequence[Weights]) -> Iterator
 
     What is spent from the start of a step until the end is at most its cost, and ``z' P z / 2 + p z``.
     """
-    after: Storage | None = Storage.of(np.zeros_like(steps[-1].inputs[0].F))
+    after: Storage | None = Storage.from_matrix(np.zeros_like(steps[-1].inputs[0].F))
     for step, weight in zip(reversed(steps), reversed(weights), strict=True):
         for inputs, middle in zip(reversed(step.inputs), step.middle[::-1], strict=True):
             if after is not None:
@@ -139,7 +139,7 @@ class RelaxedFlight:
         """Return the weights of the flight that spends most: the sizes of what its values are worth."""
         spent, weights = -np.inf, list[Weights]()
         for _ in range(ASCENTS):
-            commands = self.fly()
+            commands = self.commands()
             sizes = [np.linalg.norm(u, axis=1) for u in commands]
             total = sum(float(p[1].spends @ size) for p, size in zip(self.periods, sizes, strict=True))
             weights = self._turn(commands, sizes)
@@ -148,7 +148,7 @@ class RelaxedFlight:
             spent = total
         return weights
 
-    def fly(self) -> list[Array]:
+    def commands(self) -> list[Array]:
         """Return the commands (m, VECTOR) of every period [N]."""
         z, commands = self.G @ self.first, []
         for (_, inputs, middle), v in zip(self.periods, self.values, strict=True):

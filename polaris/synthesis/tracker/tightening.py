@@ -99,7 +99,7 @@ class Tightening:
             return channel.size
         return np.asarray(channel.size + channel.share(np.minimum(bound, self.u_max)))
 
-    def known(self, channel: Channel, bound: Array) -> Array:
+    def remembered_bound(self, channel: Channel, bound: Array) -> Array:
         """Shift a bound on commands since a hand-over (L, m), which falls, by what a channel remembers.
 
         Before the hand-over commands are within `u_max` alone.
@@ -133,12 +133,12 @@ class Tightening:
             if constant is None:
                 constant = np.zeros(1)
             else:  # the largest so far, so that needs do not fall
-                response = np.abs(np.cumsum(carried[:-1] @ self.closed.held(channel), axis=0))
+                response = np.abs(np.cumsum(carried[:-1] @ self.closed.held_map(channel), axis=0))
                 sums[1:] += np.maximum.accumulate(response @ constant, axis=0)
             if channel.share is None or bound is None or np.ndim(bound) == 1:
                 sums[1:] += np.cumsum(gains @ (self.largest(channel, bound) - constant), axis=0)
             else:
-                sizes = self.sizes(channel, self.known(channel, bound)[:count]) - constant
+                sizes = self.sizes(channel, self.remembered_bound(channel, bound)[:count]) - constant
                 sums += summed(gains, sizes)
         return np.vstack([sums, sums[-1] + np.abs(carried[-2]) @ self.reached(bound)]) * (1 + ROUNDING)
 
@@ -179,7 +179,7 @@ class Tightening:
         parts = [self.closed.noise(channel) @ self.largest(channel, bound) for channel in channels]
         return np.asarray(np.sum([np.zeros(self.closed.loop.m), *parts], axis=0))
 
-    def settled(self, rounds: int = 500) -> Array:
+    def settled_bound(self, rounds: int = 500) -> Array:
         """Bound on the commands long after a hand-over, shape (m,): ``P >= tightening of K under P + noise``.
 
         Raises
@@ -254,7 +254,7 @@ class Response:
     older: Array
     between: Array
 
-    def at(self, sizes: Array) -> Array:
+    def at_nodes(self, sizes: Array) -> Array:
         """Return what sizes (count, k), period by period from rest, add at every node, (count + 1, r)."""
         added, N = summed(self.gains, sizes), len(self.gains) - 1
         added[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)

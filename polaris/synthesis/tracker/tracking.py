@@ -7,27 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from reach.brief import brief
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.sets.zonotope import Zonotope
+from reach.short_repr import short_repr
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
-from ..sources.late_faults import moved, touched
-from ..sources.outages import Difference, lost, unlearned, unmade
+from ..sources.late_faults import touched, wrong_thrust
+from ..sources.outages import OutageDifference, outage_errors, unlearned, unmade
 from ..sources.source import remembers
 from .channel import Channel
 from .contraction import Contraction
+from .feedback_bound import feedback_bound
 from .loop import Loop
-from .profile import profile
 from .tightening import Response, Tightening
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Tracking(Contraction):
     """The tracker, and everything about its error that later stages need.
@@ -44,11 +44,11 @@ class Tracking(Contraction):
     def tightening(self) -> Tightening:
         """Bounds on the loop under S."""
         scale = np.resize(np.linalg.norm(self.W_inverse, axis=1), self.loop.N)
-        return Tightening(self.loop.under(self.gain), self.system.u_max, scale)
+        return Tightening(self.loop.close(self.gain), self.system.u_max, scale)
 
     @cached_property
     def tables(self) -> dict[Any, Any]:
-        """Tables of rows carried back through the loop, by what they are of (`CarriedRows.of`)."""
+        """Tables of rows carried back through the loop, by what they are of (`CarriedRows.from_tracking`)."""
         return {}
 
     @property
@@ -65,7 +65,7 @@ class Tracking(Contraction):
         """Bound estimate errors that no loop state holds, under commands within a bound (m,), shape (n,)."""
         system = self.system
         limits = self.tightening
-        total = self.step_errors.max(axis=0) + system.displaced_at_nodes
+        total = self.step_errors.max(axis=0) + system.state_offset_at_nodes
         for each in limits.closed.loop.channels:
             if each.noise is not None:
                 total = total + np.abs(each.noise) @ limits.largest(each, most)
@@ -79,7 +79,7 @@ class Tracking(Contraction):
     def true_error(self, sets: Zonotope) -> Zonotope:
         """Return errors of true states, without impulses that are carried, from sets of the loop state."""
         errors = self.error(sets)
-        return errors.inflate(self.displaced) if np.any(self.displaced) else errors
+        return errors.inflate(self.state_offset) if np.any(self.state_offset) else errors
 
     @cached_property
     def noise(self) -> Array:
@@ -114,7 +114,7 @@ class Tracking(Contraction):
         return bounds
 
     @property
-    def displaced(self) -> Array:
+    def state_offset(self) -> Array:
         """Largest distance of a true state from that of the loop, shape (n,).
 
         Sets of errors of true states leave out impulses that are carried; the loop holds them.
@@ -128,7 +128,7 @@ class Tracking(Contraction):
     def left_out(self) -> Array:
         """Largest distance at nodes of a true state from the one that sets of the loop hold, shape (n,)."""
         states = self.system.carried_away if remembers(self.system) else 0.0
-        return np.asarray(self.system.displaced_at_nodes - states + self.loop.offset_at_nodes)
+        return np.asarray(self.system.state_offset_at_nodes - states + self.loop.offset_at_nodes)
 
     def whole_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:
         """Return sets of the loop state that hold sets of the tracking error, all else within bounds.
@@ -144,7 +144,7 @@ class Tracking(Contraction):
         n, N = self.system.n, self.loop.N
         if sets.dim == N:
             return sets
-        known = (self.displaced, self.remembered) if others is None else (0 * self.displaced, others)
+        known = (self.state_offset, self.remembered) if others is None else (0 * self.state_offset, others)
         box = np.concatenate(known)
         batch, g = sets.batch, sets.G.shape[-1]
         c, G = np.zeros((*batch, N)), np.zeros((*batch, N, g + N))
@@ -154,10 +154,10 @@ class Tracking(Contraction):
     @property
     def varies(self) -> bool:
         """Return True if some errors of inputs count by the time of the flight, not since a hand-over."""
-        return self.profile is not None or bool(np.any(self.step_errors))
+        return self.feedback_bound is not None or bool(np.any(self.step_errors))
 
     @cached_property
-    def profile(self) -> Array | None:
+    def feedback_bound(self) -> Array | None:
         """Bound on what S's feedback commands after a hand-over, period by period, shape (memory + 2, m).
 
         None where errors of thrusters do not depend on it, or are booked for more.
@@ -171,28 +171,32 @@ class Tracking(Contraction):
         left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
         handed = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
-        return profile(
+        return feedback_bound(
             norms, self.level * u_max, left, u_max, lambda P: self._needs(rows, P) + handed + self.noise
         )
 
     @property
-    def most(self) -> Array:
+    def max_feedback(self) -> Array:
         """Return the largest command of S's feedback, shape (m,)."""
-        return self.system.u_max if self.profile is None else self.profile[0]
+        return self.system.u_max if self.feedback_bound is None else self.feedback_bound[0]
 
     @cached_property
-    def upsets(self) -> list[Difference]:
+    def transients(self) -> list[OutageDifference]:
         """Differences of loop states, one for each kind of late fault, that it makes until S knows of it."""
-        system, h, differences = self.system, self.flow.h, list[Difference]()
+        system, h, differences = self.system, self.flow.h, list[OutageDifference]()
         try:
             with np.errstate(over="raise", invalid="raise"):
                 for fault in system.transients:
                     if len(fault.thrust):
-                        differences += map(Difference.within, moved(system, fault, self.gain, self.loop))
+                        differences += map(
+                            OutageDifference.within, wrong_thrust(system, fault, self.gain, self.loop)
+                        )
                     elif system.observer is None:
-                        differences.append(Difference.within(lost(system, fault, h, self.left)))
+                        differences.append(
+                            OutageDifference.within(outage_errors(system, fault, h, self.difference_need))
+                        )
                     elif self.loop.settled is None:
-                        differences.append(Difference.within(unlearned(system, fault, self.tightening)))
+                        differences.append(OutageDifference.within(unlearned(system, fault, self.tightening)))
                     else:
                         differences.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:
@@ -200,33 +204,33 @@ class Tracking(Contraction):
             raise ScenarioError("faults", faults, "must be isolated sooner to be bounded") from error
         return differences
 
-    def _unmade(self, count: int) -> Difference:
+    def _unmade(self, count: int) -> OutageDifference:
         """Return the difference that up to so many updates in a row make which the observer does not make."""
         system, seen = self.system, self.system.observer
         assert seen is not None
         blind = craft_loop(replace(system, observer=replace(seen, gain=0 * seen.gain)), self.flow.h)
-        return unmade(self.tightening.closed, blind.under(self.gain), system.u_max, self.remembered, count)
+        return unmade(self.tightening.closed, blind.close(self.gain), system.u_max, self.remembered, count)
 
-    def left(self, rows: Array, sets: Sequence[Difference]) -> Array:
+    def difference_need(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
         """Return what differences of loop states need along rows up to l periods later.
 
         Shape (memory + 3, r, sets), by age and ever after, what lies between nodes included.
         """
         limits, plant = self.tightening, rows[:, : self.system.n]
-        norms = [np.max(each.along(np.eye(self.loop.N)) / limits.v) for each in sets]
+        norms = [np.max(each.support(np.eye(self.loop.N)) / limits.v) for each in sets]
 
         def reach(rows: Array) -> Array:
-            each, ever = [some.along(limits.carried(rows)) for some in sets], limits.remainder(rows)
+            each, ever = [some.support(limits.carried(rows)) for some in sets], limits.remainder(rows)
             return np.concatenate([np.stack(each, axis=-1), np.multiply.outer(ever, norms)[None]])
 
         between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
         return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
 
-    def upset(self, rows: Array) -> Array:
+    def transient_need(self, rows: Array) -> Array:
         """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
-        if not self.upsets:
+        if not self.transients:
             return np.zeros((self.memory + 3, len(rows)))
-        return np.asarray(self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING))
+        return np.asarray(self.difference_need(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
@@ -261,17 +265,21 @@ class Tracking(Contraction):
         """
         return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(profile)))
 
-    def settled(self, rows: Array) -> Array:
+    def settled_need(self, rows: Array) -> Array:
         """Return what rows need for ever once S has commanded no more than the end of its profile, (r,)."""
         rows, limits = self.whole(rows), self.tightening
-        last = self._since(self.profile)[-1]
-        older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(self._since(self.profile))
-        handed = limits.remainder(rows) * np.max(np.concatenate([self.displaced, self.remembered]) / limits.v)
+        last = self._since(self.feedback_bound)[-1]
+        older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(
+            self._since(self.feedback_bound)
+        )
+        handed = limits.remainder(rows) * np.max(
+            np.concatenate([self.state_offset, self.remembered]) / limits.v
+        )
         return np.asarray(limits.from_rest(rows, last)[-2] + older + handed)
 
     @property
     def long(self) -> int:
-        """Periods after a hand-over from which on `settled` bounds what disturbs."""
+        """Periods after a hand-over from which on `settled_need` bounds what disturbs."""
         return self.memory + self.tightening.horizon + 2 + self.lag
 
     @property
@@ -308,7 +316,7 @@ class Tracking(Contraction):
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
         without the `noise` of their own period.
         """
-        return self._needs(rows, self.profile, failing)
+        return self._needs(rows, self.feedback_bound, failing)
 
     def _needs(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
         """Bound what rows need under commands within a profile, see `disturbance`."""
@@ -316,7 +324,7 @@ class Tracking(Contraction):
         needs = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
         if failing and self.system.transients:
             ages = np.minimum(np.arange(len(needs)) + 2, len(needs) - 1)
-            needs = needs + self.upset(rows)[ages]
+            needs = needs + self.transient_need(rows)[ages]
         return needs
 
     def response(self, channel: Channel, rows: Array) -> Response:

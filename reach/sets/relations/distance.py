@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...brief import brief
 from ...numerics.checks import Array
+from ...short_repr import short_repr
 from ..convex import ConvexSet
 
 STEPS = 300
@@ -17,7 +17,7 @@ CLOSE = 1e-9
 """Distance, in sizes of the sets, that is as good as none, and relative gap at which the search ends."""
 
 
-@brief
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Answer:
     """Answer to a question about two sets; true in an ``if`` only when proved.

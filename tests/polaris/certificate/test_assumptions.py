@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from polaris.certificate.assumptions import Premises
+from polaris.certificate.assumptions import Assumptions
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.show.schedule import show_summary
@@ -77,7 +77,7 @@ def test_screen_and_report_say_all_of_them(capsys):
     scenario, schedule = scene("tiny")
     result = {
         "title": scenario.title,
-        **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {"total": 1.0}),
+        **SCHEDULE.to_summary(scenario, FlownSchedule(schedule, flown()), {"total": 1.0}),
     }
     show_summary(result, "folder")
     screen, page = capsys.readouterr().out, told_in_report(result["guarantee"])
@@ -106,10 +106,10 @@ def test_satellites_that_are_none_need_no_assumption():
     data = certificate(schedule, scenario.name)
     safety = schedule.safety
     end = {"horizon": "one_period", "until": safety.end.until}
-    premises = Premises(
+    premises = Assumptions(
         0.02, schedule.safety.tracking.flow.h, satellites=True, position=safety.problem.system.C, **end
     )
-    data["assumptions"] = premises.told()
+    data["assumptions"] = premises.sentences()
     data["digest"] = digest(data)
     rejected_beside(scenario, data)
 
@@ -124,5 +124,5 @@ def rejected_beside(scenario, data):
 
 
 def test_nothing_is_said_of_time_after_t_where_nothing_is_claimed():
-    assert Premises(0.0, 1.0).told()[-1] == "fuel: enough for every command up to T"
-    assert "until 5 s" in Premises(0.0, 1.0, horizon="one_period", until=5.0).told()[-1]
+    assert Assumptions(0.0, 1.0).sentences()[-1] == "fuel: enough for every command up to T"
+    assert "until 5 s" in Assumptions(0.0, 1.0, horizon="one_period", until=5.0).sentences()[-1]

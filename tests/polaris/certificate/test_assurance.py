@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polaris.certificate.assumptions import Premises
+from polaris.certificate.assumptions import Assumptions
 from polaris.report.clauses import CLAUSES, addresses
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -43,9 +43,9 @@ def test_the_assumptions_are_those_that_runs_carry():
     known |= {"thrusters": (0.0824742, 0.0377778, 0.0, 0.0), "pulses": [0.2] * 3, "allocated": True}
     known |= {"position": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, -2.0]]}
     late = [("loss", 4.0), ("navigation_lost", 10.0)]
-    words = Premises(
+    words = Assumptions(
         1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0, late=late, **known
-    ).told()
+    ).sentences()
     assert re.findall(r"^- (.+)$", listed, re.M) == list(words)
 
 

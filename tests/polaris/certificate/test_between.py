@@ -8,7 +8,7 @@ pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify
 from polaris.certificate.claims.arrival import Arrival
-from polaris.certificate.claims.powered import Along
+from polaris.certificate.claims.powered import BranchMotion
 from polaris.certificate.claims.recovery import TOLD_SLACK
 from tests.polaris.corruptions import hexed
 from tests.polaris.forging import COARSE, Forger, Lie, make
@@ -32,7 +32,7 @@ def forger(tmp_path_factory):
 def derived(forger):
     """Figures that the checker derives of the honest run, by name; lists over steps for aborts."""
     known = {"before": [], "abort": [], "off": []}
-    no_less, affords, distance = Arrival.no_less, Along.affords, Along.distance
+    no_less, affords, distance = Arrival.require_bound, BranchMotion.affords, BranchMotion.distance
 
     def told(self, what, claimed, value):
         known[what] = float(value.upper())
@@ -50,8 +50,8 @@ def derived(forger):
 
     with (
         patch.object(Arrival, "no_less", told),
-        patch.object(Along, "affords", spent),
-        patch.object(Along, "distance", off),
+        patch.object(BranchMotion, "affords", spent),
+        patch.object(BranchMotion, "distance", off),
     ):
         verdict = verify(forger.run)
     assert verdict.outcome == "VERIFIED", verdict.text()

@@ -24,12 +24,12 @@ from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
 from polaris.certificate.claims.drift import Departures, Drifts
-from polaris.certificate.claims.flights import fly
-from polaris.certificate.claims.mean_commands import MeanCommands
+from polaris.certificate.claims.flights import enclose_step
+from polaris.certificate.claims.mean_spending import MeanCommands
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.claims.storage import together
 from polaris.certificate.files.document import Document, digest
-from polaris.certificate.files.parts import Departure
+from polaris.certificate.files.entries import Departure
 from polaris.certificate.kernel.arcs import Arc
 from polaris.certificate.kernel.balls import (
     PRECISION,
@@ -47,7 +47,7 @@ from polaris.certificate.kernel.balls import (
     sums,
     widths,
 )
-from polaris.certificate.kernel.motion import Along, Plant, Push
+from polaris.certificate.kernel.motion import InputSet, Plant, RowIntersample
 from polaris.certificate.kernel.periods import Period, Spell
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import (
@@ -58,9 +58,9 @@ from polaris.certificate.kernel.zonotopes import (
     inner_radius,
     widest,
 )
-from polaris.certificate.model.craft.memory import Memory
-from polaris.certificate.model.craft.needs import Bows, Needs
-from polaris.certificate.model.limits import Limits, Target
+from polaris.certificate.model.craft.settling import Settling
+from polaris.certificate.model.craft.tightening import SetIntersample, Tightening
+from polaris.certificate.model.limits import Limits, NodeLimit
 from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
@@ -131,10 +131,10 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     schedule, argument = scene(name)
     path = argument.reference()
     sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
-    memory = Memory.of(argument.craft, widest(sets), argument.document.q)
-    needs = Needs(argument.craft, memory, argument.gain)
+    memory = Settling.for_craft(argument.craft, widest(sets), argument.document.q)
+    needs = Tightening(argument.craft, memory, argument.gain)
     disturbed = needs.disturbed
-    bows, gain = Bows(needs, sets[0]), values(argument.gain)
+    bows, gain = SetIntersample(needs, sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
     reached = (runs.states[:, :-1] - reference) @ gain.T
@@ -163,7 +163,7 @@ def test_gains_along_rows_are_upper_bounds_and_tight():
     exact = 0.5 * trapezoid([abs(row @ expm(X * s) @ [0, 1]) for s in fine], fine)
     bound = float(motion.push_gain(matrix([row.tolist()]), plant.disturbance)[0])
     assert exact * (1 - 1e-6) <= bound <= exact * 1.05
-    held = float(motion.push_gain(matrix([row.tolist()]), Push.in_box(B, [arb(0.5)]))[0])
+    held = float(motion.push_gain(matrix([row.tolist()]), InputSet.in_box(B, [arb(0.5)]))[0])
     assert exact * (1 - 1e-6) <= held <= exact * 1.05
 
 
@@ -178,7 +178,7 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend():
         X = values(motion.A)
         rates = 0.5 * np.abs([row @ expm(X * s) @ B[:, 0] for s in fine])
         done = cumulative_trapezoid(rates, fine, initial=0)
-        for push in (plant.disturbance, Push.in_box(BB, [arb(0.5)])):
+        for push in (plant.disturbance, InputSet.in_box(BB, [arb(0.5)])):
             bend, gain = motion.push_bend(R, push), motion.push_gain(R, push)
             bound = fine / 0.4 * float(gain[0]) + float(bend[0])
             assert np.all(done <= bound * (1 + 1e-6))
@@ -228,7 +228,7 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow():
     K, rows = rng.normal(size=(2, 4)), rng.normal(size=(5, 4))
     closed = matrix((A - B @ K).tolist())
     start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
-    along, rate = Along(plant.open, matrix(rows.tolist())), start.image(closed)
+    along, rate = RowIntersample(plant.open, matrix(rows.tolist())), start.image(closed)
     boxed, bound = (np.array([float(x) for x in bow(rate)]) for bow in (along.bow, along.closer_bow))
     assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
@@ -251,8 +251,8 @@ def test_what_a_set_needs_between_nodes_is_covered():
     rows = np.vstack([np.eye(2), -np.eye(2), K, -K])
     start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
     loop = loop_of_errors(plant, matrix(K.tolist()))
-    needs = Needs(loop, Memory.of(loop, start.size(), 1), matrix(rows.tolist()))
-    bows = Bows(needs, start)
+    needs = Tightening(loop, Settling.for_craft(loop, start.size(), 1), matrix(rows.tolist()))
+    bows = SetIntersample(needs, start)
     parts = [(start.support(needs.carried[lag]), bows.next_to(lag)) for lag in range(13)]
     tube = np.array([[float(x) for x in sums(*each)] for each in parts])
     c, G, beyond, tight = values(start.c)[:, 0], values(start.G), 0.0, 0.0
@@ -294,17 +294,17 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
         return loop_of_errors(plant, matrix([[0, 0]]))
 
     with pytest.raises(Imprecise, match="precision is lost"):
-        Memory.of(swinging(), column([1, 1]), 4)
+        Settling.for_craft(swinging(), column([1, 1]), 4)
     flint.ctx.prec = 2048
-    assert 3000 < Memory.of(swinging(), column([1, 1]), 4).periods < 4000
+    assert 3000 < Settling.for_craft(swinging(), column([1, 1]), 4).periods < 4000
     flint.ctx.prec = PRECISION
 
     def of(motion, extent, multiple, *more):
         if flint.ctx.prec <= 2 * PRECISION:
             raise Imprecise("recoverable", "too few bits")
-        return Memory.of(motion, extent, multiple, *more)
+        return Settling.for_craft(motion, extent, multiple, *more)
 
-    monkeypatch.setattr("polaris.certificate.claims.continuation.Memory", SimpleNamespace(of=of))
+    monkeypatch.setattr("polaris.certificate.claims.continuation.Settling", SimpleNamespace(for_craft=of))
     verdict = verify_document(certificate(scene("clipped")[0], "tiny"))
     assert verdict.outcome == "VERIFIED" and bits(verdict) > 2 * PRECISION, verdict.text()
     assert len({claim for claim, _ in verdict.checked}) == len(verdict.checked), "nothing is told twice"
@@ -358,7 +358,7 @@ def test_a_set_that_grew_reaches_as_far_as_one_that_is_made_whole():
     start = Zonotope(column([1.0, 2.0, 3.0]), G)
     rows = Directions(M)
     start.through(rows)  # what is known of the part serves the whole
-    grown, whole = start.grown(more), Zonotope(start.c, beside(G, more))
+    grown, whole = start.plus(more), Zonotope(start.c, beside(G, more))
     for z, other in (
         (grown, whole),
         (grown.through(rows), whole.through(rows)),
@@ -389,12 +389,12 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
         carried=[row] * 3,
         boxed=lambda size, lag: size.entries(),
         memory=SimpleNamespace(periods=2),
-        still=lambda size: [arb(0)],
+        need_after_settling=lambda size: [arb(0)],
     )
     path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
-    limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
+    limits = Limits(row, [[[NodeLimit(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
     recovery = Recovery(SimpleNamespace(), limits, needs)
-    (target,) = limits.at(0, first=True)
+    (target,) = limits.at_node(0, first=True)
     recovery._leaves(0.5, target, arb(0), "the start")
     with pytest.raises(Rejected) as error:
         recovery._leaves(0.6, target, arb(0), "the start")
@@ -409,7 +409,7 @@ def test_a_period_counts_every_push_at_its_end_and_on_the_way(steady):
     zero, pushes = arb_mat(2, 1), [*plant.push([arb(e / 4)]), *plant.push([arb(3 * e / 4)])]
     own = [] if steady else pushes
     period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [], own[:1], own[1:], [])
-    along = Along(plant.open, one, [plant.disturbance, *(pushes if steady else [])])
+    along = RowIntersample(plant.open, one, [plant.disturbance, *(pushes if steady else [])])
     first, last = period.extra(along, Zonotope(zero, arb_mat(2, 0)))
     for t in np.linspace(0, h, 11):
         for moved, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
@@ -420,7 +420,7 @@ def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
     """Of a craft at rest the parallelotope of departures must hold the displacement alone."""
     zero, one = arb_mat(2, 1), identity(2)
     plant = Plant(matrix([[0.0, 1], [0, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(0.5))
-    base, rest = Arc.of(plant, zero, arb_mat(1, 1)), Zonotope(zero, arb_mat(2, 0))
+    base, rest = Arc.from_state(plant, zero, arb_mat(1, 1)), Zonotope(zero, arb_mat(2, 0))
     group = Departure(1, [0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]], [])
     for displaced, inside in (([0.9, 0.0], True), ([1.1, 0.0], False), ([0.0, 1.1], False)):
         departures = Departures(plant, 0, [group], displaced)
@@ -449,7 +449,7 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
 def test_a_gain_that_bends_upwards_is_more_than_its_trapezoid():
     one = identity(2)
     plant = Plant(matrix([[0.0, 1], [-1, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(1))
-    (gain,) = plant.open.push_gain(matrix([[0.0, 1]]), Push.in_box(plant.B, [arb(1)]))
+    (gain,) = plant.open.push_gain(matrix([[0.0, 1]]), InputSet.in_box(plant.B, [arb(1)]))
     assert math.sin(1) <= float(gain) <= 1.1 * math.sin(1)
 
 
@@ -545,9 +545,9 @@ def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_i
     k = argument.document.modes.index(1)
     pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
     spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
-    fly(pilot, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
+    enclose_step(pilot, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
     base, d, bow = seen[0]
-    own = pilot.period(d, base, k, 0)[0].extra(pilot.craft.along(pilot.craft.unit)[0], d)
+    own = pilot.period(d, base, k, 0)[0].extra(pilot.craft.intersample(pilot.craft.unit)[0], d)
     below = [each[0] for each in base.bows(identity(4))]
     assert len(seen) == argument.document.q and any(x > 0 for x in below)
     least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]

@@ -12,7 +12,7 @@ pytest.importorskip("flint")
 from polaris.certificate.checker import verify
 from polaris.certificate.files.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
 from polaris.certificate.files.scenario_keys import SCENARIO
-from polaris.certificate.files.structure import Items, Kinds
+from polaris.certificate.files.structure import Items, OneOf
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.figures import draw_run
@@ -293,11 +293,11 @@ def paths(shape, at=()):
         case dict():
             for key, item in shape.items():
                 yield from paths(item, (*at, key.removesuffix("?")))
-        case Kinds(tables):
+        case OneOf(tables):
             yield ".".join((*at, "kind"))
             for table in tables.values():
                 yield from paths(table, at)
-        case Items(item) if isinstance(item, (dict, Kinds)):
+        case Items(item) if isinstance(item, (dict, OneOf)):
             yield from paths(item, at)
         case _:
             yield ".".join(at)

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from polaris.certificate.checker import verify
 from polaris.certificate.claims.argument import Argument
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.model.plants import precision_for
@@ -22,8 +22,8 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.safety.corrections import Corrections
 from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.abort_branch import AbortBranch
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.schedule.takeover import Branch
 from reach.sets.zonotope import Zonotope
 from tests.polaris.synthesis.schedule.test_powered_abort import NOISE, OWN, proven
 from tests.polaris.synthesis.sources.test_transients import LATE, SOFT
@@ -93,13 +93,13 @@ def test_a_loop_that_is_driven_to_its_worst_spends_no_more(tracking, seed):
     corrections, count = Corrections(tracking), int(rng.integers(20, 120))
     start = Zonotope(rng.normal(size=4) * 0.01, rng.normal(size=(4, 7)) * 0.02)
     inputs = np.repeat(rng.uniform(-0.2, 0.2, (-(-count // 4), 2)), 4, axis=0)[:count]
-    kick = np.abs(tracking.upsets[seed % 2].added[0]).sum(axis=1)
+    kick = np.abs(tracking.transients[seed % 2].added[0]).sum(axis=1)
     stack = Zonotope(start.c[None], start.G[None])
     parts = {
         "mean": (count * corrections.mean, 0 * inputs, Zonotope.point(start.c * 0), 0 * kick),
         "once": (corrections.once(stack, count), 0 * inputs, start, 0 * kick),
         "planned": (corrections.planned(inputs), inputs, Zonotope.point(start.c * 0), 0 * kick),
-        "late": (corrections.late(count), 0 * inputs, Zonotope.point(start.c * 0), kick),
+        "late": (corrections.late_fault_thrust(count), 0 * inputs, Zonotope.point(start.c * 0), kick),
     }
     whole = sum(part[0] for part in parts.values())
     for name, (bound, path, from_set, kicked) in parts.items():
@@ -117,7 +117,7 @@ def test_the_checker_derives_it_and_refuses_less(monkeypatch):
     schedule = synthesize(scenario)
     ways = schedule.powered.ways
     with monkeypatch.context() as without:
-        without.setattr(Branch, "_together", lambda self, taken, end: np.inf)
+        without.setattr(AbortBranch, "_together", lambda self, taken, end: np.inf)
         before = synthesize(scenario).powered.ways
     shares = [
         a.delta_v / b.delta_v if a.branch is not None else np.nan for a, b in zip(ways, before, strict=True)
@@ -131,7 +131,7 @@ def test_the_checker_derives_it_and_refuses_less(monkeypatch):
         aborts = [way.delta_v if way.branch is not None else None for way in ways]
         aborts[k] *= share
         with flint.ctx.workprec(precision_for(document)):
-            Argument(document, Record(), Stated(aborts=aborts)).run()
+            Argument(document, Record(), FileClaims(aborts=aborts)).run()
 
     argued(1.0)
     with pytest.raises(Rejected, match=f"abort in step {k}: .*claimed"):

@@ -13,13 +13,13 @@ pytest.importorskip("flint")
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.artefacts import SUMMARY
 from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.entries import UnsafeSet
 from polaris.certificate.files.inputs import _check_initial_set
-from polaris.certificate.files.parts import UnsafeSet
 from polaris.certificate.files.repeated import _check_reason
 from polaris.certificate.files.structure import number, strict_json
 from polaris.certificate.kernel.verdict import EXIT_CODES, Rejected
-from polaris.certificate.model.own import check_goal
 from polaris.certificate.model.perception import _check_obstacle, _row_support
+from polaris.certificate.model.references import check_goal
 from tests.polaris.forging import CERTIFICATE, Forger, Lie, make
 
 SCENARIO = "scenario.toml"
@@ -75,7 +75,7 @@ def test_the_words_for_no_claim_after_the_end_are_those_of_a_limit(lie, reason, 
 @pytest.mark.parametrize(("eta", "how"), [(None, "on a closed orbit"), (1e-3, "at rest")])
 def test_the_words_for_how_the_reference_ends_fit_the_system(eta, how):
     reason = f"the reference ends {how}, and all unsafe sets are static"
-    document = SimpleNamespace(horizon="infinite", until=None, unsafe=[], mean_motion=eta)
+    document = SimpleNamespace(horizon="infinite", claim_end=None, unsafe=[], mean_motion=eta)
     with pytest.raises(Rejected, match="how in the reason"):
         _check_reason(document, reason)
 

@@ -15,15 +15,15 @@ from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.arrival import Arrival
 from polaris.certificate.claims.continuation import Continuation, HandOver
 from polaris.certificate.claims.recovery import Recovery
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.kernel.balls import column, identity, matrix
 from polaris.certificate.kernel.motion import Plant
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
-from polaris.certificate.model.craft.memory import Memory
-from polaris.certificate.model.craft.needs import Bows, Needs
-from polaris.certificate.model.limits import Limits, Target
-from polaris.certificate.model.transients import upset
+from polaris.certificate.model.craft.settling import Settling
+from polaris.certificate.model.craft.tightening import SetIntersample, Tightening
+from polaris.certificate.model.limits import Limits, NodeLimit
+from polaris.certificate.model.transients import transient_need
 from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
@@ -34,12 +34,12 @@ def recovery(bad=None):
     one = matrix([[1.0]])
     plant = Plant(one, one, one, one, [arb(10)], arb(0.01), arb(H))
     loop = loop_of_errors(plant, matrix([[GAIN]]))
-    memory = Memory.of(loop, column([arb(1)]), Q)
-    wide, none = Target(0, arb(100), "wall", arb(100)), Target(0, arb(-1), "wall", arb(100))
+    memory = Settling.for_craft(loop, column([arb(1)]), Q)
+    wide, none = NodeLimit(0, arb(100), "wall", arb(100)), NodeLimit(0, arb(-1), "wall", arb(100))
     targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]
     limits = Limits(identity(1), targets)
     document = SimpleNamespace(q=Q, steps=CELLS - 2, delta=1.0, horizon="one_period", cells=CELLS)
-    return Recovery(document, limits, Needs(loop, memory, identity(1)))
+    return Recovery(document, limits, Tightening(loop, memory, identity(1)))
 
 
 def check(found, step, after=0):
@@ -88,7 +88,7 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
 def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
     limits, start = recovery(), Zonotope(column([arb(0)]), identity(1))
     room = limits.needs.disturbed[-1][0] * 1.2 + 1e-3
-    limits.limits.targets[CELLS - 3][1] = [Target(0, room, "wall", room)]
+    limits.limits.targets[CELLS - 3][1] = [NodeLimit(0, room, "wall", room)]
     limits.check_sets({0: start}, {0: 0.1})
     with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
         limits.check_sets({0: start}, {0: 0.5})
@@ -111,11 +111,11 @@ def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_l
     for lag in range(4):
         limits = recovery()
         exact = start.support(limits.needs.carried[lag])[0] + limits.needs.disturbed[lag][0]
-        bow = Bows(limits.needs, start).next_to(lag)[0]
+        bow = SetIntersample(limits.needs, start).next_to(lag)[0]
         for share, kept in ((1 + 1e-6, True), (0.99, False)):
             room = exact + bow * share
             cell, place = divmod(lag, Q)
-            limits.limits.targets[cell][place] = [Target(0, room, "wall", room)]
+            limits.limits.targets[cell][place] = [NodeLimit(0, room, "wall", room)]
             with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
                 limits.check_sets({0: start}, {})
 
@@ -133,7 +133,7 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
     monkeypatch.setattr("polaris.certificate.claims.argument.read_code", lambda folder: read)
     asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
     argument = SimpleNamespace(
-        document=doc, stated=Stated(), K=3, record=Record(), code=Path() if code else None
+        document=doc, stated=FileClaims(), K=3, record=Record(), code=Path() if code else None
     )
     flight = SimpleNamespace(
         keeps=lambda reached, claimed: asked.update(reached) or 1.0,
@@ -173,9 +173,9 @@ def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
         rows=identity(1),
         carried=grown,
         boxed=lambda box, lag: [arb(grown[lag])],
-        still=lambda box: [arb(0.5)],
+        need_after_settling=lambda box: [arb(0.5)],
     )
-    steps = [float(largest) for (largest,) in upset(needs, [column([arb(1)])])]
+    steps = [float(largest) for (largest,) in transient_need(needs, [column([arb(1)])])]
     assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
 
 
@@ -183,4 +183,6 @@ def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
     """A unit in every period of a scalar loop adds up to a geometric series."""
     needs = recovery().needs
     factor, periods = needs.craft.F[0, 0], needs.memory.periods
-    assert 0 < factor < 1 and needs.late(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()
+    assert (
+        0 < factor < 1 and needs.tail_bound(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()
+    )

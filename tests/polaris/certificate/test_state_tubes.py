@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat
 
-from polaris.certificate.claims.flights import Pilot, fly
-from polaris.certificate.files.parts import Law
+from polaris.certificate.claims.flights import ControllerModel, enclose_step
+from polaris.certificate.files.entries import Law
 from polaris.certificate.kernel.arcs import Path
 from polaris.certificate.kernel.balls import column, matrix
 from polaris.certificate.kernel.zonotopes import Merging, Zonotope
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.planning.reference import Reference
-from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, fly_states
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, propagate_states
 from polaris.synthesis.tracker.feedback import Feedback
 from reach.sets.zonotope import Zonotope as Box
 from tests.polaris.synthesis.schedule.test_hand_over import PARTS, H, hold, stated, tracking
@@ -86,13 +86,13 @@ class Scene:
         law = Law("own", kind, self.gain.tolist(), states[:-1].tolist(), inputs.tolist())
         craft, left = self.craft, bool(self.system.timing.carried) * 2 + bool(self.system.observer) * 4
         box = [x if under_way or i >= len(craft.box) - left else arb(0) for i, x in enumerate(craft.box)]
-        pilot = Pilot.of(law, replace(craft, box=box), self.document)
+        pilot = ControllerModel.for_law(law, replace(craft, box=box), self.document)
         path = Path.propagate(
             pilot.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
         )
         reached, sets = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
         for k in range(K):
-            flown = fly(pilot, reached, k, path, None, Merging(1000, 4))
+            flown = enclose_step(pilot, reached, k, path, None, Merging(1000, 4))
             sets += [reached, *flown.nodes]
             reached = flown.end
         return [*sets, reached]
@@ -109,7 +109,7 @@ class Scene:
         law = self.law
         reached, sets = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
         for k in range(K):
-            tube = law.fly(reached, k)
+            tube = law.propagate(reached, k)
             sets += [tube.states[i] for i in range(Q)]
             reached = tube.end
         return [*sets, reached]
@@ -273,7 +273,7 @@ def test_both_programs_find_the_same_sets_of_a_linear_law(number):
     for i, (z, other) in enumerate(zip(tubes, others, strict=True)):
         size = np.array([float(x) for x in z.widths])[:4]
         assert np.all(other.half_widths[:4] >= 0.99 * size), i
-        bound = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.displaced
+        bound = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.state_offset
         assert np.all(other.half_widths[:4] <= bound), i
 
 
@@ -309,7 +309,7 @@ def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
     for k, flying in enumerate(
         [AnyThrust("any", s.system, path, s), law, AnyThrust("any", s.system, path, s)]
     ):
-        tube = fly_states(flying, z, k, safe)
+        tube = propagate_states(flying, z, k, safe)
         bounds += [tube.states[i].support(rows) for i in range(Q)]
         z = tube.end
     bounds.append(z.support(rows))
@@ -363,11 +363,11 @@ def test_a_law_that_flies_true_errors_carries_all_else_beside_them():
     s, path = law.tracking, law.reference
     start = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
     safe = AffineController("safety", s.system, s.gain, path, path, s)
-    tube = fly_states(AnyThrust("any", s.system, path, s), start, 0, safe)
-    alone = AnyThrust("any", s.system, path, s).fly(s.true_error(start), 0)
+    tube = propagate_states(AnyThrust("any", s.system, path, s), start, 0, safe)
+    alone = AnyThrust("any", s.system, path, s).propagate(s.true_error(start), 0)
     assert tube.end.dim == start.dim > 4 and tube.nodes.dim == 4
-    assert np.all(s.displaced > 0) and np.all(s.displaced[2:] > 1e-3)
-    np.testing.assert_allclose(tube.nodes.half_widths, alone.nodes.half_widths + s.displaced, rtol=1e-12)
+    assert np.all(s.state_offset > 0) and np.all(s.state_offset[2:] > 1e-3)
+    np.testing.assert_allclose(tube.nodes.half_widths, alone.nodes.half_widths + s.state_offset, rtol=1e-12)
     others = safe.idle.powers[-1][4:, 4:] @ start.G[4:]
     assert np.all(tube.states.half_widths[-1, 4:] >= np.abs(others).sum(axis=1) * (1 - 1e-12))
-    assert fly_states(safe, start, 0, safe).end.dim == start.dim
+    assert propagate_states(safe, start, 0, safe).end.dim == start.dim

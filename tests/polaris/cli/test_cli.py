@@ -110,7 +110,7 @@ def test_python_runs_what_the_command_runs(invoke, tmp_path):
     """Files are the same but for times, overrides are noted in both, figures only where asked for."""
     assert invoke("run", TINY, "--out", "typed", "--set", "planner.gap=0.01", "-q").exit_code == 0
     written = polaris.run(TINY, "called", overrides=["planner.gap=0.01"])
-    assert not (written.path / "figures").exists() and written.picture().modes.size
+    assert not (written.path / "figures").exists() and written.plot_data().modes.size
     for path in (path for path in (tmp_path / "typed").iterdir() if path.is_file()):
         if path.name not in ("summary.json", ".polaris.jsonl"):
             assert path.read_bytes() == (written.path / path.name).read_bytes(), path.name
@@ -413,7 +413,7 @@ def test_infeasible_and_out_of_time_for_real(tmp_path, monkeypatch):
 def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
     """On standard error, quiet or not, in summary.json, and in what Python returns."""
     from polaris.model.errors import ClockWarning
-    from polaris.planning.effort import Effort
+    from polaris.planning.effort import SearchEffort
     from polaris.synthesis.schedule.synthesize import synthesize
 
     options = ["--no-figures", "--set", "simulation.runs=2", "--set", QUARTER]
@@ -426,7 +426,7 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
 
     # not in the plan of the unaware reference, which is not used then
     struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
-    monkeypatch.setattr(Effort, "cut_by_clock", struck)
+    monkeypatch.setattr(SearchEffort, "cut_by_clock", struck)
     out = tmp_path / "late"
     for quiet in ("-q", "--json"):
         done = CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(out), quiet, *options])
@@ -443,12 +443,12 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
 def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
     """The unaware reference is the cheapest plan; half-way to it is something else each time."""
     from polaris.model.errors import ClockWarning, OutOfTime
-    from polaris.planning.effort import Effort
+    from polaris.planning.effort import SearchEffort
     from polaris.synthesis.safety.get_safety import get_safety
 
     scenario = load_scenario("static")
     safety = get_safety(scenario)
-    monkeypatch.setattr(Effort, "cut_by_clock", property(lambda self: ("fuel",)))
+    monkeypatch.setattr(SearchEffort, "cut_by_clock", property(lambda self: ("fuel",)))
     with pytest.warns(ClockWarning), pytest.raises(OutOfTime, match="time_limit_s"):
         scenario.controllers(safety)
 

@@ -171,7 +171,7 @@ def test_a_call_that_differs_in_the_last_bit_is_found(flown):
 def test_regular_flights_answer_as_the_simulation(flown):
     """S's command at every node along all references, and U's within the limits, up to rounding."""
     schedule, rng = read_schedule(flown / "run"), np.random.default_rng(3)
-    grid, (_, tables, _) = DecisionGrid.of(schedule), read_code(flown / "double")
+    grid, (_, tables, _) = DecisionGrid.from_schedule(schedule), read_code(flown / "double")
     last = len(tables.waypoints) * len(tables.moved)
     for alone in (True, False):
         step, off = FlightStep(tables), []

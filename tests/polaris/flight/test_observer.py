@@ -409,7 +409,7 @@ def test_an_observer_where_there_is_none_is_refused(flown, tmp_path):
     with pytest.raises(ScenarioError, match="must be at most 32 periods"):
         with_observer(flight_tables(doc), doc)
     with pytest.raises(ScenarioError, match="has an observer, and the scenario has none"):
-        FlightCode(flown / "late" / "double").of(read_schedule(run))
+        FlightCode(flown / "late" / "double").require_schedule(read_schedule(run))
 
 
 # -- closed loop ------------------------------------------------------------------------------------

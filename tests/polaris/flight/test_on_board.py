@@ -198,7 +198,7 @@ def test_many_flights_at_once_answer_as_the_python_step(precision):
 
 def test_the_nonlinear_motion_is_flown_by_the_code():
     schedule = printed("static", CHOSEN)[1]
-    env, code = Environment.of(printed("static", CHOSEN)[0]), code_of(schedule)
+    env, code = Environment.from_scenario(printed("static", CHOSEN)[0]), code_of(schedule)
     flown = fly_true(schedule, env, 6, substeps=1, code=code)
     plain = fly_true(schedule, env, 6, substeps=1)
     never_clipped(schedule, code)
@@ -212,7 +212,7 @@ def test_the_nonlinear_motion_is_flown_by_the_code_with_all_errors(precision):
     scenario = load_scenario("static", ERRORS)
     schedule = kept("on board static", lambda: synthesize(scenario))
     code = code_of(schedule, precision)
-    flown = fly_true(schedule, Environment.of(scenario), fewer(2000, 60), substeps=1, code=code)
+    flown = fly_true(schedule, Environment.from_scenario(scenario), fewer(2000, 60), substeps=1, code=code)
     never_clipped(schedule, code)
     assert flown.within.all() and not flown.runs.metrics().collided.any()
 
@@ -249,10 +249,10 @@ def test_code_of_the_same_modes_about_another_reference_is_refused(precision):
     """Attacks and comparisons would be about something else."""
     schedule = scheduled("plain")
     code, safety = code_of(schedule, precision), schedule.safety
-    assert code.of(schedule) is code
+    assert code.require_schedule(schedule) is code
     moved = replace(safety.reference, chi=safety.reference.chi + 0.01)
     with pytest.raises(ScenarioError, match="flight code of this schedule"):
-        code.of(replace(schedule, safety=replace(safety, reference=moved)))
+        code.require_schedule(replace(schedule, safety=replace(safety, reference=moved)))
 
 
 def test_falsify_flies_a_folder_of_code(tmp_path):

@@ -73,7 +73,7 @@ def flown(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def monitor(flown):
-    return Monitor(DecisionGrid.of(read_schedule(flown / "run")))
+    return Monitor(DecisionGrid.from_schedule(read_schedule(flown / "run")))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -233,7 +233,7 @@ def test_no_thrust_within_the_limits_breaks_a_flight(flown, tmp_path, monitor, p
     """The C code decides flights of U that pushes as hard as it can, under disturbances of largest size."""
     library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(8)
     grid, by_u, switches = monitor.grid, 0, 0
-    Ad, Bd, Dd = grid.held
+    Ad, Bd, Dd = grid.discrete
     system, start = grid.system, grid.schedule.safety.problem.initial_set
     for flight in range(200 if FLIGHTS > 1000 else 30):
         x = start.c + start.G @ rng.choice([-1, 1], start.G.shape[1])
@@ -267,7 +267,7 @@ def test_the_monitor_of_the_code_decides_in_simulation(flown, precision):
 def test_the_runtime_on_the_ground_decides_as_the_code(flown, tmp_path, precision):
     """On states of all sizes at all periods, hostile ones too, and whoever flew before."""
     schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
-    ground = MonitorOnBoard(DecisionGrid.of(schedule), code)
+    ground = MonitorOnBoard(DecisionGrid.from_schedule(schedule), code)
     library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(5)
     grid, spread, seen = ground.grid, np.array(code.tables.apart), {}
     for place in range(20_000 if FLIGHTS > 1000 else 2000):
@@ -291,10 +291,10 @@ def test_the_runtime_on_the_ground_decides_as_the_code(flown, tmp_path, precisio
 def test_flights_on_the_ground_are_those_of_the_code(flown, tmp_path, precision):
     """Clock, checks and log about the tables: where measurements fail, the code is asked for S alone."""
     schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
-    ground, rng = MonitorOnBoard(DecisionGrid.of(schedule), code), np.random.default_rng(6)
+    ground, rng = MonitorOnBoard(DecisionGrid.from_schedule(schedule), code), np.random.default_rng(6)
     library, modes = FlightLibrary(flown / precision, tmp_path / "flight.so"), [0, 0]
     grid, options = ground.grid, RuntimeOptions(latch_conflicts=None)
-    (Ad, Bd, Dd), system, start = grid.held, grid.system, schedule.safety.problem.initial_set
+    (Ad, Bd, Dd), system, start = grid.discrete, grid.system, schedule.safety.problem.initial_set
     for flight in range(6):
         log = DecisionLog(place := tmp_path / f"{flight}.jsonl")
         online, faults = OnlineMonitor(ground, options, log), 0
@@ -340,11 +340,11 @@ def test_a_monitor_on_board_needs_its_code_and_its_grid(flown, tmp_path):
     assert "must be flight code with the monitor" in refused["monitor_code"]
     export_c(flown / "run", tmp_path / "code")
     with pytest.raises(ScenarioError, match="must be flight code with the monitor"):
-        MonitorOnBoard(DecisionGrid.of(schedule), FlightCode(tmp_path / "code"))
-    h = DecisionGrid.of(schedule).h
+        MonitorOnBoard(DecisionGrid.from_schedule(schedule), FlightCode(tmp_path / "code"))
+    h = DecisionGrid.from_schedule(schedule).h
     for other in ({"period": 2 * h}, {"latency": h}, {"half_widths": 1e-3}):
         with pytest.raises(ScenarioError, match="must be the control period"):
-            MonitorOnBoard(DecisionGrid.of(schedule, **other), code)
+            MonitorOnBoard(DecisionGrid.from_schedule(schedule, **other), code)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -442,7 +442,7 @@ def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, mon
     kept, place = [], "polaris.certificate.code.online._check_rooms"
     monkeypatch.setattr(place, kept.append)
     assert verify(flown / "run", flown / precision).outcome == "VERIFIED"
-    flight, tables, lost = kept[0].flight, kept[0].tables, np.array(kept[0].lost, dtype=float)
+    flight, tables, lost = kept[0].flight, kept[0].tables, np.array(kept[0].rounding_loss, dtype=float)
     monkeypatch.setattr(flint.ctx, "prec", PRECISION)
     craft, doc, rng = flight.tracker.craft, flight.document, np.random.default_rng(4)
     step, q, seen = OnlineStep(tables, precision), doc.q, np.zeros_like(lost)
@@ -462,7 +462,7 @@ def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, mon
             last = (craft.free, tables.held) if lag == 0 else (craft.F, tables.loop)
             e, gap = last[0] * e, [summed(0.0, row, gap, precision) for row in last[1]]
             if lag == 0:
-                e += craft.held * feed
+                e += craft.held_map * feed
                 pairs = zip(gap, tables.force, strict=True)
                 gap = [summed(one, row, tables.feed[cell], precision) for one, row in pairs]
     assert (seen <= lost).all()
@@ -536,7 +536,7 @@ def test_errors_of_all_kinds_and_loops_that_remember_are_flown(tmp_path, names):
         assert runs.metrics().summary()["collided_runs"] == 0
         assert {mode for mode, _ in code.answers} == {0, 1}
         assert not any(fault & CLIPPED for mode, fault in code.answers if mode == 0)
-        ground, rng = MonitorOnBoard(DecisionGrid.of(schedule), code), np.random.default_rng(2)
+        ground, rng = MonitorOnBoard(DecisionGrid.from_schedule(schedule), code), np.random.default_rng(2)
         spread = np.array(code.tables.apart) / 4
         for k in range(ground.grid.decisions):  # never bolder than `Monitor`
             state = ground.grid.xi[k] + rng.uniform(-1, 1, len(spread)) * spread

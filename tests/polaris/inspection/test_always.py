@@ -12,7 +12,7 @@ from benchmarks import harsh
 from benchmarks.harsh import Harsh
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
-from polaris.inspection.backup.planner import Planner
+from polaris.inspection.backup.planner import BackupPlanner
 from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
@@ -33,7 +33,7 @@ from tests.sizes import fewer
 
 Q = Inspection()
 TWO = Inspection(deputies=2)
-ERRORS = Thrusters.of(0.002, np.deg2rad(0.1), 0.001, 0.0005, 3)
+ERRORS = Thrusters.from_errors(0.002, np.deg2rad(0.1), 0.001, 0.0005, 3)
 BAD = Uncertainty(0.05, 0.002, 1e-5, ERRORS)
 KINDS = ("explicit", "implicit", "simplex_explicit", "simplex_implicit")
 
@@ -45,7 +45,7 @@ def drawn(count):
 
 
 def make(kind, q=Q, period=1.0, sun=0.0, unknown=None, sharing="centralized", mixed=False):
-    planner = Planner(AllTime(Brake(q, period, unknown), sun), mixed)
+    planner = BackupPlanner(AllTime(Brake(q, period, unknown), sun), mixed)
     if kind == "implicit":
         return Implicit(planner)
     if kind == "simplex_implicit":
@@ -114,10 +114,10 @@ UNKNOWN = {
     "all": BAD,
     "velocity": Uncertainty(velocity=(0.01, 0.002, 0.0)),
     "disturbance": Uncertainty(disturbance=1e-4),
-    "magnitude": Uncertainty(thrusters=Thrusters.of(0.05, 0, 0, 0, 3)),
-    "misalignment": Uncertainty(thrusters=Thrusters.of(0, np.deg2rad(1), 0, 0, 3)),
-    "mass": Uncertainty(thrusters=Thrusters.of(0, 0, 0.03, 0, 3)),
-    "bit": Uncertainty(thrusters=Thrusters.of(0, 0, 0, 0.01, 3)),
+    "magnitude": Uncertainty(thrusters=Thrusters.from_errors(0.05, 0, 0, 0, 3)),
+    "misalignment": Uncertainty(thrusters=Thrusters.from_errors(0, np.deg2rad(1), 0, 0, 3)),
+    "mass": Uncertainty(thrusters=Thrusters.from_errors(0, 0, 0.03, 0, 3)),
+    "bit": Uncertainty(thrusters=Thrusters.from_errors(0, 0, 0, 0.01, 3)),
 }
 
 
@@ -162,10 +162,10 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
     gaps = []
     for x, sun in zip(states, suns, strict=True):
         check = AllTime(brake, sun)
-        proven = Planner(check).find(0.0, x)
+        proven = BackupPlanner(check).find(0.0, x)
         plan = proven.plan
         u, D = brake.thrusts(plan), period
-        parts = [Q.held(D * s) for s in (0.25, 0.5, 0.75, 1.0)]
+        parts = [Q.discretize(D * s) for s in (0.25, 0.5, 0.75, 1.0)]
         at = np.concatenate([plan[:1], *(plan[:-1] @ Phi.T + u @ Gamma.T for Phi, Gamma in parts)])
         t = np.concatenate([[0.0], *(D * (np.arange(len(u)) + s) for s in (0.25, 0.5, 0.75, 1.0))])
         angle = Q.mean_motion * np.linspace(0, 2 * np.pi / Q.mean_motion, 60)
@@ -227,7 +227,7 @@ def test_where_the_zone_is_left_out_no_plan_beyond_it_is_proven(distance):
     x = np.array([[0.6 * distance, 0.8 * distance, 0.0, 0.0, 0.0, 0.0]])
     x[:, 3:] = x[:, :3] @ brake.spin.T
     check = AllTime(brake, 0.3, without=("keep_in", "velocity", "speed", "sun"))
-    proven = Planner(check).find(0.0, x)
+    proven = BackupPlanner(check).find(0.0, x)
     assert proven.good == (distance < q.distance_max)
     plan, (Phi, Gamma), astray = proven.plan, brake.motion, 0.0
     for _ in range(200):
@@ -241,7 +241,7 @@ def test_where_the_zone_is_left_out_no_plan_beyond_it_is_proven(distance):
 def test_most_drawn_states_are_proven_from_the_first_instant(period):
     states, suns = drawn(40 if period == 1.0 else 15)
     brake = Brake(Q, period)
-    good = [Planner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)]
+    good = [BackupPlanner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)]
     assert np.mean(good) >= 0.9
 
 
@@ -252,10 +252,12 @@ def test_most_drawn_states_are_proven_from_the_first_instant(period):
 def test_at_least_95_percent_of_drawn_states_are_proven(period, exact, with_errors):
     """The table of docs/inspection-assured.md."""
     states, suns = drawn(400)
-    errors = Thrusters.of(0.005, np.deg2rad(0.1), 0.005, 0.0005 / (2 * period), 3)
+    errors = Thrusters.from_errors(0.005, np.deg2rad(0.1), 0.005, 0.0005 / (2 * period), 3)
     for unknown, count in ((None, exact), (Uncertainty(0.05, 0.002, 1e-5, errors), with_errors)):
         brake = Brake(Q, period, unknown)
-        good = [Planner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)]
+        good = [
+            BackupPlanner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)
+        ]
         assert abs(sum(good) - count) <= 1  # one may lie at the edge of rounding
         assert unknown or np.mean(good) >= 0.95
     shown = Path("docs/inspection-assured.md").read_text(encoding="utf-8")
@@ -287,7 +289,7 @@ def test_estimates_at_the_edge_of_their_bound(mode):
     x, sun = next(
         (x, s)
         for x, s in zip(states, suns, strict=True)
-        if Planner(AllTime(Brake(Q, 1.0, BAD), s)).find(0.0, x).good
+        if BackupPlanner(AllTime(Brake(Q, 1.0, BAD), s)).find(0.0, x).good
     )
     f = make("explicit", sun=sun, unknown=BAD)
     least, unproven, said = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0, BAD, Navigation(BAD, mode))
@@ -369,7 +371,7 @@ def test_a_deputy_that_is_cut_off_and_all_others_hold():
 def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all():
     """Who missed earlier messages has no estimate of a state that is none, the others have."""
     f, x, sun = group("explicit", None, 1, 2.0)
-    Phi, Gamma = Q.held(2.0)
+    Phi, Gamma = Q.discretize(2.0)
     aim, members = Harsh(Q, "mixed", sun, 10.0), f.members
     for k in range(6):
         seen, wanted = x.copy(), aim(2.0 * k, x)
@@ -386,7 +388,7 @@ def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all()
 
 def test_messages_of_the_period_before_are_lost():
     f, x, _ = group("implicit", None, 2, 2.0)
-    Phi, Gamma = Q.held(2.0)
+    Phi, Gamma = Q.discretize(2.0)
     old = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
     u = [one.decide(0.0, old) for one in f.members]
     x = x @ Phi.T + np.array(u) @ Gamma.T
@@ -403,7 +405,7 @@ def test_messages_of_the_period_before_are_lost():
 def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
     """A plan that was held too long is not the one that was proven, though the deputy may be near it."""
     f, x, _ = group("implicit", None, 5, 2.0, BAD if how == "not known" else None)
-    one, Phi, Gamma = f.members[0], *Q.held(2.0)
+    one, Phi, Gamma = f.members[0], *Q.discretize(2.0)
 
     def go(t, heard):
         nonlocal x
@@ -442,7 +444,7 @@ def test_a_group_whose_deputies_have_different_rules_moves_nowhere_and_says_so(n
     x = np.array([[0, -300, 300.0, 0, 0, 0], [0, -300, 340.0, 0, 0, 0]])
     common = {"kind": "implicit", "inspection": TWO, "period": 1.0, "mixed": True}
     rules = [build_filter(**common | changed) for changed in (OTHERS[name], {})]
-    members, (Phi, Gamma) = [Member(i, rule, 0.0, x) for i, rule in enumerate(rules)], TWO.held(1.0)
+    members, (Phi, Gamma) = [Member(i, rule, 0.0, x) for i, rule in enumerate(rules)], TWO.discretize(1.0)
     for k in range(20):
         wanted = np.array([[0, 0, 1.0], [0, 0, -1.0]])
         sent = [one.message(x[i], wanted[i]) for i, one in enumerate(members)]
@@ -457,7 +459,7 @@ def test_without_mixed_plans_there_is_no_group():
     with pytest.raises(ScenarioError, match="mixed"):
         Member(0, make("explicit"), 0.0, x)
     with pytest.raises(ScenarioError, match="equal answers to equal messages"):
-        Member(0, SimplexImplicit(Planner(AllTime(Brake(Q)), mixed=True)), 0.0, x)
+        Member(0, SimplexImplicit(BackupPlanner(AllTime(Brake(Q)), mixed=True)), 0.0, x)
     with pytest.raises(ScenarioError, match="must have a proven plan"):
         Member(0, make("explicit", mixed=True), 0.0, np.repeat(x[:1], 5, axis=0))
 
@@ -491,7 +493,7 @@ def test_broken_assumptions_are_told():
 
 def test_latching_and_handing_back():
     states, suns = drawn(3)
-    f = SimplexImplicit(Planner(AllTime(Brake(Q, 2.0), suns[2])), dwell=10.0)
+    f = SimplexImplicit(BackupPlanner(AllTime(Brake(Q, 2.0), suns[2])), dwell=10.0)
     aim = Harsh(Q, "mixed", suns[2], 40.0)
     fly(f, states[2], suns[2], lambda t, x: aim(t, x) if t % 120 < 60 else -5 * x[:, 3:], 240.0)
     for i in range(5):

@@ -113,7 +113,7 @@ def test_an_unknown_state_is_predicted_then_given_up(drawn):
     x, sun = drawn
     asif = active(Q, sun_start=float(sun[0]))
     u = asif.filter(0.0, x[0], np.full((5, 3), 0.3)).u
-    Phi, Gamma = Q.held(1.0)
+    Phi, Gamma = Q.discretize(1.0)
     moved = x[0] @ Phi.T + u @ Gamma.T
     lost = moved.copy()
     lost[3, 2] = np.nan

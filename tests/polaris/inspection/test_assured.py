@@ -9,7 +9,7 @@ import pytest
 from benchmarks.harsh import Harsh
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
-from polaris.inspection.backup.planner import Planner
+from polaris.inspection.backup.planner import BackupPlanner
 from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
@@ -46,7 +46,7 @@ def plain(q, period=1.0):
 def back(f, q, x, wanted, most):
     """States and answers until a plan is proven, and for ten periods more."""
     x, flown, proven = np.array(x, dtype=float), [], 0
-    Phi, Gamma = q.held(1.0)
+    Phi, Gamma = q.discretize(1.0)
     for k in range(most):
         answer = f.filter(float(k), x, wanted)
         flown.append((x, answer))
@@ -89,7 +89,7 @@ def test_the_primary_may_lead_the_way_back_as_under_the_plain_filter(kind):
 @pytest.mark.parametrize("loops", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize("kind", KINDS)
 def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, monkeypatch):
-    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    monkeypatch.setattr(compiled, "is_enabled", lambda: loops)
     rng, count = np.random.default_rng(4), 0
     for _ in range(fewer(20, 12)):
         x = rng.uniform(-1, 1, (2, 6)) * np.repeat([900.0, 0.8], 3)
@@ -109,7 +109,7 @@ def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, mo
 @pytest.mark.slow
 def test_at_rest_in_the_plane_at_985_m_nothing_is_violated():
     """No plan is proven there. By an unproven plan in place of an unproven proposal phi9 came to -0.023."""
-    f, x, (Phi, Gamma) = make("explicit", ONE), np.array([[0.0, -985, 0, 0, 0, 0]]), ONE.held(1.0)
+    f, x, (Phi, Gamma) = make("explicit", ONE), np.array([[0.0, -985, 0, 0, 0, 0]]), ONE.discretize(1.0)
     least = np.inf
     for k in range(300):
         answer = f.filter(float(k), x, 0.01 * (np.array([[0, -980.0, 0]]) - x[:, :3]) - x[:, 3:])
@@ -127,7 +127,7 @@ def test_at_rest_in_the_plane_at_985_m_nothing_is_violated():
 def test_without_a_state_a_plan_is_proven_only_while_it_is_surely_within_its_tube(period):
     """Held without feedback it left the tube after 36, 42 and 100 s at 1, 2 and 5 s, called proven."""
     f = make("implicit", ONE, period)
-    x, (Phi, Gamma) = (f.brake.resting @ np.array([0.0, -960, 0]))[None], ONE.held(period)
+    x, (Phi, Gamma) = (f.brake.resting @ np.array([0.0, -960, 0]))[None], ONE.discretize(period)
     said, lost = [], np.full((1, 6), np.nan)
     for k in range(round(80 / period)):
         plan = f.plan
@@ -174,11 +174,11 @@ def test_states_lost_under_jitter_do_not_end_the_proof(kind, period, tau):
         hold = (k + 1) * period + late - now
         assert f.plan is not None
         for part in (0.25, 0.5, 0.75, 1.0):
-            Phi, Gamma = q.held(part * hold)
+            Phi, Gamma = q.discretize(part * hold)
             at = x @ Phi.T + answer.u @ Gamma.T
             phi = allowable(q, at, q.sun_angle(now + part * hold))
             assert min(values.min(initial=np.inf) for values in phi.values()) >= 0
-        Phi, Gamma = q.held(f.plan.t - now)
+        Phi, Gamma = q.discretize(f.plan.t - now)
         due = x @ Phi.T + answer.u @ Gamma.T - f.plan.plan[0]
         assert all((off_plan(due[i]) <= f.plan.tube[0, i] + 1e-9).all() for i in range(2))
         x = at
@@ -189,7 +189,7 @@ def test_states_lost_under_jitter_do_not_end_the_proof(kind, period, tau):
 def test_a_lost_state_follows_from_the_last_one_only_while_everything_is_as_assumed(broken):
     x, t = np.array([[0, -300.0, -400, 0, 0, 0], [0, -300, 300, 0.1, 0, 0]]), 2.0
     f = make("implicit", TWO, unknown=Uncertainty(disturbance=1e-6 * (broken == "no motion known")))
-    some, (Phi, Gamma) = np.where([[False], [True]], np.nan, 1.0), TWO.held(1.0)
+    some, (Phi, Gamma) = np.where([[False], [True]], np.nan, 1.0), TWO.discretize(1.0)
     for k in range(2):
         x = x @ Phi.T + f.filter(float(k), x, np.zeros((2, 3))).u @ Gamma.T
     if broken == "untimed":
@@ -204,7 +204,7 @@ def test_a_member_knows_where_it_is_without_a_state():
     """It flew on without feedback, and was unproven as soon as its error grew."""
     x = np.array([[0, -300.0, -400, 0, 0, 0], [50.0, -300, 300, 0.1, 0, 0]])
     members = [Member(i, make("implicit", TWO, mixed=True), 0.0, x) for i in range(2)]
-    Phi, Gamma = TWO.held(1.0)
+    Phi, Gamma = TWO.discretize(1.0)
     for k in range(75):
         seen = x if k < 5 else np.full((2, 6), np.nan)
         sent = [one.message(seen[i], np.full(3, (-1.0) ** k)) for i, one in enumerate(members)]
@@ -252,7 +252,7 @@ def test_calls_a_millisecond_off_are_proven():
             late = late + drift if drift else rng.uniform(-1e-3, 1e-3)
             hold = (k + 1) * period + late - now
             for part in (0.25, 0.5, 0.75, 1.0):
-                Phi, Gamma = Q.held(part * hold)
+                Phi, Gamma = Q.discretize(part * hold)
                 at = x @ Phi.T + answer.u @ Gamma.T
                 phi = allowable(Q, at, Q.sun_angle(now + part * hold, suns[2]))
                 assert min(values.min() for values in phi.values()) >= 0
@@ -263,7 +263,7 @@ def test_later_than_declared_drops_the_plan():
     x, sun = (values[0] for values in drawn(1))
     for jitter, late, kept in ((0, 1e-3, 0), (2e-3, 1.9e-3, 1), (2e-3, 2.1e-3, 0), (5e-3, -4.5e-3, 1)):
         f = make("implicit", sun=sun, unknown=Uncertainty(jitter=jitter))
-        answer, (Phi, Gamma) = f.filter(0.0, x, np.zeros((5, 3))), Q.held(1.0 + late)
+        answer, (Phi, Gamma) = f.filter(0.0, x, np.zeros((5, 3))), Q.discretize(1.0 + late)
         call = f._receiver.receive(1.0 + late, x @ Phi.T + answer.u @ Gamma.T, None)
         assert not answer.unproven and (f._kept(call, [])[1] is not None) == kept
 
@@ -292,14 +292,14 @@ def test_flights_with_jitter_do_not_leave_the_tube(period, sign):
     for k in range(1, len(asked)):
         call = k * period + tau * moment(k)
         for now in np.append(np.arange(t + period / 7, call, period / 7), call):
-            Phi, Gamma = ONE.held(now - t)
+            Phi, Gamma = ONE.discretize(now - t)
             at, t = at @ Phi.T + u @ Gamma.T, now
             j = min(int(t / period), len(asked) - 1)
-            Phi, Gamma = ONE.held(t - j * period)
+            Phi, Gamma = ONE.discretize(t - j * period)
             here = plan[j] @ Phi.T + asked[j] @ Gamma.T
             assert (off(at, here) <= wall[j] + 1e-12).all()
             share.append(float((off(at, here) / wall[j]).max()))
-        Phi, Gamma = ONE.held(k * period - call)
+        Phi, Gamma = ONE.discretize(k * period - call)
         u = brake.follow(at @ Phi.T + u @ Gamma.T, plan[k:])
         assert np.abs(u - asked[k]).max() <= brake.tube.feedback + 1e-12
     assert max(share) > 0.05
@@ -315,13 +315,13 @@ WRONG = {
     "other problem": lambda p: SimplexExplicit(p, Families(Inspection(deputies=2, mass=11.0))),
     "no families": lambda p: SimplexExplicit(p, "linear"),
     "no planner": lambda p: Implicit(p.check),
-    "no check": lambda p: Planner(p.brake),
+    "no check": lambda p: BackupPlanner(p.brake),
     "no brake": lambda p: AllTime(p.inspection if hasattr(p, "inspection") else TWO),
     "no filter": lambda p: ActiveSetFilter(plain(TWO).families),
     "no families of one": lambda p: Centralized(TWO),
     "no families of two": lambda p: Decentralized(TWO),
     "no rule": lambda p: Member(0, p, 0.0, np.zeros((2, 6))),
-    "wrong shape": lambda p: Member(0, Implicit(Planner(p.check, mixed=True)), 0.0, np.zeros((3, 6))),
+    "wrong shape": lambda p: Member(0, Implicit(BackupPlanner(p.check, mixed=True)), 0.0, np.zeros((3, 6))),
     "no inspection": lambda p: build_filter("explicit", "five"),
     "no brake of one": lambda p: build_filter("explicit", TWO, brake=3),
     "no bounds": lambda p: build_filter("explicit", TWO, uncertainty=0.1),
@@ -353,7 +353,7 @@ WRONG = {
 @pytest.mark.parametrize("make_one", WRONG.values(), ids=WRONG)
 def test_what_cannot_work_is_refused_when_it_is_made(make_one):
     with pytest.raises(ScenarioError, match="must|needs"):
-        make_one(Planner(AllTime(Brake(TWO))))
+        make_one(BackupPlanner(AllTime(Brake(TWO))))
 
 
 NAMED = [name for name in signature(build_filter).parameters if name not in ("kind", "inspection", "options")]
@@ -380,7 +380,7 @@ def test_every_option_is_checked_and_named(kind):
 @pytest.mark.parametrize("loops", [True, False])
 def test_shapes_are_checked_at_the_door(sharing, loops, monkeypatch):
     """Handed two deputies or four, a filter for three read out of bounds, or passed everything."""
-    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    monkeypatch.setattr(compiled, "is_enabled", lambda: loops)
     f, said = make_filter(Families(Inspection(deputies=3), "linear", sampled=SampledData(1.0)), sharing), []
     p = [[0, -300, 300.0], [0, -300, -300], [200, 0, 300], [-200, 300, 0]]
     x = np.hstack([p, np.zeros((4, 3))])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from polaris.inspection.backup.settled import Decay
-from polaris.inspection.backup.tracker import Tracker, fly_backup
+from polaris.inspection.backup.decay import Decay
+from polaris.inspection.backup.tracker import BackupTracker, fly_backup
 from polaris.inspection.enmt import Ellipses, semi_axes, stopping_point, velocity_error
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
@@ -81,7 +81,7 @@ def test_ellipses_keep_their_semi_minor_axis_and_stay_farther_away():
 
 
 def test_limits_for_a_problem_keep_in_and_slow():
-    e = Ellipses.of(Q)
+    e = Ellipses.for_inspection(Q)
     assert e.least > Q.separation
     assert 4 * e.largest**2 + e.cross_track**2 <= Q.distance_max**2 * (1 + 1e-12)
     assert 2 * N * e.largest <= Q.speed_max
@@ -133,13 +133,13 @@ def test_unstable_and_creeping_loops_are_refused():
         with pytest.raises(ScenarioError):
             Decay(radius * np.eye(2), np.eye(2), np.ones(2))
     with pytest.raises(ScenarioError, match="period"):
-        Tracker(Q, period=200.0)
+        BackupTracker(Q, period=200.0)
 
 
 # ---- the controllers
 
 
-@pytest.mark.parametrize("law", [Tracker(Q), Tracker(Q, period=5.0)], ids=["1 s", "5 s"])
+@pytest.mark.parametrize("law", [BackupTracker(Q), BackupTracker(Q, period=5.0)], ids=["1 s", "5 s"])
 def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
     x = np.vstack([states(60), states(40, 5, 12.0, 0.3), np.zeros((1, 6)), 0 * np.ones((1, 6))])
     x[-1, :3] = 1e-9
@@ -163,7 +163,7 @@ def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
 
 
 def test_anti_windup_holds_the_integral_of_clipped_axes():
-    law = Tracker(Q)
+    law = BackupTracker(Q)
     x = np.array([[400.0, 100.0, 0.0, 3.0, 0.0, 0.0]])
     memory = law.start(x)
     x[0, 0] += 300  # far from the reference: clipped at once
@@ -182,4 +182,4 @@ def test_anti_windup_holds_the_integral_of_clipped_axes():
 
 def test_ellipses_of_another_orbit_are_refused():
     with pytest.raises(ScenarioError, match="ellipses"):
-        Tracker(Q, Ellipses(0.0011, 15.0))
+        BackupTracker(Q, Ellipses(0.0011, 15.0))

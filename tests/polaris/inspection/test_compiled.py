@@ -30,9 +30,9 @@ needs_numba = pytest.mark.skipif(not NUMBA, reason="numba (the extra `fast`) is 
 def both(make):
     """Make one with the loops, compiled or as they stand, and one without them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "wanted", lambda: True)
+        patch.setattr(compiled, "is_enabled", lambda: True)
         looped = make()
-        patch.setattr(compiled, "wanted", lambda: False)
+        patch.setattr(compiled, "is_enabled", lambda: False)
         plain = make()
     assert looped.loops is not None and plain.loops is None
     return looped, plain

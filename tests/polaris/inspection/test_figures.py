@@ -12,7 +12,7 @@ from polaris.report.figures.inspection import failures, initial_conditions
 from polaris.report.figures.style import style
 from polaris.runs.inspections.fuel_limit import fly_fuel
 from polaris.runs.inspections.inspection import fly_flight
-from polaris.runs.inspections.monte_carlo import CampaignPicture
+from polaris.runs.inspections.monte_carlo import CampaignData
 from polaris.scenario.scenario import load_scenario
 
 
@@ -91,7 +91,7 @@ def test_campaign_shows_successes_and_failures(studies):
     counts = np.zeros((studies, 1), dtype=int)
     counts[0, 0] = 1
     names = tuple(f"study-{k}" for k in range(studies))
-    picture = CampaignPicture(x, names, success, failed, ("phi5",), counts)
+    picture = CampaignData(x, names, success, failed, ("phi5",), counts)
     with style():
         figure = initial_conditions(picture)
         red = figure.axes[0].collections[1].get_offsets()

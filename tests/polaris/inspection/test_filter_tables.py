@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from polaris.cli import app as cli
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
-from polaris.inspection.backup.planner import Planner
+from polaris.inspection.backup.planner import BackupPlanner
 from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
@@ -37,7 +37,7 @@ FILTERS = {
 
 
 def by_hand(kind, q, alpha, sun):
-    planner = Planner(AllTime(Brake(q, 1.0, Uncertainty(jitter=0.0)), sun))
+    planner = BackupPlanner(AllTime(Brake(q, 1.0, Uncertainty(jitter=0.0)), sun))
     if kind == "explicit":
         return Explicit(planner, Centralized(Families(q, alpha, sampled=SampledData(1.0, 0.4))))
     if kind == "implicit":
@@ -69,10 +69,10 @@ def flown(request, tmp_path_factory):
 def test_flight_is_that_of_the_filter_asked_by_hand(flown):
     kind, folder, _ = flown
     scenario = read_run(folder).scenario
-    run = read_run(folder).picture()
+    run = read_run(folder).plot_data()
     q, primary = scenario.inspection(), scenario.primary()
     filtering, x = by_hand(kind, q, scenario.strengthening(), float(run.sun[0])), run.x[0]
-    Phi, Gamma = q.held(1.0)
+    Phi, Gamma = q.discretize(1.0)
     for k in range(PERIODS):
         decision = filtering.filter(float(k), x, primary(float(k), x[None])[0])
         np.testing.assert_allclose(run.u[k], decision.u, atol=1e-12)
@@ -132,8 +132,8 @@ def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
     assert claim["kind"] == "all_time" and summary["safe"]
     said = "; ".join(claim["assumptions"])
     assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
-    run, q = folder.picture(), folder.scenario.inspection()
-    Phi, Gamma = q.held(1.0)
+    run, q = folder.plot_data(), folder.scenario.inspection()
+    Phi, Gamma = q.discretize(1.0)
     np.testing.assert_allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, atol=1e-9)
     # What acted is off the thrust limits by the errors: they are flown, not only booked.
     assert 1.0 < np.abs(run.u).max() <= 1.0 + 0.01 + 12 * 1e-5

@@ -193,7 +193,7 @@ def test_curvature_by_the_thrust_chosen_solves_what_the_worst_thrust_cannot():
         for r in short[(answer.status[short] < SHORT).all(axis=1)]:
             solved += 1
             for part in np.linspace(0.1, 2.0, 20):
-                Phi, Gamma = Q.held(part)
+                Phi, Gamma = Q.discretize(part)
                 after = x[r] @ Phi.T + answer.u[r] @ Gamma.T
                 assert exact(after[None], Q.sun_angle([part], sun[r])).h.min() >= -1e-9
     assert tried >= 5 and solved >= tried / 3

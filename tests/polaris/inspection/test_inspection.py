@@ -10,7 +10,7 @@ from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.flights.primary import LQR
-from polaris.inspection.flights.simulation import Flights, fly_one, smoothness
+from polaris.inspection.flights.simulation import FlightBatch, fly_one, smoothness
 from polaris.inspection.inspection import Inspection
 from polaris.inspection.vectors import CENTRE
 from polaris.model.errors import ScenarioError
@@ -261,7 +261,7 @@ def test_families_can_be_left_out(left_out):
 
 
 def test_held_motion_is_that_of_the_matrices():
-    Phi, Gamma = Q.held(7.0)
+    Phi, Gamma = Q.discretize(7.0)
     from scipy.integrate import solve_ivp
 
     x, u = np.array([100.0, -30.0, 20.0, 0.1, 0.2, -0.1]), np.array([0.3, -1.0, 0.5])
@@ -273,13 +273,13 @@ def test_held_motion_is_that_of_the_matrices():
 @pytest.mark.parametrize("duration", [np.nan, "x", None, np.inf])
 def test_held_refuses_what_is_no_time(duration):
     with pytest.raises(ScenarioError, match="duration"):
-        Q.held(duration)
+        Q.discretize(duration)
 
 
 def test_the_default_preset_is_calm_where_conditions_hold_between_samples():
     """Functions that are flat near the boundary cost more than the tank of 20 m/s holds, on the way out."""
     q, smooth = Inspection(deputies=1), []
-    flights = Flights(
+    flights = FlightBatch(
         q, np.array([[[0, -600.0, 400, 0, 0, 0]]]), np.zeros(1), 300.0, 1.0, LQR(q, 1200.0, 1e-4)
     )
     for strengthening in (PRESETS["polaris"], "polaris"):

@@ -13,10 +13,10 @@ from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import Centralized, Decentralized
-from polaris.inspection.flights.blocks import Outcome, fly_block
+from polaris.inspection.flights.blocks import BlockOutcome, fly_block
 from polaris.inspection.flights.primary import LQR
 from polaris.inspection.flights.sampling import InitialConditions
-from polaris.inspection.flights.simulation import Flights, Kept, fly_one
+from polaris.inspection.flights.simulation import FlightBatch, RunRecorder, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.campaign import local
@@ -70,9 +70,9 @@ def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
 
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):
     x, sun, _ = drawn
-    block = fly_block(Flights(Q, x[:3], sun[:3], 30.0), central())
+    block = fly_block(FlightBatch(Q, x[:3], sun[:3], 30.0), central())
     for run in range(3):
-        flight = fly_one(Flights(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
+        flight = fly_one(FlightBatch(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
         for name, values in allowable(Q, flight.x, flight.sun).items():
             at_samples = values.min()
             assert block.least[name][run] <= at_samples + 1e-9
@@ -91,8 +91,10 @@ def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
 
 def test_results_come_back_from_their_columns(drawn):
     x, sun, _ = drawn
-    block = fly_block(Flights(Q, x[:3], sun[:3], 4.0), without_sun())
-    again = Outcome({"run": np.arange(3)} | {name: values.copy() for name, values in block.columns.items()})
+    block = fly_block(FlightBatch(Q, x[:3], sun[:3], 4.0), without_sun())
+    again = BlockOutcome(
+        {"run": np.arange(3)} | {name: values.copy() for name, values in block.columns.items()}
+    )
     assert list(again.least) == list(block.least) and "phi5" not in again.least
     assert np.isnan(block.columns["least_phi5"]).all()
     for key, values in block.least.items():
@@ -103,11 +105,11 @@ def test_results_come_back_from_their_columns(drawn):
 
 def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
     x, sun, _ = drawn
-    flights = Flights(Q, x[:3], sun[:3], 6.0, 0.5)
-    kept = Kept(flights, 2)
+    flights = FlightBatch(Q, x[:3], sun[:3], 6.0, 0.5)
+    kept = RunRecorder(flights, 2)
     fly_block(flights, central(), kept)
     run = kept.flight()
-    alone = fly_one(Flights(Q, x[2:3], sun[2:3], 6.0, 0.5), central())
+    alone = fly_one(FlightBatch(Q, x[2:3], sun[2:3], 6.0, 0.5), central())
     for name, values in held_by(run, ARRAYS).items():
         np.testing.assert_allclose(values, held_by(alone, ARRAYS)[name], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(run.t, alone.t)
@@ -120,7 +122,7 @@ def test_a_failure_says_what_who_and_when():
     x[0, 0] = [0, 300, 0, 0, -0.4, 0]
     x[0, 1] = [0, 289, 0, 0, 0.4, 0]
     x[0, 2] = [0, 0, 1010, 0, 0, 0]
-    block = fly_block(Flights(q, x, np.zeros(1), 10.0), central(q))
+    block = fly_block(FlightBatch(q, x, np.zeros(1), 10.0), central(q))
     assert not block.success[0] and any(least[0] < 0 for least in block.least.values())
     what = {row["what"]: row for row in block.failures()}
     assert what["phi2"]["deputies"] == (0, 1) and what["phi2"]["value"] < 0 < what["phi2"]["time"] <= 10
@@ -131,7 +133,7 @@ def test_a_failure_says_what_who_and_when():
 
 def test_what_is_left_out_is_not_judged(drawn):
     x, sun, _ = drawn
-    block = fly_block(Flights(Q, x[:2], sun[:2], 3.0), without_sun())
+    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 3.0), without_sun())
     assert "phi5" not in block.least and "phi4" in block.least and "phi8" in block.least
 
 
@@ -139,7 +141,7 @@ def test_left_out_families_and_sampled_studies_are_judged_alike():
     """A fast deputy on its way past the chief: phi9 to phi11 count unless left out, phi7 always."""
     q = Inspection(deputies=1)
     x = np.array([[[0.0, -60.0, 0.0, 0.0, 1.2, 0.0]]])
-    flights = Flights(q, x, np.array([1.0]), 3.0)
+    flights = FlightBatch(q, x, np.array([1.0]), 3.0)
     plain = fly_block(flights, central(q))
     assert plain.least["phi10"][0] < 0 and plain.least["phi7"][0] < 0
     without = fly_block(flights, central(q, without=("velocity",)))
@@ -154,14 +156,14 @@ def test_what_cannot_be_told_is_a_failure(drawn):
     lost = x[:1].copy()
     lost[0, 2, 4] = np.nan
     with np.errstate(invalid="ignore"):
-        block = fly_block(Flights(Q, lost, sun[:1], 2.0), central())
+        block = fly_block(FlightBatch(Q, lost, sun[:1], 2.0), central())
     assert not block.success[0] and block.least["phi1"][0] == -np.inf
 
     class Broken:
         def __call__(self, t, states):
             return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
 
-    block = fly_block(Flights(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
+    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
     assert not block.success.any() and (block.columns["short_s"] == 1.0).all()
     assert np.isfinite(block.least["phi1"]).all() and not any(
         (least < 0).any() for least in block.least.values()
@@ -170,7 +172,7 @@ def test_what_cannot_be_told_is_a_failure(drawn):
 
 def test_a_primary_controller_that_attacks_is_filtered(drawn):
     x, sun, _ = drawn
-    block = fly_block(Flights(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
+    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
     assert (block.columns["interventions_share"] == 1).all() and block.success.all()
 
 
@@ -219,7 +221,7 @@ def test_success_hangs_on_the_function_of_h5(tmp_path, shown, coefficients, shar
 @pytest.mark.slow
 def test_published_velocity_limits_fail_the_run_that_is_told():
     x, sun = InitialConditions(Families(Q), seed=0).first(1909)
-    flights = Flights(Q, x[-1:], sun[-1:], 30.0)
+    flights = FlightBatch(Q, x[-1:], sun[-1:], 30.0)
     assert "(seed 0, run 1908)" in Path("docs/inspection.md").read_text(encoding="utf-8")
     for preset, good in (("afrl", False), ("polaris", True)):
         block = fly_block(flights, Centralized(Families(Q, preset)))

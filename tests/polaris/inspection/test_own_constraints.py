@@ -7,7 +7,7 @@ from polaris.inspection import (
     Constraint,
     Evaluation,
     Families,
-    Flights,
+    FlightBatch,
     InitialConditions,
     Inspection,
     SampledData,
@@ -21,7 +21,7 @@ from polaris.inspection.constraints.constraint import KINDS
 from polaris.inspection.constraints.strengthening import PRESETS, Strengthening
 from polaris.inspection.constraints.table import printed
 from polaris.inspection.filters.explicit import make_filter
-from polaris.inspection.flights.judge import judge
+from polaris.inspection.flights.evaluation import least_values
 from polaris.model import compiled
 from polaris.model.errors import ScenarioError
 
@@ -77,8 +77,8 @@ class Upwards:
 
 def flown(q, kind, sampled=True):
     families = Families(q, "linear", sampled=SampledData(1.0) if sampled else None)
-    flights = Flights(q, START[None], np.zeros(1), 80.0, 1.0, Upwards())
-    return judge(
+    flights = FlightBatch(q, START[None], np.zeros(1), 80.0, 1.0, Upwards())
+    return least_values(
         fly_one(flights, make_filter(families, kind)), Families(q, "linear", exact=True), 4
     ).constraints
 
@@ -86,7 +86,7 @@ def flown(q, kind, sampled=True):
 @pytest.mark.parametrize("loops", [True, False])
 @pytest.mark.parametrize("kind", ["centralized", "consensus"])
 def test_one_class_is_kept_and_judged(kind, loops, monkeypatch):
-    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    monkeypatch.setattr(compiled, "is_enabled", lambda: loops)
     least = flown(Q, kind)
     assert list(least) == [*KINDS, "ceiling", "tether"]
     assert min(one.value for one in least.values()) >= 0
@@ -97,7 +97,7 @@ def test_without_them_both_are_violated():
     judged = flown(Inspection(deputies=2), "centralized")
     assert list(judged) == list(KINDS) and judged["phi6"].value >= 0
     x = fly_one(
-        Flights(Q, START[None], np.zeros(1), 200.0, 1.0, Upwards()),
+        FlightBatch(Q, START[None], np.zeros(1), 200.0, 1.0, Upwards()),
         make_filter(Families(Q, "linear", without=("ceiling", "formation")), "centralized"),
     ).x
     phi = allowable(Q, x, np.zeros(len(x)))
@@ -108,7 +108,7 @@ def test_without_them_both_are_violated():
 def test_rows_of_loops_and_formulas_agree(sampled, monkeypatch):
     rows = []
     for loops in (True, False):
-        monkeypatch.setattr(compiled, "wanted", lambda loops=loops: loops)
+        monkeypatch.setattr(compiled, "is_enabled", lambda loops=loops: loops)
         families = Families(Q, "linear", sampled=sampled, exact=True)
         assert bool(families.loops) == loops
         rows.append(families(START[None] + np.linspace(0, 9, 4)[:, None, None], np.zeros(4)))
@@ -130,7 +130,7 @@ def test_many_flights_are_drawn_and_judged_by_them():
     families = Families(q, "linear")
     x, sun = InitialConditions(families, 0, 512).first(8)
     assert (x[..., 2] <= 50).all()
-    outcome = fly_block(Flights(q, x, sun, 10.0), make_filter(families, "centralized"))
+    outcome = fly_block(FlightBatch(q, x, sun, 10.0), make_filter(families, "centralized"))
     assert "ceiling" in outcome.least and outcome.columns["least_ceiling"].shape == (8,)
 
 
@@ -208,11 +208,11 @@ NONE = {
 )
 def test_what_has_no_number_for_a_state_is_short_and_the_others_are_kept(name, loops, kind, monkeypatch):
     """The program failed for all: nobody braked, and the pair came to 8 m where 10 m are asked for."""
-    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    monkeypatch.setattr(compiled, "is_enabled", lambda: loops)
     changed = {"gradient": ("__call__", lambda self, z, sun=0.0: Evaluation(z[..., 2], z * np.nan, 0.0))}
     q = with_(*changed.get(name, (name, NONE.get(name))))
     f = build_filter("centralized" if kind == "centralized" else "decentralized", q, 1.0, sharing=kind)
-    x, (Phi, Gamma) = np.array([[0, -300, 300.0, 0, 0, 0.1], [0, -300, 315.0, 0, 0, -0.1]]), q.held(1.0)
+    x, (Phi, Gamma) = np.array([[0, -300, 300.0, 0, 0, 0.1], [0, -300, 315.0, 0, 0, -0.1]]), q.discretize(1.0)
     for k in range(35):
         answer = f.filter(float(k), x, np.array([[0, 0, 1.0], [0, 0, -1.0]]))
         assert answer.missed["ceiling[0]"] == np.inf and answer.status == "short"

@@ -18,7 +18,7 @@ SPEEDS = ("phi3", "phi9", "phi10", "phi11")
 def fly(q, families, sharing, x, seconds):
     """Without any desired thrust, the sun at 0 to begin with: least and last values, largest speed."""
     filtering = make_filter(families, sharing)
-    K, moves = len(x), [q.held(part) for part in (0.5, 1.0)]
+    K, moves = len(x), [q.discretize(part) for part in (0.5, 1.0)]
     least = allowable(q, x, np.zeros(K))
     fastest = np.zeros(K)
     for k in range(seconds):

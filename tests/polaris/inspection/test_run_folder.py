@@ -61,10 +61,10 @@ def summary(folder):
 
 def test_flight_folder_holds_what_was_flown(folders):
     folder = folders["inspection"]
-    run, table = read_run(folder).picture(), summary(folder)
+    run, table = read_run(folder).plot_data(), summary(folder)
     assert run.x.shape == (21, 5, 6) and run.u.shape == (20, 5, 3)
     assert np.array_equal(run.x[0], load_scenario("inspection").initial()[0])
-    Phi, Gamma = run.inspection.held(1.0)
+    Phi, Gamma = run.inspection.discretize(1.0)
     assert np.allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, rtol=0, atol=1e-9)
     assert np.abs(run.u).max() <= 1.0 and table["delta_v_m_s"] == pytest.approx(run.delta_v[-1])
     assert sum(table["steps"].values()) == run.status.size
@@ -80,7 +80,7 @@ def test_flight_folder_holds_what_was_flown(folders):
 
 
 def test_periods_that_began_unsafe_or_had_no_solution_are_not_covered(folders):
-    run = read_run(folders["inspection"]).picture()
+    run = read_run(folders["inspection"]).plot_data()
     assert covered_periods(run).all()
     status, h, x = run.status.copy(), run.h.copy(), run.x.copy()
     status[3, 1], h[5, 0], x[7, 2, :3] = 2, -1e-9, 0.0
@@ -108,7 +108,7 @@ def test_nothing_is_claimed_beyond_what_the_filter_gives(tmp_path, settings, wor
 
 def test_fuel_folder_holds_what_was_flown(folders):
     folder, table = folders["fuel_limit"], summary(folders["fuel_limit"])
-    run = read_run(folder).picture()
+    run = read_run(folder).plot_data()
     assert run.x.shape == (21, 6) and table["latched_at_s"] is None and table["safe"]
     spent = np.abs(run.u).sum() / run.inspection.mass
     assert run.delta_v[-1] == pytest.approx(spent) == table["delta_v_m_s"]
@@ -142,7 +142,7 @@ def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings
 
 
 def test_campaign_folder_holds_what_was_flown(folders):
-    table, picture = summary(folders["monte_carlo"]), read_run(folders["monte_carlo"]).picture()
+    table, picture = summary(folders["monte_carlo"]), read_run(folders["monte_carlo"]).plot_data()
     assert [study["name"] for study in table["studies"]] == list(picture.studies)
     assert picture.x.shape == (2, 2, 6) and table["guarantee"]["kind"] == "statistical"
     for study, success in zip(table["studies"], picture.success, strict=True):
@@ -208,11 +208,11 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
         arrays = {name: file[name] for name in file.files}
     np.savez(folder / "flight.npz", **{**arrays, "states": arrays["states"][:-1]})
     with pytest.raises(ScenarioError, match="wrong shape"):
-        read_run(folder).picture()
+        read_run(folder).plot_data()
     arrays["states"][3, 1, 2] = np.nan
     np.savez(folder / "flight.npz", **arrays)
     with pytest.raises(ScenarioError, match="not finite"):
-        read_run(folder).picture()
+        read_run(folder).plot_data()
 
 
 @pytest.mark.parametrize(

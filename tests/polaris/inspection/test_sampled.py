@@ -402,7 +402,7 @@ def test_filtered_flights_stay_allowable_between_samples(period, make):
         good &= (values >= 0).all(axis=1)
     x, sun = x[good][:25], sun[good][:25]
     assert len(x) == 25
-    moves = [q.held(period * part) for part in (0.25, 0.5, 0.75, 1.0)]
+    moves = [q.discretize(period * part) for part in (0.25, 0.5, 0.75, 1.0)]
     decided = 0
     for k in range(15):
         now = sun - q.mean_motion * k * period
@@ -455,7 +455,7 @@ def test_rows_below_zero_ask_for_recovery():
     assert rows.h[0, row] < 0
     answer = Centralized(Families(q, families.alpha, without=("passive", "speed"), sampled=SampledData(1.0)))
     u = answer.batch(x, np.array([np.pi]), np.zeros((1, 1, 3)))
-    Phi, Gamma = q.held(1.0)
+    Phi, Gamma = q.discretize(1.0)
     later = families(x @ Phi.T + u.u @ Gamma.T, np.array([np.pi])).h[0, row]
     if u.status.max() < SHORT:
         assert later >= rows.h[0, row] + 0.01

@@ -13,12 +13,12 @@ from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
 from polaris.inspection.filters.explicit import Filtered
-from polaris.inspection.flights.judge import judge
-from polaris.inspection.flights.simulation import Flights, fly_one
+from polaris.inspection.flights.evaluation import least_values
+from polaris.inspection.flights.simulation import FlightBatch, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.inspections.inspection import fly_flight
-from polaris.scenario.base import put
+from polaris.scenario.base import set_key
 from polaris.scenario.scenario import (
     KINDS,
     FlightScenario,
@@ -268,7 +268,7 @@ def test_broken_scenario_is_one_line_with_field_value_and_rule(case):
     base, changes, field, rule = case
     data = copy.deepcopy(document(BASE[base]))
     for key, value in changes.items():
-        put(data, key, value, None)
+        set_key(data, key, value, None)
     with pytest.raises(ScenarioError) as caught:
         Scenario.from_dict(data, "broken.toml")
     error = caught.value
@@ -292,7 +292,7 @@ class Unfiltered:
 
 
 def fly_unfiltered(q, primary, x, sun, duration):
-    return fly_one(Flights(q, x[None], np.array([sun]), duration, primary=primary), Unfiltered(q))
+    return fly_one(FlightBatch(q, x[None], np.array([sun]), duration, primary=primary), Unfiltered(q))
 
 
 def test_primary_alone_breaks_what_the_filter_keeps():
@@ -300,7 +300,9 @@ def test_primary_alone_breaks_what_the_filter_keeps():
     x, sun = scenario.initial()
     alone = fly_unfiltered(scenario.inspection(), scenario.primary(), x, sun, 1200.0)
     broken = {
-        name for name, least in judge(alone, scenario.families(), 0).constraints.items() if least.value < 0
+        name
+        for name, least in least_values(alone, scenario.families(), 0).constraints.items()
+        if least.value < 0
     }
     assert broken >= {"phi1", "phi2", "phi3", "phi7", "phi8", "phi10", "phi11"}
 
@@ -319,8 +321,8 @@ def test_judge_sees_what_happens_between_samples():
     scenario = load_scenario("inspection").with_assignments(["initial.states=[[0, 300, 0, 0, 0, 0]]"])
     x = np.array([[0.0, 20.0, 0.0, 0.0, -40.0, 0.0]])
     run = fly_unfiltered(scenario.inspection(), lambda t, x: np.zeros((1, 1, 3)), x, 0.0, 1.0)
-    at_samples = judge(run, scenario.families(), 0).constraints["phi1"]
-    between = judge(run, scenario.families(), 3).constraints["phi1"]
+    at_samples = least_values(run, scenario.families(), 0).constraints["phi1"]
+    between = least_values(run, scenario.families(), 3).constraints["phi1"]
     assert at_samples.value == pytest.approx(10.0, abs=0.1) and at_samples.violated_share == 0
     assert between.value == pytest.approx(-10.0, abs=0.1) and between.time == 0.5
     assert between.at_samples == at_samples.value

@@ -11,19 +11,19 @@ import pytest
 from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.flights.simulation import BACKUP, smoothness
 from polaris.rta.projection import SHORT
-from polaris.runs.inspections.inspection import JudgedRun, fly_flight
+from polaris.runs.inspections.inspection import EvaluatedRun, fly_flight
 from polaris.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.slow
 
 
 @cache
-def flight(name: str, *overrides: str) -> JudgedRun:
+def flight(name: str, *overrides: str) -> EvaluatedRun:
     """A bundled scene, whole, with another filter or preset."""
     return fly_flight(load_scenario(name).with_assignments(list(overrides)))
 
 
-def assured(timing: dict[str, float] | None = None) -> JudgedRun:
+def assured(timing: dict[str, float] | None = None) -> EvaluatedRun:
     given = {"filter": {"kind": "explicit"}, **({"flight": timing} if timing else {})}
     return fly_flight(load_scenario("inspection", given))
 
@@ -35,11 +35,11 @@ def told(*parts: str) -> None:
     assert not [part for part in parts if part not in page]
 
 
-def short(flown: JudgedRun) -> float:
+def short(flown: EvaluatedRun) -> float:
     return float((flown.run.status == SHORT).mean())
 
 
-def switches(flown: JudgedRun) -> float:
+def switches(flown: EvaluatedRun) -> float:
     return smoothness(flown.run.u, flown.run.t, flown.run.inspection.thrust_max)["switches"]
 
 

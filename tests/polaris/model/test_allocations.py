@@ -31,10 +31,10 @@ def drawn(seed, kind, faults=()):
         ways = np.vstack([ways, -ways]) if kind == PAIRS else ways
         limits = rng.uniform(0.02, 0.05, len(ways))
         try:
-            made = Allocation.of(ways, limits, rng.uniform(0.02, 0.06, m), faults, kind)
+            made = Allocation.from_directions(ways, limits, rng.uniform(0.02, 0.06, m), faults, kind)
         except SynthesisInfeasible:
             continue
-        return rng, Nozzles.of(made, *ERRORS, 1e-3, bool(seed % 3), True)
+        return rng, Nozzles.from_errors(made, *ERRORS, 1e-3, bool(seed % 3), True)
 
 
 def inputs(rng, made, count):
@@ -209,8 +209,13 @@ def test_layouts_that_a_kind_cannot_serve_are_refused_by_name(assignments, field
 
 def test_pairs_that_do_not_push_every_way_once_one_is_broken_are_refused():
     ways = np.vstack([np.eye(2), -np.eye(2)])
-    assert Allocation.of(ways, np.ones(4), np.ones(2), [], PAIRS).mixes.max() == 1.0
+    assert Allocation.from_directions(ways, np.ones(4), np.ones(2), [], PAIRS).mixes.max() == 1.0
     extra = np.vstack([ways, [[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]]])
-    assert Allocation.of(extra, np.ones(8), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS).u_max.min() > 0.5
+    assert (
+        Allocation.from_directions(
+            extra, np.ones(8), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS
+        ).u_max.min()
+        > 0.5
+    )
     with pytest.raises(SynthesisInfeasible, match="do not span every direction"):
-        Allocation.of(ways, np.ones(4), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS)
+        Allocation.from_directions(ways, np.ones(4), np.ones(2), [Fault("stuck_off", 0.0)], PAIRS)

@@ -32,7 +32,7 @@ def random_observer(seed, along=0.05, initial=False):
         A = np.array([[0.0, 1.0], [-rng.uniform(0, 0.02), -rng.uniform(0, 0.1)]])
         B = np.array([[0.0], [0.1]])
         plain = Craft(A, B, B, np.array([0.3]), 10 ** rng.uniform(-4, -2), np.eye(1, 2))
-    craft = replace(Craft.of(plain), thrusters=Thrusters(along, 0.3 * along, 0.0))
+    craft = replace(Craft.from_system(plain), thrusters=Thrusters(along, 0.3 * along, 0.0))
     half = craft.n // 2
     noise = rng.uniform(0.02, 0.2, half)
     observer = design(craft, np.eye(half, craft.n), noise, h, missed, boxed=True)

@@ -15,7 +15,7 @@ from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacle import directions
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle, perceive
 from polaris.model.scene.satellite import SatelliteObstacle
-from polaris.model.scene.shapes import Polytope
+from polaris.model.scene.shapes import PolytopeShape
 from polaris.model.system import LinearSystem
 from polaris.report.scene.geometry import boxed
 from reach.numerics.linear import discretize
@@ -148,7 +148,9 @@ def test_rigid_sets_are_inside_their_polytopes(seed, d, kind, moving):
         H = np.vstack([rng.normal(size=(6, d)), np.eye(d), -np.eye(d)])
         b = rng.uniform(0.5, 5, size=len(H))
         obstacle = PolytopeObstacle("o", H, b + H @ centre, v)
-        local = Polytope(H / np.linalg.norm(H, axis=1)[:, None], b / np.linalg.norm(H, axis=1)).vertices()
+        local = PolytopeShape(
+            H / np.linalg.norm(H, axis=1)[:, None], b / np.linalg.norm(H, axis=1)
+        ).vertices()
     (tp,) = perceive([obstacle], system, 3.0, 4)
     assert tp.static == (not moving)
     offsets = tp.fine(6)

@@ -223,7 +223,7 @@ def checked(system, sat, delta, cells, thrust):
     pytest.importorskip("flint")
     import flint
 
-    from polaris.certificate.files.parts import UnsafeSet
+    from polaris.certificate.files.entries import UnsafeSet
     from polaris.certificate.kernel.balls import PRECISION
     from polaris.certificate.kernel.verdict import Rejected
     from polaris.certificate.model.satellites import Satellite

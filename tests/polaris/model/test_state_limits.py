@@ -25,7 +25,7 @@ from polaris.planning.goals import Box
 from polaris.planning.problem import PlanProblem
 from polaris.planning.recheck import path_bounds
 from polaris.planning.reference import Reference
-from polaris.planning.rows import Rows
+from polaris.planning.rows import PlanRows
 from polaris.report.scene.items import drawn_pilots
 from polaris.report.scene.timelines import proven_distance, schedule_timeline
 from polaris.rta.arena import compare_methods
@@ -33,7 +33,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.asif_explicit import ExplicitASIF
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.recovery import Recovery
-from polaris.runs.picturing import picture_of
+from polaris.runs.build_plot_data import schedule_plot_data
 from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -123,7 +123,7 @@ def test_bounds_on_rows_of_the_state_hold_between_waypoints(seed):
     nu, x0 = rng.uniform(-1, 1, (5, system.m)), rng.normal(size=system.n)
     task = PlanProblem(system, x0, 5, 0.8, sets, zero, np.ones((5, system.m)), goal)
     path = Reference.propagate(system, 0.8, x0, nu)
-    rows = Rows(task).surplus(path)
+    rows = PlanRows(task).surplus(path)
     for s, low, modelled in zip(sets, path_bounds(task, path), rows, strict=True):
         true = path.fine(160) @ s.rows(system).T - s.fine(160)
         least = true.min(axis=1)
@@ -166,7 +166,7 @@ def test_limits_bind_and_are_kept(limited):
 def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
     """Speeds are those of the states, and no flight of 200 passes the line of what is proven."""
     scenario, schedule = limited
-    system, picture = scenario.system(), picture_of(schedule)
+    system, picture = scenario.system(), schedule_plot_data(schedule)
     runs = simulate(schedule, 200, 2)
     assert {one.name for one in picture.state_limits} == {"speed", "octagon", "mixed", "dash"}
     panels = {
@@ -199,7 +199,7 @@ def test_limits_hold_at_every_hand_over(limited):
 )
 def test_limits_hold_under_an_online_monitor(limits, trust):
     schedule = synthesize(load_scenario(TINY, [SOFT, limits]))
-    worst, share = attack_monitor(Monitor(DecisionGrid.of(schedule), trust), 40, 0)
+    worst, share = attack_monitor(Monitor(DecisionGrid.from_schedule(schedule), trust), 40, 0)
     assert worst.left.min() > 0 and worst.thrust >= 0
     assert share > 0
 
@@ -377,7 +377,7 @@ def test_methods_that_prove_keep_limits_between_nodes(limits):
 def test_rows_of_velocity_stray_from_their_chord_by_no_more_than_is_booked(limited, seed):
     """An input held over a period, and any disturbance in it."""
     _, schedule = limited
-    recovery, rng = Recovery(DecisionGrid.of(schedule)), np.random.default_rng(seed)
+    recovery, rng = Recovery(DecisionGrid.from_schedule(schedule)), np.random.default_rng(seed)
     system, h, parts = recovery.grid.system, recovery.grid.h, 200
     rows = recovery.grid.clearance.obstacle_rows[0]
     phi, moved = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
@@ -555,4 +555,4 @@ def test_a_limit_that_no_plan_keeps_says_so():
 def test_a_filter_that_brakes_before_walls_refuses_limits_of_states(limited):
     _, schedule = limited
     with pytest.raises(ScenarioError, match="limits the whole state"):
-        ExplicitASIF(DecisionGrid.of(schedule))
+        ExplicitASIF(DecisionGrid.from_schedule(schedule))

@@ -92,7 +92,7 @@ def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_
         top, errors = system.u_max * (1.5 if fired else 1), system.thrusters
         timing = Timing(jitter=jitter, fired=tuple(top) if fired else ())
         late = predicting(system, timing, h)
-        assert late.prompt.thrusters == late.on_time == errors
+        assert late.without_delay.thrusters == late.on_time == errors
         begins = np.arange(count + 1) * h
         shifts = jitter * rng.choice([-1, 1, 0], count + 1)
         shifts[[0, -2, -1]] = 0.0
@@ -139,16 +139,16 @@ def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_
             scale = max(scale, np.abs(x).max())
             apart = max(apart, np.abs(x - y - B @ delta[i + 1]).max())
         assert apart <= 1e-4 * scale
-        away = late.displaced_at_nodes
+        away = late.state_offset_at_nodes
         assert np.all(np.abs(B) @ np.abs(delta).max(axis=0) <= away * (1 + 1e-9))
-        assert np.allclose(late.adrift, A @ B * late.shifted)
+        assert np.allclose(late.impulse_rates, A @ B * late.shifted)
 
 
 def test_without_timing_everything_is_as_without_the_table():
     plain = load_scenario(TINY)
     zero = plain.with_assignments(["timing.delay_s=0.0", "timing.missed_periods=0", "timing.clock_error_s=0"])
     assert certificate(synthesize(plain), "tiny") == certificate(synthesize(zero), "tiny")
-    assert zero.system().timing == Timing() and zero.system().prompt is zero.system()
+    assert zero.system().timing == Timing() and zero.system().without_delay is zero.system()
 
 
 def test_delays_flown_for_real_stay_within_the_bounds_and_use_them():
@@ -172,7 +172,7 @@ def test_a_longer_delay_needs_more_and_what_is_too_long_is_named():
     errors = [system.navigation for system in bounds]
     assert np.all(errors[0] <= errors[1]) and np.all(errors[1] <= errors[3]) and np.any(errors[1] < errors[3])
     assert np.array_equal(errors[1], errors[2])
-    assert all(np.array_equal(system.prompt.navigation, errors[0]) for system in bounds)
+    assert all(np.array_equal(system.without_delay.navigation, errors[0]) for system in bounds)
     with pytest.raises(SynthesisInfeasible, match=r"of that for delay, missed periods and jitter"):
         synthesize(scenario.with_assignments(["timing.delay_s=20.0"]))
 
@@ -275,7 +275,7 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     """Fly predictions with the worst errors of thrusters: they need what is booked, or a little less."""
     given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
     tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
-    system, profile = tracking.system, tracking.profile
+    system, profile = tracking.system, tracking.feedback_bound
     ((hidden, _),) = system.timing.unseen
     assert hidden == 2
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)

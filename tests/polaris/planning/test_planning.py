@@ -31,13 +31,13 @@ from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoin
 from polaris.planning.lp import GrowingLP
 from polaris.planning.problem import Plan, PlannerOptions, PlanProblem
 from polaris.planning.recheck import recheck
-from polaris.planning.rows import Rows
+from polaris.planning.rows import PlanRows
 from polaris.planning.search import PathSearch
 from polaris.planning.solve import plan
 from polaris.runs.certificate import certificate
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.safety.get_safety import get_safety
-from polaris.synthesis.schedule import in_view
+from polaris.synthesis.schedule import recourse
 from polaris.synthesis.schedule.synthesize import synthesize
 from tests.polaris.tiny import TINY
 
@@ -387,7 +387,7 @@ def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
 
 def clock(monkeypatch, tell):
     """Give the planner another clock."""
-    for module in (problem_module, solve, effort, model, search, tree, diagnose, in_view):
+    for module in (problem_module, solve, effort, model, search, tree, diagnose, recourse):
         monkeypatch.setattr(module, "perf_counter", tell)
 
 
@@ -469,8 +469,8 @@ def test_what_the_solver_takes_for_the_goal_counts_as_the_goal(away):
     system = LinearSystem(np.eye(4, k=2), np.eye(4)[:, 2:], np.eye(4)[:, 2:], [1.0, 1.0])
     start, goals = np.array([away, -away, 0.0, 0.0]), (np.zeros(4), np.array([0.3, 20.0, 0.0, 0.0]))
     for goal in (StationaryPoint(goals[0]), StationaryPoint(goals[1]), Box(goals[1], np.full(4, 0.2))):
-        task = PlanProblem(system, start, 20, 1.0, (), (), np.ones((20, 2)), goal.of(system))
-        rows, wanted = Rows(task), task.goal.conditions
+        task = PlanProblem(system, start, 20, 1.0, (), (), np.ones((20, 2)), goal.for_system(system))
+        rows, wanted = PlanRows(task), task.goal.conditions
         lp, z = PathSearch(rows, np.inf).lp, np.random.default_rng(0).uniform(-1, 1, rows.N)
         last = rows.free[20] + rows.state_rows(np.eye(4), 20) @ z
         over = np.concatenate([wanted.E @ last - wanted.e, wanted.g - wanted.G @ last])
@@ -609,7 +609,7 @@ def test_importing_does_not_load_the_solvers():
 @pytest.mark.parametrize("prices", [{}, {"margin": 50.0, "fuel": 1e-3}, {"short": 1e3}])
 def test_prices_of_facets_are_lower_bounds(prices):
     task = problem([STATIC, KEEP_OUT, CROSSING], goal=EllipticalNMT(ETA, 150.0, 400.0))
-    search = PathSearch(Rows(task), perf_counter() + 60)
+    search = PathSearch(PlanRows(task), perf_counter() + 60)
     search.rows.extra[0][:] = search.rows.extra[2][:] = 20.0
     search.set_prices(0.0, 1.0, **prices)
     keys = [(-1, 0), *((i, k) for i in (0, 1, 2) for k in (10, 25, 40))]

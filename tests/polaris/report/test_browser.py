@@ -64,7 +64,7 @@ def comparison(folder, tmp_path_factory):
     place = tmp_path_factory.mktemp("compared")
     shutil.copytree(folder, place / "run")
     opened = read_run(place / "run")
-    return write_report(write_comparison(place, opened, opened.picture().flights)).as_uri()
+    return write_report(write_comparison(place, opened, opened.plot_data().flights)).as_uri()
 
 
 @pytest.fixture(scope="module")

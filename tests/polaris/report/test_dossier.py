@@ -81,7 +81,7 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
 
 
 def lines_of(run, verdict):
-    return Dossier.of(read_run(run), lambda path: verdict)
+    return Dossier.from_run(read_run(run), lambda path: verdict)
 
 
 def test_what_the_checker_does_not_confirm_is_not_claimed(run):

@@ -35,9 +35,9 @@ from polaris.report.scene.palette import (
     shades,
 )
 from polaris.report.scene.space import Space
-from polaris.runs.picture import Frame, Picture, directions
-from polaris.runs.picturing import picture_of, picture_of_safety
-from polaris.simulation.baselines import Flights
+from polaris.runs.build_plot_data import safety_plot_data, schedule_plot_data
+from polaris.runs.plot_data import Frame, PlotData, directions
+from polaris.simulation.baselines import FlightEnvelope
 from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
 from tests.polaris.random_scenarios import synthesised as random_schedule
@@ -53,7 +53,7 @@ def few_slices():
 @pytest.fixture(scope="module")
 def picture():
     schedule = synthesised()[1]
-    return replace(picture_of(schedule), flights={key: item.flights for key, item in flown().items()})
+    return replace(schedule_plot_data(schedule), flights={key: item.flights for key, item in flown().items()})
 
 
 @lru_cache(maxsize=16)
@@ -131,7 +131,7 @@ def test_every_hand_over_has_the_set_of_its_own_time(picture):
 
 
 def test_hills_frame_is_along_track_to_the_right_and_radial_up():
-    frame = Frame.of(clohessy_wiltshire(0.0012, 10.0, 0.1))
+    frame = Frame.from_system(clohessy_wiltshire(0.0012, 10.0, 0.1))
     assert frame.axes == (1, 0, 2)
     assert frame.labels == ("Along-track (m)", "Radial (m)", "Cross-track (m)")
 
@@ -225,14 +225,14 @@ def test_plots_go_into_given_axes_and_new_ones():
 
 
 def test_reference_alone_has_no_modes():
-    picture = picture_of_safety(synthesised()[1].safety)
+    picture = safety_plot_data(synthesised()[1].safety)
     assert len(picture.modes) == 0 and picture.tube is None and picture.slices is not None
 
 
 def bare(system, obstacles, goal, chi0, delta=30.0, steps=20):
     """A picture with no more than a free path."""
     reference = Reference.propagate(system, delta, np.array(chi0, dtype=float), np.zeros((steps, system.m)))
-    return Picture(
+    return PlotData(
         "bare", system, tuple(obstacles), goal, Zonotope.box(chi0, np.full(system.n, 0.1)), reference, steps
     )
 
@@ -305,12 +305,12 @@ def random_picture(seed):
         goals += [LinearNMT(0.0012, 0.2 * size, 0.1 * size), EllipticalNMT(0.0012, 0.1 * size, 0.2 * size)]
     modes = rng.integers(0, 3, steps)
     ones = np.ones((3, len(times)))
-    flights = Flights(
+    flights = FlightEnvelope(
         "polaris", ("nominal",), times, path[None], np.zeros((1, len(times) - 1, system.m)), modes, ones,
         np.zeros((2, len(times) - 1, system.m)),
     )  # fmt: skip
     limits = [system.input_names[0], "corridor[0]", "corridor[1]", "visitor", "wall", sets[1].name]
-    return Picture(
+    return PlotData(
         "random", system, tuple(sets[i] for i in range(5) if rng.random() < 0.8),
         goals[rng.integers(len(goals))],
         Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), np.zeros(n - d)]), reference, steps,
@@ -419,7 +419,7 @@ def test_no_two_kinds_of_thing_share_a_colour():
 
 def drawn_gap(picture, obstacle, times, path, axes):
     """Least distance of drawn positions from the drawn outline of the true set at the same time."""
-    space = Space.of(picture)
+    space = Space.from_paths(picture)
     gaps = []
     for t, p in zip(times, path, strict=True):
         outline = space.wider(20.0).outline(obstacle, float(t), axes)
@@ -439,7 +439,7 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     for obstacle in picture.obstacles:
         distance = obstacle.signed_distance(times, path, picture.system)
         own = [one for one in panels if one.obstacle is obstacle]
-        inside = Space.of(picture).corners(obstacle, picture.approach(obstacle).time)
+        inside = Space.from_paths(picture).corners(obstacle, picture.approach(obstacle).time)
         if isinstance(obstacle, KeepInPolytope) or distance.min() <= 0 or not len(inside):
             assert own == []
             continue
@@ -447,7 +447,7 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
         for one in own:
             a, b = one.span
             assert times[a] <= one.time <= times[b - 1]
-            cover = Space.of(picture).cover(obstacle, one.time)
+            cover = Space.from_paths(picture).cover(obstacle, one.time)
             if one.axes is not None and cover is not None:  # nor does the path cross the cover that is drawn
                 centres = obstacle.centre(times[a:b], picture.system)
                 beside = path[a:b] - centres + obstacle.centre(one.time, picture.system)
@@ -538,7 +538,7 @@ def test_polygon_is_circumscribed():
 
 
 def test_tube_outlines_contain_the_tube():
-    tube, rng = picture_of(synthesised()[1]).tube, np.random.default_rng(1)
+    tube, rng = schedule_plot_data(synthesised()[1]).tube, np.random.default_rng(1)
     outlines = polygon(tube_support(tube.centre, tube.generators, tube.bow, 3, directions()), directions())
     q = tube.bow.shape[1]
     edges = np.unique(np.linspace(0, q, 4).astype(int))
@@ -586,7 +586,7 @@ def test_slices_contain_the_chaser_of_every_run():
     schedule = synthesised()[1]
     flights = {key: item.flights for key, item in flown().items()}
     assert len(flights["polaris"].labels) > 3
-    assert_slices_are_of_their_instants(schedule, picture_of(schedule, flights))
+    assert_slices_are_of_their_instants(schedule, schedule_plot_data(schedule, flights))
 
 
 PROVED = (1,)
@@ -603,7 +603,7 @@ def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     except PolarisError:
         assert seed not in PROVED, "or nothing is looked at"
         pytest.skip("refused")
-    picture = picture_of(schedule)
+    picture = schedule_plot_data(schedule)
     assert_slices_are_of_their_instants(schedule, picture)
     for t, _, place, outline in picture.printed_slices():
         i = int(np.argmin(np.abs(picture.safe_path()[0] - t)))

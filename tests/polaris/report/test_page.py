@@ -40,7 +40,7 @@ def comparison(run, tmp_path_factory):
     target = tmp_path_factory.mktemp("comparison")
     shutil.copytree(run, target / "run")
     opened = read_run(target / "run")
-    return write_comparison(target, opened, opened.picture().flights)
+    return write_comparison(target, opened, opened.plot_data().flights)
 
 
 def data_of(html):
@@ -99,7 +99,7 @@ def test_page_is_small_enough_and_repeats_byte_for_byte(run, html, tmp_path):
 
 
 def test_paths_are_those_of_the_folder(run, html):
-    data, flights = data_of(html), read_run(run).picture().flights["polaris"]
+    data, flights = data_of(html), read_run(run).plot_data().flights["polaris"]
     pilot = next(one for one in data["pilots"] if one["key"] == "polaris")
     chosen = kept(len(flights.times))
     assert pilot["labels"] == list(flights.labels) and pilot["labels"][0] == "nominal"
@@ -122,7 +122,7 @@ def test_timelines_are_those_of_the_folder(run, html):
     )
     shares = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
     assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, shares, strict=True))
-    flights = folder.picture().flights["polaris"]
+    flights = folder.plot_data().flights["polaris"]
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
     assert [one["y"] for one in panels["input0"]["limits"]] == [-1, 1]
@@ -130,7 +130,7 @@ def test_timelines_are_those_of_the_folder(run, html):
 
 def test_band_and_proof_lie_around_the_simulated_distances(run, html):
     (panel,) = [panel for panel in data_of(html)["panels"] if panel["key"] == "distance"]
-    flights = read_run(run).picture().flights["polaris"]
+    flights = read_run(run).plot_data().flights["polaris"]
     series = next(one for one in panel["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["band"], flights.nearest[[0, 2]], rtol=1e-5)
     assert np.allclose(np.min(series["runs"], axis=1).min(), flights.nearest[0].min(), rtol=1e-5)
@@ -155,7 +155,7 @@ def test_first_screen_answers_what_a_reader_asks(run, html):
     for who in ("polaris", "safety"):
         assert f"{summary[who]['delta_v_m_s']:.4g} m/s" in head
     assert f"U {100 * known['experimental_share']:.1f} %" in head and f"{known['switches']} switch" in head
-    modes = read_run(run).picture().modes
+    modes = read_run(run).plot_data().modes
     bar = [int(width) for width in re.findall(r'<i style="flex: (\d+)', html)]
     assert sum(bar) == len(modes) and len(bar) == 1 + known["switches"]
 
@@ -193,7 +193,7 @@ def test_sets_of_the_hand_overs_are_those_of_their_times(run, html):
 
 def test_velocity_change_adds_up_to_what_was_flown(run, html):
     folder = read_run(run)
-    picture, (panel,) = folder.picture(), [one for one in data_of(html)["panels"] if one["key"] == "spent"]
+    picture, (panel,) = folder.plot_data(), [one for one in data_of(html)["panels"] if one["key"] == "spent"]
     (bound,) = panel["limits"]
     assert bound["y"] == pytest.approx(folder.summary["guarantee"]["goal"]["delta_v_max_m_s"], rel=1e-5)
     for series in panel["series"]:
@@ -207,8 +207,8 @@ def test_velocity_change_adds_up_to_what_was_flown(run, html):
 
 
 def test_page_opens_at_the_closest_approach(run, html):
-    flights = read_run(run).picture().flights["polaris"]
-    picture = read_run(run).picture()
+    flights = read_run(run).plot_data().flights["polaris"]
+    picture = read_run(run).plot_data()
     near = np.min(
         [one.signed_distance(flights.times, picture.positions(flights)) for one in picture.obstacles], axis=0
     )

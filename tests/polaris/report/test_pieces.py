@@ -69,18 +69,20 @@ def test_values_in_words(value, key, told):
 
 
 def test_metrics_nobody_knows_are_shown_with_their_unit():
-    assert Measure.of("never_heard_of_m").head == "never heard of (m)"
-    assert Measure.of("decision_p99_us").unit == "µs" and Measure.of("deviation_m_s2").unit == "m/s²"
-    assert Measure.of("experimental_share").text(0.733) == "73.3 %"
+    assert Measure.from_key("never_heard_of_m").head == "never heard of (m)"
+    assert (
+        Measure.from_key("decision_p99_us").unit == "µs" and Measure.from_key("deviation_m_s2").unit == "m/s²"
+    )
+    assert Measure.from_key("experimental_share").text(0.733) == "73.3 %"
 
 
 def test_means_have_their_bounds_and_collisions_stand_out():
-    distance = Measure.of("min_distance_m")
+    distance = Measure.from_key("min_distance_m")
     cell = distance.cell({"mean": 1.0, "low": 0.5, "high": 1.5, "worst": -0.25}, unit=False)
     assert cell.sort == 1.0 and cell.bad and cell.lines == ("0.5 to 1.5", "worst -0.25")
     assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, difference=True).bad
     assert not distance.cell(None).bad and distance.cell(None).sort is None
-    assert Measure.of("collided").cell(True).bad and not Measure.of("collided_runs").cell(0).bad
+    assert Measure.from_key("collided").cell(True).bad and not Measure.from_key("collided_runs").cell(0).bad
 
 
 @pytest.mark.parametrize(
@@ -96,7 +98,7 @@ def test_means_have_their_bounds_and_collisions_stand_out():
 )
 def test_no_bound_lies_where_no_value_can(key, bounds, difference, told):
     low, high = bounds
-    cell = Measure.of(key).cell({"mean": 0.5, "low": low, "high": high}, difference=difference)
+    cell = Measure.from_key(key).cell({"mean": 0.5, "low": low, "high": high}, difference=difference)
     assert cell.lines == (told,)
 
 

@@ -16,9 +16,9 @@ from polaris.report.figures.cuts import OUT_OF_FRAME
 from polaris.report.figures.style import DASHES, style
 from polaris.report.scene.items import alone, closeups
 from polaris.report.scene.palette import mode_colour
-from polaris.runs.picture import SlicePicture, directions
-from polaris.runs.picturing import picture_of
-from polaris.simulation.baselines import Flights
+from polaris.runs.build_plot_data import schedule_plot_data
+from polaris.runs.plot_data import SliceData, directions
+from polaris.simulation.baselines import FlightEnvelope
 from tests.kept import scheduled
 from tests.polaris.report.test_figures import over, random_picture
 from tests.polaris.tiny import flown, synthesised
@@ -38,13 +38,15 @@ def crowded(seed):
     shape = directions(12) if d > 1 else np.array([[-1.0], [1.0]])
     outlines = path[:, None, flat] + size * rng.uniform(0.5, 1.5, (len(path), 1, 1)) * shape
     modes = np.array([0, 1, 0, 2, 2, 0, 1, 1, 0, 1, 0, 0])[: len(picture.modes)]
-    slices = SlicePicture(np.arange(len(path)) * delta, path[:, None], outlines[:, None])
+    slices = SliceData(np.arange(len(path)) * delta, path[:, None], outlines[:, None])
     return replace(picture, slices=slices, modes=modes)
 
 
 def tiny():
     """The small scene of the tests as it was flown."""
-    return replace(picture_of(synthesised()[1]), flights={key: item.flights for key, item in flown().items()})
+    return replace(
+        schedule_plot_data(synthesised()[1]), flights={key: item.flights for key, item in flown().items()}
+    )
 
 
 def draw(picture, name="scene"):
@@ -245,7 +247,7 @@ def test_the_small_scene_can_be_read(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["static", "keep_out", "dynamic", "hold_point", "robot"])
 def test_bundled_scenes_can_be_read(scenario):
-    picture = picture_of(scheduled(scenario)[1])
+    picture = schedule_plot_data(scheduled(scenario)[1])
     assert_can_be_read(draw(picture))
     assert_u_alone_is_in_every_panel(picture)
     for name in ("modes", "margin"):
@@ -280,7 +282,9 @@ def test_u_alone_flies_through_a_set_beside_the_path_that_passes_it():
     times = np.linspace(0, picture.duration, 81)
     states = np.linspace([-300.0, 0, 0, 1, 0, 0], [300.0, 0, 0, 1, 0, 0], 81)[None]
     ones = np.ones((3, 81))
-    flights = Flights("fast", ("nominal",), times, states, np.zeros((1, 80, 3)), np.ones(20, dtype=int), ones)
+    flights = FlightEnvelope(
+        "fast", ("nominal",), times, states, np.zeros((1, 80, 3)), np.ones(20, dtype=int), ones
+    )
     picture = replace(picture, controllers=("safety", "fast"), flights={"experimental": flights})
     assert len(closeups(picture)) == 1
     assert_u_alone_is_in_every_panel(picture)

@@ -12,14 +12,14 @@ from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacle import RigidObstacle
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle
-from polaris.model.scene.shapes import Polytope
+from polaris.model.scene.shapes import PolytopeShape
 from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.scene import scene_data
 from polaris.report.scene.items import plane_gap
 from polaris.report.scene.scene import describe, shown_axes
 from polaris.report.scene.timelines import proven_distance
-from polaris.runs.picture import Picture, TubePicture
+from polaris.runs.plot_data import PlotData, TubeData
 from reach.sets.zonotope import Zonotope
 
 K, DELTA, Q = 6, 20.0, 2
@@ -40,10 +40,10 @@ def picture(system, obstacles, goal):
     reference = Reference.propagate(system, DELTA, start, np.zeros((K, system.m)))
     centre = reference.fine(Q) @ system.position.T
     generators = np.broadcast_to(np.eye(d), (K, Q + 1, d, d))
-    tube = TubePicture(centre, generators, np.full((K, Q, d), 0.1))
-    return Picture(
+    tube = TubeData(centre, generators, np.full((K, Q, d), 0.1))
+    return PlotData(
         "drift",
-        Craft.of(system),
+        Craft.from_system(system),
         tuple(obstacles),
         goal,
         Zonotope.box(start, np.full(2 * d, 2.0)),
@@ -58,7 +58,7 @@ class Rod(RigidObstacle):
 
     name, path, velocity = "rod", "obstacles[0]", None
     center = np.array([10.0, -30.0, 0.0])
-    cover = Polytope(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
+    cover = PolytopeShape(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
 
     @property
     def shape(self):
@@ -213,7 +213,7 @@ def test_motion_in_a_plane_of_space_is_drawn_in_it_unless_a_set_is_passed_above(
             BallObstacle("aside", [40.0, -40.0, 0.0], 10.0),
             BallObstacle("above", [0.0, 0.0, height], 10.0),
         ]
-        flat = Picture(
+        flat = PlotData(
             "flat",
             system,
             tuple(sets if height else sets[:1]),

@@ -65,4 +65,4 @@ def corridor(period=None, unknown=False):
 def scene(name="corridor", period=None, latency=0.0, half=0.0, feedback=None, unknown=False):
     """A scene on which methods fly."""
     schedule = robot() if name == "robot" else corridor(feedback, unknown)
-    return DecisionGrid.of(schedule, period, latency, half)
+    return DecisionGrid.from_schedule(schedule, period, latency, half)

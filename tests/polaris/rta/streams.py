@@ -17,7 +17,7 @@ HALF = 0.01
 @cache
 def robot(latency=0.0, trust="thrust_limits", half=HALF):
     """Monitor on the bundled scenario ``robot``: 300 decisions every 0.05 s."""
-    return Monitor(DecisionGrid.of(robot_schedule(), latency=latency, half_widths=half), trust)
+    return Monitor(DecisionGrid.from_schedule(robot_schedule(), latency=latency, half_widths=half), trust)
 
 
 @dataclass

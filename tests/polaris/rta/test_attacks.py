@@ -19,10 +19,10 @@ from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Engine
-from polaris.rta.method import FILTERED, Seen
+from polaris.rta.method import FILTERED, Observation
 from polaris.rta.methods import METHODS
 from polaris.rta.methods.monitor import Monitor
-from polaris.rta.prospect import Leg
+from polaris.rta.permission import ErrorMotion
 from polaris.rta.recovery import Recovery
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
 from polaris.synthesis.safety.continuation import Continuation
@@ -84,7 +84,7 @@ def attack(scene, method, runs=24, seed=0):
     for k in range(scene.decisions):
         wanted = np.sign(push @ system.B) * system.u_max
         away = -np.where(push < 0, -1.0, 1.0) * scene.half_widths
-        choice = method.decide(Seen(k, x + away, wanted, flying))
+        choice = method.decide(Observation(k, x + away, wanted, flying))
         for i in range(c + 1):
             if i == scene.delay:
                 flying, u = choice.mode, u if choice.u is None else choice.u
@@ -123,7 +123,7 @@ SCENES = {
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
     made, *options = SCENES[setting]
-    scene = DecisionGrid.of(line(**made), *options)
+    scene = DecisionGrid.from_schedule(line(**made), *options)
     least, demand, share = attack(scene, METHODS[key](scene))
     assert least > 0
     assert demand <= 1
@@ -132,7 +132,7 @@ def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_attack_breaks_a_monitor_without_its_limits(order):
-    scene = DecisionGrid.of(line(order=order), 0.25)
+    scene = DecisionGrid.from_schedule(line(order=order), 0.25)
     monitor = Monitor(scene)
     monitor.recovery.reciprocals[:] = 0.0
     monitor.recovery.far_shares[:] = 0.0
@@ -144,13 +144,13 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 
 
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
-    scene = DecisionGrid.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
+    scene = DecisionGrid.from_schedule(line(any_thrust=False, jump=True, goal=3.0), 0.25)
     monitor, engine, rng = Monitor(scene, "declared"), Engine(scene), np.random.default_rng(0)
     prospect, compared = monitor.prospects[1, 0], 0
     none = np.zeros((20, 1))
     for k in range(scene.decisions - 1):
         node, after = k * scene.nodes, (k + 1) * scene.nodes
-        x = scene.own[1][node] + rng.uniform(-1, 1, (20, 2)) * [0.05, 0.02]
+        x = scene.own_references[1][node] + rng.uniform(-1, 1, (20, 2)) * [0.05, 0.02]
         e, demand = x - scene.xi[node], np.zeros(20)
         for i in range(node, after):
             x, _, asked, _ = engine.step(i, np.ones(20, dtype=int), none, x, none)
@@ -163,12 +163,12 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
         compared += len(wrong)
     assert compared > 100
     # What the later cell's value at a border would have given.
-    leg = Leg.declared(monitor.recovery, 1)
+    leg = ErrorMotion.declared(monitor.recovery, 1)
     assert np.abs(leg.zeta[1:, 0] - leg.zeta[:-1, 1]).max() > 0.1
 
 
 def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
-    scene = DecisionGrid.of(line(order=1, weight=0.5, feedback=0.25), 0.25)
+    scene = DecisionGrid.from_schedule(line(order=1, weight=0.5, feedback=0.25), 0.25)
     recovery = Recovery(scene)
     o, beyond = len(recovery.bow), scene.tracking.memory
     assert 0 < beyond < scene.last
@@ -182,7 +182,7 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
 
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 def test_a_start_that_is_not_recoverable_is_refused(key):
-    scene = DecisionGrid.of(line(), 0.25)
+    scene = DecisionGrid.from_schedule(line(), 0.25)
     safety = scene.schedule.safety
     method = METHODS[key](scene)
     assert method.claim.kind == "proved"
@@ -190,7 +190,7 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
     object.__setattr__(safety, "start", start)
     try:
         with pytest.raises(NotCertified, match="first recoverable set"):
-            METHODS[key](DecisionGrid.of(scene.schedule, 0.25))
+            METHODS[key](DecisionGrid.from_schedule(scene.schedule, 0.25))
     finally:
         object.__setattr__(safety, "start", Zonotope(start.c, start.G / 20))
 
@@ -198,13 +198,13 @@ def test_a_start_that_is_not_recoverable_is_refused(key):
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
-    scene = DecisionGrid.of(line(), 0.25)
+    scene = DecisionGrid.from_schedule(line(), 0.25)
     method = METHODS[key](scene)
     for runs in (1, 2):
         method.start(runs)
         with np.errstate(invalid="ignore"):
             choice = method.decide(
-                Seen(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
+                Observation(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
             )
         assert (choice.mode == 0).all()
 
@@ -214,7 +214,7 @@ def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
 )
 def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_left(made, jump):
     """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
-    scene = DecisionGrid.of(line(**made), 0.25)
+    scene = DecisionGrid.from_schedule(line(**made), 0.25)
     clearance, n = replace(scene.clearance, jump=np.array(jump)), len(jump)
     recovery, sets = Recovery(replace(scene, clearance=clearance)), Continuation(clearance)
     rng, tightest, behind = np.random.default_rng(0), np.inf, 0

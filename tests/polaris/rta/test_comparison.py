@@ -161,7 +161,7 @@ def test_wrong_options_are_refused(options, told):
     grid = {name: options[name] for name in options if name not in ("methods", "runs")}
     options = {name: value for name, value in options.items() if name not in grid}
     with pytest.raises(ScenarioError, match="must") as caught:
-        compare_methods(DecisionGrid.of(robot(), **grid), **options)
+        compare_methods(DecisionGrid.from_schedule(robot(), **grid), **options)
     assert told in str(caught.value)
 
 
@@ -191,7 +191,7 @@ def test_a_scene_that_a_method_does_not_admit_is_told():
     schedule = corridor()
     comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"))
     assert set(comparison.results) | set(comparison.refused) == {"safety", "asif_explicit"}
-    far = compare_methods(DecisionGrid.of(schedule, half_widths=5.0), 2, 0, methods=("monitor",))
+    far = compare_methods(DecisionGrid.from_schedule(schedule, half_widths=5.0), 2, 0, methods=("monitor",))
     assert far.results["monitor"].metrics.experimental_share.max() == 0.0  # S throughout, and safe
     assert not far.results["monitor"].metrics.collided.any()
 
@@ -206,7 +206,7 @@ def test_folder_holds_what_was_found(tmp_path):
         summary = comparison.results[method["key"]].summary()
         assert method["metrics"]["min_distance_m"] == summary["min_distance_m"]
         assert set(method["metrics"]) <= set(DEFINITIONS)
-    shown = folder.picture().shown
+    shown = folder.plot_data().shown
     for key in FEW:
         assert np.array_equal(shown[key].states, comparison.shown[key].states)
     lines = [json.loads(line) for line in (folder.path / "decisions.jsonl").read_text().splitlines()]

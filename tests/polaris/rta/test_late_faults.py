@@ -17,10 +17,10 @@ from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.loop import FlightLoop
 from polaris.rta.online.runtime import OnlineMonitor
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.failing import Failing
+from polaris.simulation.fault_times import FaultTimes
 from polaris.synthesis.controllers.black_box import BlackBox
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.sources.late_faults import moved
+from polaris.synthesis.sources.late_faults import wrong_thrust
 from polaris.synthesis.tracker.loop import Loop
 from tests.polaris.synthesis.sources.test_transients import SOFT, made
 from tests.polaris.tiny import TINY
@@ -66,7 +66,7 @@ def everywhere(grid, every=1):
     length = max(int(fault.lasts / grid.h + 1e-9), 1)
     lost = np.full(count, not len(fault.thrust))
     thrust = np.tile(thrust, (len(starts), 1))
-    failing = Failing(begins, begins + length, thrust, share, lost, np.zeros((count, n)))
+    failing = FaultTimes(begins, begins + length, thrust, share, lost, np.zeros((count, n)))
     return replace(Conditions.draw(grid, count, 0), failing=failing)
 
 
@@ -79,14 +79,16 @@ def flown(grid, key, conditions):
 @pytest.mark.parametrize("told", [ON, LOST])
 def test_a_fault_at_any_instant_is_survived_under_the_monitor(told):
     schedule = hostile(tiny(told))
-    grid = DecisionGrid.of(schedule)
+    grid = DecisionGrid.from_schedule(schedule)
     metrics = flown(grid, "monitor", conditions := everywhere(grid, 2))
     assert metrics.experimental_share.mean() > 0.1
     assert metrics.min_distance.min() >= 0 and np.nanmax(metrics.max_thrust_ratio_safety) <= 1
     if told == ON:  # what the same flights do to a monitor whose proof leaves the fault out
         left_out = replace(schedule.safety.tracking.system, transients=())
         tracking = replace(schedule.safety.tracking, system=left_out)
-        naive = DecisionGrid.of(replace(schedule, safety=replace(schedule.safety, tracking=tracking)))
+        naive = DecisionGrid.from_schedule(
+            replace(schedule, safety=replace(schedule.safety, tracking=tracking))
+        )
         metrics = flown(naive, "monitor", conditions)
         assert np.nanmax(metrics.max_thrust_ratio_safety) > 1.05
 
@@ -100,7 +102,7 @@ def test_random_scenes_survive_faults_under_every_method_that_promises_it(seed):
     for latency, nodes in ((0, 1), (1, 1), (1, 2)):
         if feedback.nodes_per_cell % nodes == 0:
             h = schedule.safety.tracking.flow.h
-            grid = DecisionGrid.of(schedule, nodes * h, latency * h)
+            grid = DecisionGrid.from_schedule(schedule, nodes * h, latency * h)
             conditions = everywhere(grid, max(grid.decisions * grid.nodes // 10, 1))
             for key in PROVEN:
                 try:
@@ -116,9 +118,9 @@ def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
     """While a late fault acts on decisions that last, a declared law may answer anything: say so."""
     schedule = tiny(WEAK)
     h = schedule.safety.tracking.flow.h
-    assert Monitor(DecisionGrid.of(schedule), "declared").trust == "declared"
+    assert Monitor(DecisionGrid.from_schedule(schedule), "declared").trust == "declared"
     for period, latency in ((h, h), (2 * h, 0.0)):
-        grid = DecisionGrid.of(schedule, period, latency)
+        grid = DecisionGrid.from_schedule(schedule, period, latency)
         with pytest.raises(ScenarioError, match="trust.*thrust_limits.*isolated late"):
             Monitor(grid, "declared")
         assert Monitor(grid).trust == "thrust_limits"
@@ -127,7 +129,7 @@ def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
 
 
 def test_comparisons_fly_a_fault_in_every_second_run():
-    grid = DecisionGrid.of(tiny(ON))
+    grid = DecisionGrid.from_schedule(tiny(ON))
     drawn = Conditions.draw(grid, 20, 0)
     on = [drawn.failing.on(node) for node in range(grid.last)]
     assert np.array_equal(np.any(on, axis=0), np.arange(20) % 2 == 1)
@@ -139,8 +141,8 @@ def test_comparisons_fly_a_fault_in_every_second_run():
 
 def test_what_a_fault_does_is_no_lie_and_isolation_ends_what_was_decided_before():
     h = tiny(WEAK).safety.tracking.flow.h
-    grid = DecisionGrid.of(tiny(WEAK), latency=h)
-    loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.held
+    grid = DecisionGrid.from_schedule(tiny(WEAK), latency=h)
+    loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.discrete
     for k in range(10):
         answer = loop.decide(k, k * h, Measurement(k * h, x), applied=grid.mu[max(k - 1, 0)])
         command = loop.command(k * h, x)
@@ -161,9 +163,9 @@ def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_t
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
     seen = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
-    loop = Loop.of(system.A, system.B, h)
-    bound = moved(seen, seen.transients[0], 0 * fault.gains, loop).max(axis=0)
-    Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
+    loop = Loop.from_plant(system.A, system.B, h)
+    bound = wrong_thrust(seen, seen.transients[0], 0 * fault.gains, loop).max(axis=0)
+    Ad, Bd, _ = DecisionGrid.from_schedule(tiny(WEAK)).discrete
     assert np.all(np.abs(np.linalg.matrix_power(Ad, hidden + latency) @ Bd @ fault.pushes[-1]) <= bound)
 
 
@@ -171,8 +173,8 @@ def test_where_navigation_may_be_lost_an_older_measurement_is_none():
     """S would fly on an estimate that is older than what is booked for it."""
     for fault, mode in ((LOST, 0), (WEAK, 1)):
         schedule = tiny(fault)
-        grid, h = DecisionGrid.of(schedule, half_widths=0.02), schedule.safety.tracking.flow.h
-        loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.held
+        grid, h = DecisionGrid.from_schedule(schedule, half_widths=0.02), schedule.safety.tracking.flow.h
+        loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.discrete
         for k in range(10):
             before, x = x, Ad @ x + Bd @ grid.mu[k]
             assert loop.decide(k, k * h, Measurement(k * h, before)).mode == (k > 0) or k < 8

@@ -27,7 +27,9 @@ SETTINGS = {"no latency": (0.05, 0.0), "late": (0.25, 0.1), "a whole period late
 @cache
 def monitor(setting="no latency"):
     period, latency = SETTINGS[setting]
-    return Monitor(DecisionGrid.of(robot_schedule(), period=period, latency=latency, half_widths=HALF))
+    return Monitor(
+        DecisionGrid.from_schedule(robot_schedule(), period=period, latency=latency, half_widths=HALF)
+    )
 
 
 def loop(setting="no latency", log=None, laws=None, options=PATIENT):
@@ -80,7 +82,7 @@ class World:
 
     def fly(self):
         scene, rng = self.grid, self.rng
-        Ad, Bd, Dd = scene.held
+        Ad, Bd, Dd = scene.discrete
         theta = scene.schedule.safety.problem.initial_set
         x = theta.c + theta.G @ rng.choice([-1, 1], theta.G.shape[1])
         self.states.append(x)

@@ -11,7 +11,7 @@ from polaris.rta.methods import METHODS
 from polaris.rta.methods.asif_explicit import ExplicitASIF
 from polaris.rta.methods.asif_implicit import ImplicitASIF
 from polaris.rta.methods.monitor import Monitor
-from polaris.rta.methods.simulation import Simulation
+from polaris.rta.methods.simulation import ForwardSimulation
 from tests.polaris.rta.scenes import COMPILED, MADE, scene
 
 BUFFERED = [key for key, one in METHODS.items() if any(option.name == "buffer" for option in one.options)]
@@ -63,7 +63,7 @@ def test_u_alone_does_collide(setting):
 def test_look_ahead_notices_too_late_where_the_monitor_does_not():
     made = scene("robot")
     conditions = Conditions.draw(made, 12, 3)
-    methods = Simulation(made, horizon=1.5), Monitor(made)
+    methods = ForwardSimulation(made, horizon=1.5), Monitor(made)
     ahead, monitor = (measure(made, fly(made, one, conditions), conditions, one.name) for one in methods)
     assert ahead.collided.any()
     assert not monitor.collided.any()

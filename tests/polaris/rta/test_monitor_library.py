@@ -55,7 +55,7 @@ def members(schedule):
     """The scene along every reference on which the monitor's proof starts."""
     for one in (schedule, *schedule.library):
         try:
-            yield Monitor(DecisionGrid.of(one))
+            yield Monitor(DecisionGrid.from_schedule(one))
         except NotCertified:
             continue
 
@@ -107,12 +107,12 @@ def test_the_reference_that_is_worth_most_is_flown():
             max(one.worth(priced, modes) for modes in each) for one, each in zip(made, choices, strict=True)
         ]
 
-    usual = Monitor.on(DecisionGrid.of(schedule))
+    usual = Monitor.on(DecisionGrid.from_schedule(schedule))
     worths = worths_of(schedule.worth)
     assert usual.worth(schedule.worth) == max(worths) and len(set(np.round(worths, 6))) > 1
     for sign in (1.0, -1.0):  # whatever it is that counts
         priced = replace(schedule, worth=lambda shares, delta_v, switches, sign=sign: sign * delta_v)
-        best = Monitor.on(DecisionGrid.of(priced))
+        best = Monitor.on(DecisionGrid.from_schedule(priced))
         spent = worths_of(priced.worth)
         assert best.worth(priced.worth) == max(spent)
         own = best.grid.schedule is not priced
@@ -128,7 +128,7 @@ def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
     anything = AnyThrust("anything", safety.problem.system, safety.reference, safety.tracking)
     both = replace(schedule, controllers=(own, anything, straight))
     thrifty = replace(both, worth=lambda shares, delta_v, switches: -delta_v)
-    best = Monitor.on(DecisionGrid.of(thrifty))
+    best = Monitor.on(DecisionGrid.from_schedule(thrifty))
     assert best.modes == (2,) and "only straight flies" in best.claim.reach
     conditions = Conditions.draw(best.grid, 4, 0)
     assert set(np.unique(fly(best.grid, best, conditions).modes)) == {0, 2}
@@ -136,7 +136,7 @@ def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
     kept(best)
     first = replace(both, worth=lambda shares, delta_v, switches: shares.get(1, 0.0))
     for one in (both, first):  # nothing is known of its worth; or no other is worth more
-        best = Monitor.on(DecisionGrid.of(one))
+        best = Monitor.on(DecisionGrid.from_schedule(one))
         assert best.modes == (1, 2) and "only" not in best.claim.reach
         assert 1 in fly(best.grid, best, conditions).modes
 
@@ -149,7 +149,7 @@ def test_comparisons_fly_it_and_scenes_without_a_library_their_own():
     ]
     assert flown[1].metrics.delta_v.mean() > flown[0].metrics.delta_v.mean()
     assert not flown[1].metrics.collided.any()
-    alone = Monitor.on(DecisionGrid.of(corridor()))
+    alone = Monitor.on(DecisionGrid.from_schedule(corridor()))
     assert alone.grid.schedule is corridor() and not corridor().library
 
 
@@ -161,9 +161,11 @@ def test_a_reference_on_which_no_proof_starts_is_not_flown():
         for one in (schedule, *schedule.library)
     ]
     broken = replace(wide[0], library=schedule.library)
-    assert any(Monitor.on(DecisionGrid.of(broken)).grid.schedule is one for one in schedule.library)
+    assert any(
+        Monitor.on(DecisionGrid.from_schedule(broken)).grid.schedule is one for one in schedule.library
+    )
     with pytest.raises(NotCertified, match="initial set"):
-        Monitor.on(DecisionGrid.of(replace(broken, library=tuple(wide[1:]))))
+        Monitor.on(DecisionGrid.from_schedule(replace(broken, library=tuple(wide[1:]))))
 
 
 def test_a_method_that_does_not_exist_is_refused_before_the_synthesis(monkeypatch):
@@ -188,7 +190,7 @@ def test_random_scenes_keep_the_promise_along_every_reference(seed, tmp_path):
     except PolarisError as error:
         assert seed in NOT_FLOWN, error
         pytest.skip("refused")
-    if len(schedule.controllers) < 2 or DecisionGrid.of(schedule).decisions > 2500:
+    if len(schedule.controllers) < 2 or DecisionGrid.from_schedule(schedule).decisions > 2500:
         assert seed in NOT_FLOWN
         pytest.skip("no U, or too long")
     for monitor in members(schedule):

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from polaris.model.foreign import kind_of, numbers, real, settled
+from polaris.model.untrusted import kind_of, numbers, real, sanitize
 from polaris.rta.online.decision_log import DecisionLog, jsonable
 from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
@@ -162,6 +162,6 @@ def test_foreign_values_never_raise(name):
         value = odd(name, n)
         assert real(value) is None or name == "scalar" or n == 1
         json.dumps(jsonable(value), allow_nan=False)
-        json.dumps(jsonable(settled(odd(name, n))), allow_nan=False)
+        json.dumps(jsonable(sanitize(odd(name, n))), allow_nan=False)
         array = numbers(odd(name, n), (n,))
         assert array is None or (name in oddities.not_finite(n) and not np.isfinite(array).all()), name

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polaris.rta.one_call import Answer, CallByCall, Decision
+from polaris.rta.one_call import CallByCall, Decision, RawDecision
 from reach.numerics.linear import discretize
 
 LIMIT = np.array([0.4, 0.1])
@@ -14,7 +14,7 @@ class Robots:
 
     deputies, thrust_max = 2, LIMIT
 
-    def held(self, duration):
+    def discretize(self, duration):
         zero, eye = np.zeros((2, 2)), np.eye(2)
         return discretize(np.block([[zero, eye], [zero, zero]]), np.vstack([zero, eye]), duration)
 
@@ -30,7 +30,7 @@ class Pass(CallByCall):
         notes, self.got = [], got
         backup = self._backed_up(self.backup, got, notes)
         u = np.where(got.given[:, None], got.u, backup)
-        return Answer(u, ~got.given | got.clipped, ~got.given, np.zeros(2, dtype=bool), {}, notes)
+        return RawDecision(u, ~got.given | got.clipped, ~got.given, np.zeros(2, dtype=bool), {}, notes)
 
 
 def test_any_craft_is_filtered():
@@ -40,7 +40,7 @@ def test_any_craft_is_filtered():
     assert first.u.tolist() == [[0.4, 0.05], [-0.4, -0.1]]
     assert first.on_backup.tolist() == [False, True] and "missing or not finite: deputy 1" in first.fallback
     lost = one.filter(0.5, x[:, :3], np.zeros((2, 2)))
-    Phi, Gamma = Robots().held(0.5)
+    Phi, Gamma = Robots().discretize(0.5)
     np.testing.assert_allclose(one.got.x, x @ Phi.T + first.u @ Gamma.T)  # moved on with what was answered
     assert "the states are malformed" in lost.fallback and lost.status == "desired"
 

@@ -29,7 +29,7 @@ HALF = 0.01
 @cache
 def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     """The bundled scenario ``static``: 1800 decisions, one per second."""
-    return Monitor(DecisionGrid.of(_static(), 1.0, latency, half), trust)
+    return Monitor(DecisionGrid.from_schedule(_static(), 1.0, latency, half), trust)
 
 
 def _static():
@@ -527,7 +527,7 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
                 slack = 1e-13 * (1 + np.abs(x))
                 assert (box.low <= x + slack).all() and (x <= box.high + slack).all()
                 assert (box.high <= y + half + slack).all() and (box.low >= y - half - slack).all()
-        moved = box.moved(t)
+        moved = box.propagated(t)
         assert (-moved[n:] <= x).all() and (x <= moved[:n]).all()
 
 
@@ -550,7 +550,9 @@ def test_a_motion_too_fast_to_bound_is_refused():
 @pytest.mark.parametrize("trust", ["declared", "thrust_limits"])
 def test_one_error_is_judged_as_many_are(period, latency, trust):
     schedule = tiny.synthesised()[1]
-    mon = Monitor(DecisionGrid.of(schedule, period=period, latency=latency, half_widths=0.002), trust)
+    mon = Monitor(
+        DecisionGrid.from_schedule(schedule, period=period, latency=latency, half_widths=0.002), trust
+    )
     rng, spread = np.random.default_rng(0), mon.grid.tracking.W_inverse.T
     seen = set()
     for k in range(0, mon.grid.decisions, 3):

@@ -147,7 +147,7 @@ def test_what_does_not_fit_is_told():
         (lambda: SwitchingEnv(sampled(), inputs=("error", "error")), "inputs"),
         (lambda: SwitchingEnv(sampled(), inputs=("sun",)), "inputs"),
         (lambda: SwitchingEnv(sampled(), input_scale=np.ones(3)), "input_scale"),
-        (lambda: SwitchingEnv(DecisionGrid.of(sampled(), 0.5, 0.25)), "latency"),
+        (lambda: SwitchingEnv(DecisionGrid.from_schedule(sampled(), 0.5, 0.25)), "latency"),
     ):
         with pytest.raises(ScenarioError) as raised:
             make()
@@ -173,7 +173,7 @@ def test_observations_are_what_a_network_reads_in_flight():
         for k in range(30):
             node, (cell, place) = k, divmod(k, q)
             controller = NeuralController("same", *given)
-            own, later = flights.grid.own[1][node], place * schedule.safety.tracking.flow.h
+            own, later = flights.grid.own_references[1][node], place * schedule.safety.tracking.flow.h
             shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0], later)
             # What is told of a body that nothing is uncertain of is off by what rounding is booked with.
             assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
@@ -306,7 +306,7 @@ def test_many_shielded_periods_without_a_violation(name):
     collided, intervened, periods, worst = attacked(scene, fewer(22_000, 4_400), 2, policies)
     assert periods >= fewer(20_000, 4_000) and collided == 0 and worst <= 1 + 1e-9
     assert intervened > 0
-    assert unshielded(scene, 16 * DecisionGrid.of(scene).decisions) > 0
+    assert unshielded(scene, 16 * DecisionGrid.from_schedule(scene).decisions) > 0
 
 
 UNCERTIFIED = (20, 24, 27, 29, 30, 33, 35, 37, 39)

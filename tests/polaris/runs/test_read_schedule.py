@@ -29,7 +29,7 @@ from polaris.simulation.sampled import with_boxes
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.safety.get_safety import SHARES
-from polaris.synthesis.schedule.search import Search
+from polaris.synthesis.schedule.search import ScheduleSearch
 from polaris.synthesis.schedule.synthesize import Reflown, synthesize
 from tests.kept import CHOSEN, scheduled
 from tests.polaris.corruptions import restate
@@ -153,7 +153,7 @@ def test_every_kind_of_choice_is_read(name, tmp_path):
     assert schedule.safety.tracking.level == SHARES[name.startswith("errors")]  # the second of those tried
     assert again.safety.tracking.level == schedule.safety.tracking.level
     if schedule.powered is not None:
-        assert again.powered.told() == schedule.powered.told()
+        assert again.powered.to_dict() == schedule.powered.to_dict()
     with no_search(*SOLVERS):
         library = list(again.library)
     for one, other in zip(library, schedule.library, strict=True):
@@ -431,9 +431,9 @@ def test_a_schedule_that_is_read_flies_and_is_monitored_like_the_one_that_was_wr
     with no_search(*SOLVERS):
         read = read_schedule(run)
         flown = polaris.simulate(read, n=4, seed=1)
-        aboard = polaris.Monitor.on(polaris.DecisionGrid.of(read, half_widths=0.001))
+        aboard = polaris.Monitor.on(polaris.DecisionGrid.from_schedule(read, half_widths=0.001))
     assert np.array_equal(flown.states, polaris.simulate(made, n=4, seed=1).states)
-    ground = polaris.Monitor.on(polaris.DecisionGrid.of(made, half_widths=0.001))
+    ground = polaris.Monitor.on(polaris.DecisionGrid.from_schedule(made, half_widths=0.001))
     assert np.array_equal(aboard.grid.xi, ground.grid.xi)
     at = polaris.Measurement(0.0, made.safety.problem.initial_set.c)
     answers = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
@@ -452,9 +452,11 @@ def test_policies_train_from_a_run_folder(run):
 def test_a_schedule_without_its_tubes_flies_again_as_it_was():
     scenario = load_scenario(TINY)
     schedule = synthesize(scenario)
-    search = Search.over(scenario, schedule.safety, schedule.controllers[1:], None, None, fits=True)
+    search = ScheduleSearch.from_scenario(
+        scenario, schedule.safety, schedule.controllers[1:], None, None, fits=True
+    )
     known = schedule.arrival, schedule.delta_v
-    light = Reflown.of(search, schedule)
+    light = Reflown.from_schedule(search, schedule)
     assert (light.arrival, light.delta_v) == known and light.share() == schedule.share()
     assert "_flown" not in vars(light.steps)  # no tube is needed
     assert all(isinstance(one.steps, Reflown) for one in schedule.library)

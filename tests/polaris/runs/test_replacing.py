@@ -284,7 +284,7 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
         raise AssertionError("the work had begun")
 
     for name in (
-        "polaris.runs.case.Target.schedule",
+        "polaris.runs.case.CommandTarget.schedule",
         "polaris.runs.campaign.drive.replay_run",
         "polaris.traces.export.export_run",
         "polaris.report.report_page",

@@ -103,8 +103,8 @@ def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_p
     alone = {"experimental": "pilot", "experimental_2": "hasty"}
     assert {key: run.summary[key]["controller"] for key in alone} == alone
     assert run.summary["experimental_2"]["collided"] and run.summary["experimental_2"]["switches"] == 0
-    assert list(run.picture().flights) == ["safety", *alone, "polaris"]
-    assert set(run.picture().flights["experimental_2"].modes.tolist()) == {2}
+    assert list(run.plot_data().flights) == ["safety", *alone, "polaris"]
+    assert set(run.plot_data().flights["experimental_2"].modes.tolist()) == {2}
     assert verify(run.path).outcome == "VERIFIED"
     summary = json.loads((run.path / "summary.json").read_text(encoding="utf-8"))
     del summary["experimental_2"]
@@ -181,7 +181,7 @@ def test_schedule_tables_agree_with_the_schedule(folder):
 
 
 def test_reference_reads_back_bit_for_bit(folder):
-    reference, read = synthesised()[1].safety.reference, folder.picture().reference
+    reference, read = synthesised()[1].safety.reference, folder.plot_data().reference
     np.testing.assert_array_equal(read.chi, reference.chi)
     np.testing.assert_array_equal(read.nu, reference.nu)
     header = (folder.path / "reference.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -273,7 +273,7 @@ def test_damaged_file_is_one_readable_error(folder, tmp_path, name, damage):
     shutil.copytree(folder.path, copy)
     (copy / name).write_bytes(damage)
     with pytest.raises(ScenarioError) as error:
-        read_run(copy).picture()
+        read_run(copy).plot_data()
     assert "\n" not in str(error.value)
 
 
@@ -284,7 +284,7 @@ def test_pickled_arrays_are_refused(folder, tmp_path):
     shutil.copytree(folder.path, copy)
     np.savez(copy / "tubes.npz", center=np.array([{"code": "run me"}], dtype=object))
     with pytest.raises(ScenarioError, match="damaged"):
-        read_run(copy).picture()
+        read_run(copy).plot_data()
 
 
 # -- evaluation -------------------------------------------------------------------------------------

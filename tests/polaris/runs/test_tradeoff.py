@@ -23,12 +23,12 @@ from polaris.report.figures.comparison import _front, _sensitivity
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
-from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
+from polaris.runs.tradeoff_points import needed, non_dominated
 from polaris.scenario.scenario import load_scenario
-from polaris.scenario.tables.errors import Chaser, Thrusters, Timing
+from polaris.scenario.tables.errors import Chaser, ThrustersTable, TimingTable
 from polaris.scenario.tables.faults import Loss, NavigationLost
-from polaris.scenario.tables.navigation import Estimate, Measurement, Phase
+from polaris.scenario.tables.navigation import EstimateTable, MeasurementTable, Phase
 from tests.leftovers import left_by_a_dead_process
 from tests.polaris.tiny import TINY
 
@@ -102,7 +102,7 @@ def test_the_table_says_the_same(folder):
     with (folder.path / "tradeoff.csv").open(encoding="utf-8", newline="") as file:
         read = list(csv.DictReader(file))
     texts = [{key: "" if v is None else str(v) for key, v in row.items()} for row in folder.summary["points"]]
-    assert read == texts and polaris.read_run(folder.path).picture() == folder.summary["points"]
+    assert read == texts and polaris.read_run(folder.path).plot_data() == folder.summary["points"]
 
 
 GOOD = {"weighted_share": 0.5, "delta_v_m_s": 1.0, "switches": 2, "goal_reached": True}
@@ -234,7 +234,7 @@ def test_a_lost_worker_is_told(tmp_path):
 
 @pytest.mark.slow
 def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(monkeypatch, tmp_path):
-    monkeypatch.setattr("polaris.runs.picturing.SLICES", 240)  # as in new processes (see `few_slices`)
+    monkeypatch.setattr("polaris.runs.build_plot_data.SLICES", 240)  # as in new processes (see `few_slices`)
     assert contents(again(tmp_path / "one", executor=local(2)).path) == contents(again(tmp_path / "in").path)
     with pytest.raises(PolarisError, match=r"(price-\d|printed): .*feasible") as raised:
         again(tmp_path / "two", overrides=[*SET[:1], "system.input_max=0.05"], executor=local(2))
@@ -426,15 +426,15 @@ def test_labels_lie_beside_one_another_and_say_price_and_switches(folder):
 def test_every_error_source_can_be_swept():
     """Each number of its tables is a key of its own, and another value another problem."""
     tables = {
-        "navigation": (Estimate, ["state_error"]),
-        "navigation.measurement": (Measurement, ["matrix", "error", "initial"]),
-        "navigation.measurement.initial": (Estimate, ["state_error"]),
+        "navigation": (EstimateTable, ["state_error"]),
+        "navigation.measurement": (MeasurementTable, ["matrix", "error", "initial"]),
+        "navigation.measurement.initial": (EstimateTable, ["state_error"]),
         "navigation.phases[0]": (Phase, ["state_error"]),
         "thrusters": (
-            Thrusters,
+            ThrustersTable,
             ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation", "varies"],
         ),
-        "timing": (Timing, []),
+        "timing": (TimingTable, []),
         "chaser": (Chaser, []),
         "faults[0]": (Loss, ["kind"]),
         "faults[1]": (NavigationLost, ["kind"]),

@@ -143,7 +143,9 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
         along = (known.needs.rows * arrival.state(node)).entries()
         signs = [1] * n + [-1] * n
         over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]
-        need = [float((a + b).upper()) for a, b in zip(over, arrival.at(known.needs, node), strict=True)]
+        need = [
+            float((a + b).upper()) for a, b in zip(over, arrival.error_bounds(known.needs, node), strict=True)
+        ]
         for share in (1 + 1e-9, 1 - 1e-9):
             widths = [share * max(pair) for pair in zip(need[:n], need[n:], strict=True)]
             here = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
@@ -497,7 +499,7 @@ def test_report_has_a_section_for_every_leg(flown):
 
 
 def test_dossier_answers_leg_by_leg_and_claims_nothing_that_is_not_verified(flown):
-    dossier = Dossier.of(read_run(flown))
+    dossier = Dossier.from_run(read_run(flown))
     text = "\n".join(line.text for line in dossier.lines())
     assert dossier.proven and "Mission of 3 legs, out, across, home" in text and "NOTHING" not in text
     assert "GO from out to across" in text and "7.7 to 8.3" in text
@@ -505,7 +507,7 @@ def test_dossier_answers_leg_by_leg_and_claims_nothing_that_is_not_verified(flow
     assert len(known["summary.json: mission.joints"]) == 2 and len(known["claim: Goal"]) == 3
     assert [text.split(":")[0] for text in known["scenario.toml: initial_set"]] == ["out", "across", "home"]
     assert len(dossier.pages()) + dossier.figures <= MOST_PAGES
-    refused = Dossier.of(read_run(flown), lambda path: Verdict("REJECTED", "joint", "no"))
+    refused = Dossier.from_run(read_run(flown), lambda path: Verdict("REJECTED", "joint", "no"))
     answers = [refused.answers(one) for clause in CLAUSES for one in clause.evidence]
     claimed = [one for one in known if one.startswith("claim: ") or "mission." in one]
     assert answers.count([UNPROVEN]) >= len(claimed) and not refused.proven

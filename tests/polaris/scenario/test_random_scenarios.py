@@ -17,7 +17,7 @@ import flint
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.claims.argument import ORDER, Argument
 from polaris.certificate.claims.coasting import check_end
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Record, Rejected
@@ -188,7 +188,7 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     k = late[0]
     claimed, margins = worst_share(schedule, k, 1) + 0.03, [0.0] * len(schedule.steps)
     margins[k] = float(claimed)
-    argument = Argument(Document(data), Record(), Stated(margins=margins))
+    argument = Argument(Document(data), Record(), FileClaims(margins=margins))
     with pytest.raises(Rejected) as refused:
         argument.flights(argument.reference(), Merging(ORDER, argument.n, argument.craft.ahead))
     assert 0 < claimed < 1 and refused.value.claim == "margins"

@@ -10,10 +10,10 @@ pytest.importorskip("flint")
 
 from docs.generate.scenario_docs import schema
 from polaris.certificate.files.scenario_keys import SCENARIO, check_keys
-from polaris.certificate.files.structure import Either, Items, Kinds, Real, Text, Whole, conform, strict_json
+from polaris.certificate.files.structure import AnyOf, Int, Items, OneOf, Real, Text, conform, strict_json
 from polaris.certificate.kernel.verdict import Rejected
-from polaris.certificate.model.own import GOALS
 from polaris.certificate.model.perception import RIGID
+from polaris.certificate.model.references import GOALS
 from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import read_document, validate
 from polaris.scenario.scenario import bundled_scenarios, load_scenario, locate
@@ -38,12 +38,12 @@ def of_shape(shape):
         case dict():
             every = {key.removesuffix("?"): of_shape(item) for key, item in shape.items()}
             return {"keys": every, "required": sorted(key for key in shape if not key.endswith("?"))}
-        case Kinds(tables):
+        case OneOf(tables):
             named = {kind: {"kind": Text((kind,)), **table} for kind, table in tables.items()}
             return {"kinds": {kind: of_shape(table) for kind, table in named.items()}}
         case Items(item, least, most, _):
             return ["rows", of_shape(item), least, None if most == float("inf") else most]
-        case Either(shapes):
+        case AnyOf(shapes):
             return ["either", *(of_shape(item) for item in shapes)]
         case Real(least, most, above, below):
             low = ("above", above) if above is not None else ("least", least)
@@ -52,7 +52,7 @@ def of_shape(shape):
                 "number",
                 *(None if abs(value) == float("inf") else (how, value) for how, value in (low, high)),
             ]
-        case Whole(least, most):
+        case Int(least, most):
             return ["whole", least, None if most == float("inf") else most]
         case Text(known):
             return ["text", sorted(known)]

@@ -229,7 +229,7 @@ def springy(**more):
     made, start = synthesize(safety, experimental=[law]), safety.start
     steps = []
     for k, step in enumerate(made.steps):
-        tube = law.fly(start, k)
+        tube = law.propagate(start, k)
         start = tube.end
         nodes = replace(tube.nodes, G=(THIN if k > 6 else 1) * tube.nodes.G)
         steps.append(replace(step, mode=1, tube=replace(tube, states=nodes)))

@@ -191,7 +191,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
     scenario, schedule = printed(name, *[CHOSEN] * (name in SPACECRAFT[:2]))
-    env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
+    env, w_max = Environment.from_scenario(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
     assert flown.within.all()
@@ -230,7 +230,7 @@ def farthest(schedule, flown):
 @pytest.mark.slow
 def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes():
     scenario = load_scenario("static", ERRORS)
-    env, schedule = Environment.of(scenario), synthesize(scenario)
+    env, schedule = Environment.from_scenario(scenario), synthesize(scenario)
     system = schedule.safety.problem.system
     flown = fly_true(schedule, env, 8, substeps=1)
     metrics = flown.runs.metrics()
@@ -247,7 +247,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
     scenario, schedule = printed("static", CHOSEN)
     region = visited(schedule)
-    flown = fly_true(schedule, Environment.of(scenario), 20, tail=True, substeps=1)
+    flown = fly_true(schedule, Environment.from_scenario(scenario), 20, tail=True, substeps=1)
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
     assert flown.within.all()
     x = flown.runs.states[:, :-1].reshape(20, -1, q, 6)
@@ -258,7 +258,7 @@ def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
     scenario, schedule = printed("dynamic", CHOSEN)
-    safety, env = schedule.safety, Environment.of(scenario)
+    safety, env = schedule.safety, Environment.from_scenario(scenario)
     satellite = next(o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle))
     rng = np.random.default_rng(2)
     spread = np.sign(rng.normal(size=(40, 6))) * np.asarray(satellite.state_half_widths)

@@ -133,7 +133,7 @@ def test_targets_stay_on_the_ellipses_that_follow_from_their_elements(seed):
     """For six revolutions, three times as long as what was looked at; J2 turns the perigee meanwhile."""
     a, e, *angles = random_orbit(np.random.default_rng(seed))
     made = document({"elements": numbers(a, e, *angles)})
-    env = Environment.of(made)
+    env = Environment.from_scenario(made)
     assert env.mean_motion == pytest.approx(np.sqrt(MU / a**3), rel=5e-3)
     states = propagate(
         env, state_of_elements(a, e, *angles), np.linspace(0, 12 * np.pi / env.mean_motion, 900)
@@ -173,7 +173,7 @@ def test_elements_there_and_back():
 def test_elements_agree_with_sgp4s_own():
     pytest.importorskip("sgp4")
     made = document({"two_line_elements": LINES})
-    env = Environment.of(made)
+    env = Environment.from_scenario(made)
     per_day = env.mean_motion * 86400 / (2 * np.pi)
     assert per_day == pytest.approx(15.72125391, rel=2e-3)
     assert np.degrees(env.inclination_max) == pytest.approx(51.64, abs=0.4)
@@ -248,10 +248,10 @@ def test_what_is_written_is_read_and_interpolated(tmp_path):
     times = np.arange(0.0, 7200.1, 60.0)
     states = propagate(env, state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5), times)
     read = read_oem(written(tmp_path / "a.oem", Track("a", times[::5], states[::5])))
-    again = read.at([read.epochs[0] + round(t) * SECOND for t in times])
+    again = read.states_at([read.epochs[0] + round(t) * SECOND for t in times])
     assert np.abs(again - states)[:, :3].max() < 1e-3 and np.abs(again - states)[:, 3:].max() < 1e-6
     with pytest.raises(ScenarioError, match="covers 2026-01-31T12:00:00"):
-        read.at([read.epochs[-1] + 1])
+        read.states_at([read.epochs[-1] + 1])
 
 
 def test_epochs_are_whole_nanoseconds():
@@ -340,7 +340,7 @@ def test_a_gap_is_not_interpolated_across(tmp_path):
     states = propagate(Environment(1e-3), state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5), times)
     read = read_oem(written(tmp_path / "a.oem", Track("a", times, states)))
     with pytest.raises(ScenarioError, match="gap: states about it are 1680 s apart"):
-        read.at([read.epochs[0] + 900 * SECOND])
+        read.states_at([read.epochs[0] + 900 * SECOND])
 
 
 # -- start sets -------------------------------------------------------------------------------------
@@ -460,7 +460,9 @@ def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
     numbers_alone["horizon"] = {"duration_s": 60.0, "step_s": 2.0}
     numbers_alone["orbit"]["within_m"] = 420.0
     short = ScheduleScenario.from_dict(numbers_alone, "here")  # a flight that covers it in a minute is faster
-    assert short.system().w_max >= float(residual_bound(Environment.of(short), 420.0, 420.0, 14.0).total)
+    assert short.system().w_max >= float(
+        residual_bound(Environment.from_scenario(short), 420.0, 420.0, 14.0).total
+    )
     del numbers_alone["system"]["mean_motion_rad_s"]
     with pytest.raises(ScenarioError, match=r"orbit\.within_m"):
         ScheduleScenario.from_dict(numbers_alone, "here")
@@ -469,7 +471,7 @@ def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
 @pytest.mark.slow
 def test_flights_about_a_target_on_an_ellipse_stay_within_the_bound(client):
     schedule, scenario = read_schedule(client), load_scenario(client / "scenario.toml")
-    env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
+    env, w_max = Environment.from_scenario(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, replace(env, radius_deviation=5e3, rate_deviation=2e-3), 12, substeps=1)
     assert flown.within.all() and flown.residual.max() < w_max
     assert not flown.runs.metrics().collided.any()
@@ -525,11 +527,15 @@ def test_exported_targets_move_as_the_model_error_has_them(client):
     assert out.epochs[0] == source.epochs[0]
     shared = [epoch for epoch in source.epochs if epoch in set(out.epochs)]
     assert len(shared) > 5
-    assert np.abs(out.at(shared) - source.at(shared))[:, :3].max() < 0.1  # the air of the file's maker aside
+    assert (
+        np.abs(out.states_at(shared) - source.states_at(shared))[:, :3].max() < 0.1
+    )  # the air of the file's maker aside
     reference = read_oem(client / "oem" / "reference.oem")
     rows = np.loadtxt(client / "reference.csv", delimiter=",", skiprows=1, usecols=range(7), max_rows=60)
     epochs = [reference.epochs[0] + round(t) * SECOND for t in rows[:, 0]]
-    assert np.abs(to_hill(out.at(epochs), reference.at(epochs)) - rows[:, 1:])[:, :3].max() < 1e-3
+    assert (
+        np.abs(to_hill(out.states_at(epochs), reference.states_at(epochs)) - rows[:, 1:])[:, :3].max() < 1e-3
+    )
 
 
 def test_what_a_reader_writes_is_read(client, tmp_path):
@@ -550,5 +556,5 @@ def test_branches_of_aborts_are_exported_and_begin_on_the_reference(client):
     branches = [read_oem(path) for path in client.glob("oem/branch-*.oem")]
     assert branches
     for branch in branches:
-        assert np.allclose(branch.states[0], reference.at(branch.epochs[:1])[0], atol=1e-5)
+        assert np.allclose(branch.states[0], reference.states_at(branch.epochs[:1])[0], atol=1e-5)
         assert np.abs(branch.states[-1] - reference.states[-1]).max() > 10

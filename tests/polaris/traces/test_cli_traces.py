@@ -185,7 +185,7 @@ def compared(tmp_path_factory):
 @pytest.mark.parametrize("method", ["experimental", "schedule", "asif_implicit"])
 def test_export_of_a_method_has_its_least_distance(compared, tmp_path, method):
     """The run shown as closest, against the envelope of all runs that comparison.npz keeps."""
-    path, shown = tmp_path / "t.json", compared.picture().shown[method]
+    path, shown = tmp_path / "t.json", compared.plot_data().shown[method]
     done = invoke("export", compared.path, path, "--method", method, "--run", "closest")
     assert done.exit_code == 0 and f"run 'closest' of {method}, {len(shown.times)} samples" in done.stdout
     metrics = evaluate_trace(read_trace(path)).agents["chaser"]

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, free_flight
-from polaris.model.scene.shapes import Polytope
+from polaris.model.scene.shapes import PolytopeShape
 from polaris.traces import (
     AgentTrace,
     BallTrace,
@@ -24,7 +24,7 @@ from polaris.traces import (
     restamp,
 )
 from polaris.traces.evaluation import weights
-from polaris.traces.placing import Faceted
+from polaris.traces.placement import MovingPolytope
 from polaris.traces.settings import between, interpolate, rates
 from tests.polaris.traces.traces import agent, entry, moving, trace
 
@@ -528,16 +528,16 @@ def polytopes(draw):
 @given(polytopes())
 def test_facets_agree_with_fixed_polytopes(case):
     H, b, p, v = case
-    distance, entry_time = Faceted(H, b).signed_distance(p), Faceted(H, b).entry_time(p, v)
+    distance, entry_time = MovingPolytope(H, b).signed_distance(p), MovingPolytope(H, b).entry_time(p, v)
     for i in range(len(p)):
-        one = Polytope(H[i], b[i])
+        one = PolytopeShape(H[i], b[i])
         assert distance[i] == pytest.approx(float(one.signed_distance(p[i])), abs=1e-7)
         assert entry_time[i] == pytest.approx(float(one.entry_time(p[i], v[i])), rel=1e-6, abs=1e-9)
-        both = Faceted(H[i : i + 1], np.repeat(b[i : i + 1], 2, axis=0))
+        both = MovingPolytope(H[i : i + 1], np.repeat(b[i : i + 1], 2, axis=0))
         shared = both.signed_distance(np.repeat(p[i : i + 1], 2, axis=0))
         assert shared == pytest.approx([distance[i]] * 2, abs=1e-9)
     H, b, p, v = (np.concatenate([part] * 300) for part in case)  # more samples than are held at once
-    assert np.array_equal(Faceted(H, b).entry_time(p, v), np.tile(entry_time, 300))
+    assert np.array_equal(MovingPolytope(H, b).entry_time(p, v), np.tile(entry_time, 300))
 
 
 def test_facet_distance_against_a_solver():
@@ -546,6 +546,6 @@ def test_facet_distance_against_a_solver():
     nearest = minimize(
         lambda q: np.sum((q - p) ** 2), np.zeros(3), constraints={"type": "ineq", "fun": lambda q: b - H @ q}
     )
-    assert Faceted(H[None], b[None]).signed_distance(p[None])[0] == pytest.approx(
+    assert MovingPolytope(H[None], b[None]).signed_distance(p[None])[0] == pytest.approx(
         np.sqrt(nearest.fun), rel=1e-5
     )

@@ -13,7 +13,7 @@ from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacle import RigidObstacle
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle, true_states
-from polaris.model.scene.shapes import Polytope
+from polaris.model.scene.shapes import PolytopeShape
 from polaris.model.scene.state_limits import KeepInStates, SpeedLimit
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
@@ -187,7 +187,7 @@ def test_satellite_is_covered_known_or_nominal():
 
 def test_cover_holds_between_the_stamps_too():
     """The polytope interpolated between stamps contains the ball wherever the visitor may be."""
-    from polaris.traces.placing import place
+    from polaris.traces.placement import place
 
     visitor = SatelliteObstacle(
         "visitor", elliptical_nmt(0.0012, 150.0, 0.1), [2, 2, 2, 0.01, 0.01, 0.01], 20.0
@@ -219,7 +219,7 @@ def test_arrays_that_do_not_fit():
 def test_what_a_trace_cannot_hold_is_told():
     class Rod(RigidObstacle):
         name, path, velocity, center = "rod", "obstacles[0]", None, np.zeros(3)
-        cover = Polytope(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
+        cover = PolytopeShape(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
         shape = object()  # a cylinder in it
 
     made = to_trace(T, STATES, MODES, [Rod()], SYSTEM)

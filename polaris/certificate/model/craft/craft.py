@@ -14,7 +14,7 @@ from flint import arb, arb_mat
 
 from ...files.document import ROUNDED, Document
 from ...kernel.balls import above, absolute, beside, column, diagonal, exponential, magnitude, sums
-from ...kernel.motion import Along, Motion, Plant, Push
+from ...kernel.motion import InputSet, Motion, Plant, RowIntersample
 from ...kernel.zonotopes import Directions, Zonotope
 
 LAGS = 0, 1, 8, 64  # periods after which extents of sets count in the choice of what to merge
@@ -40,15 +40,15 @@ class Craft:
     sees: arb_mat  # the error as a law takes it to be, errors of estimates apart, shape (n, N)
     drifts: arb_mat  # rate of the error at a node without commands, shape (n, N)
     parts: list[tuple[arb, arb, arb_mat]]  # of a period, and how what is added in them enters, (N, n)
-    steady: list[Push]  # what pushes at every instant, errors of the inputs apart
+    steady: list[InputSet]  # what pushes at every instant, errors of the inputs apart
     samples: list[Sample]
     box: list[arb]  # bounds on the states beside the error at the start of a flight, (N - n)
     carry: arb_mat  # from errors of estimates to what the law sees, shape (n, k)
     off: list[arb]  # bounds on these errors, commands apart, (k)
     base: list[arb] | None  # bounds on errors of estimates beyond which they count by the step of the flight
-    _along: dict[Directions, tuple[Along, Directions]] = field(default_factory=dict, repr=False)
+    _along: dict[Directions, tuple[RowIntersample, Directions]] = field(default_factory=dict, repr=False)
 
-    def under(self, gain: arb_mat) -> Craft:
+    def with_gain(self, gain: arb_mat) -> Craft:
         """Return the loop under another law."""
         return replace(self, gain=gain, _along={})
 
@@ -64,7 +64,7 @@ class Craft:
         return self.plant.open
 
     @cached_property
-    def bits(self) -> list[Push]:
+    def bits(self) -> list[InputSet]:
         """Errors of the inputs, commands apart."""
         return self.plant.push(self.plant.thruster_error([arb(0)] * self.plant.B.ncols()))
 
@@ -74,14 +74,14 @@ class Craft:
         return self.gain * self.sees
 
     @cached_property
-    def held(self) -> arb_mat:
+    def held_map(self) -> arb_mat:
         """Map of inputs, held over a period, into the next loop state, shape (N, m)."""
         return self.lifted(self.motion.gamma * self.plant.B)
 
     @cached_property
     def F(self) -> arb_mat:
         """Return the transition of the loop from one node to the next, shape (N, N)."""
-        return self.free - self.held * self.commands
+        return self.free - self.held_map * self.commands
 
     @cached_property
     def rates(self) -> arb_mat:
@@ -156,11 +156,11 @@ class Craft:
         sampled = [sample.adds * diagonal(sample.size) for sample in self.samples]
         return [*sampled, *(enters * motion.pushed(*pushes) for enters, motion in self.spans)]
 
-    def along(self, rows: Directions) -> tuple[Along, Directions]:
+    def intersample(self, rows: Directions) -> tuple[RowIntersample, Directions]:
         """Intersample bounds along rows of the error, and these as rows of the loop state; made once."""
         if rows not in self._along:
-            sampled = [Push.in_box(self.plant.B * each.push, each.size) for each in self.samples]
-            along = Along(self.motion, rows.M, [*self.steady, *sampled])
+            sampled = [InputSet.in_box(self.plant.B * each.push, each.size) for each in self.samples]
+            along = RowIntersample(self.motion, rows.M, [*self.steady, *sampled])
             self._along[rows] = along, Directions(self.whole(rows.M))
         return self._along[rows]
 
@@ -226,7 +226,7 @@ class Craft:
         seen = (magnitude(rows * self._seen * self.carry) * column(self.off)).entries()
         return sums(self.disturbed(rows), seen, self._pushed(rows, self.bits))
 
-    def _pushed(self, rows: arb_mat, pushes: list[Push]) -> list[arb]:
+    def _pushed(self, rows: arb_mat, pushes: list[InputSet]) -> list[arb]:
         gains = [motion.push_gain(rows * enters, push) for enters, motion in self.spans for push in pushes]
         return sums([arb(0)] * rows.nrows(), *gains)
 
@@ -241,7 +241,7 @@ class Craft:
 
     @cached_property
     def _seen(self) -> arb_mat:
-        return self.held * self.gain
+        return self.held_map * self.gain
 
     def bent(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], off: list[arb], error: list[arb]
@@ -262,10 +262,10 @@ class Craft:
         return self._bent(rows, rates, held, [*self.steady, *self.bits])
 
     def _bent(
-        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], held: arb_mat, pushes: list[Push]
+        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], held: arb_mat, pushes: list[InputSet]
     ) -> list[arb]:
         """Intersample bound under more inputs up to `held` (m, 1), constant over the period, and pushes."""
         motion, B = self.motion, self.plant.B
         more = absolute(B) * held, absolute(self.plant.A * B) * held
-        bow = Along(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
+        bow = RowIntersample(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
         return sums(bow, *(motion.push_bend(rows, push) for push in pushes))

@@ -19,9 +19,9 @@ from ...kernel.balls import (
     smallest,
     sums,
 )
-from ...kernel.motion import Motion, Plant, Push
+from ...kernel.motion import InputSet, Motion, Plant
 from ...kernel.verdict import Rejected
-from ..timing import displaced
+from ..timing import state_offset
 
 PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
 
@@ -43,7 +43,7 @@ class Update:
 
 
 @dataclass(frozen=True, eq=False)
-class Filtering:
+class ObserverErrors:
     """An observer: all that updates may add so many periods later, by kinds of updates and what adds it.
 
     Sources are numbered: 0 is all that does not grow with commands, and leads of pulses at full thrust; i + 1
@@ -55,13 +55,13 @@ class Filtering:
     loop: arb_mat  # what an update and the period before make of an error
     noisy: arb_mat  # bounds on errors of what is measured, (r, 1)
     part: Motion  # of a part of a period
-    pushes: list[Push]
+    pushes: list[InputSet]
     powers: list[arb_mat] = field(default_factory=list)
     turned: list[list[arb_mat]] = field(default_factory=list)  # by age and kind, of an error before
     come: list[list[list[Bounds]]] = field(default_factory=list)  # by age, kind and source
 
     @classmethod
-    def of(cls, document: Document, plant: Plant) -> "Filtering":
+    def from_document(cls, document: Document, plant: Plant) -> "ObserverErrors":
         """Return the observer that a certificate states."""
         stated, missed = document.observer or {}, document.timing.get("missed", 0)
         n, one, M = plant.A.nrows(), identity(plant.A.nrows()), matrix(stated["measures"])
@@ -75,7 +75,7 @@ class Filtering:
                 rest * exponential(plant.A, plant.h * (j + 1))[0] - loop ** (j + 1) if j else arb_mat(n, n)
             )
             updates.append(Update(gain, rest, other, j + 1))
-        away = absolute(M) * column(displaced(document, document.timing.get("delay", 0.0)))
+        away = absolute(M) * column(state_offset(document, document.timing.get("delay", 0.0)))
         noisy = column(sums(map(arb, stated["noise"]), away.entries()))
         m = plant.B.ncols()
         error = plant.thruster_error([arb(0)] * m)[:m] + plant.thruster_error(plant.u_max)[m:]
@@ -87,7 +87,7 @@ class Filtering:
         """Return how many periods in a row may be missed."""
         return len(self.updates) - 1
 
-    def left(self, age: int) -> arb_mat:
+    def error_map(self, age: int) -> arb_mat:
         """Return the map of an error over so many periods."""
         while len(self.powers) <= age:
             self.powers.append(self.powers[-1] * self.loop)
@@ -96,7 +96,7 @@ class Filtering:
     def _known(self, age: int) -> None:
         """Work out what updates up to so many periods ago add."""
         for at in range(len(self.come), age + 1):
-            left, come = self.left(at), list[list[Bounds]]()
+            left, come = self.error_map(at), list[list[Bounds]]()
             self.turned.append([magnitude(left * update.other) for update in self.updates])
             for update in self.updates:
                 rows, count = left * update.rest, PARTS * update.periods
@@ -131,7 +131,7 @@ class Filtering:
                 to, adds = age + update.periods, self.adds(age, kind, source)
                 turned = (self.turned[age][kind] * known).entries()
                 come[to] = maxima(come[to], [x.upper() for x in sums(come[age], adds, turned)])
-            late = (magnitude(self.left(age + 1)) * known).entries()
+            late = (magnitude(self.error_map(age + 1)) * known).entries()
             more = spare(age + 1, late)
             passed = passed + 1 if all(x >= 0 for x in more) else 0
             if passed == len(self.updates):
@@ -141,7 +141,7 @@ class Filtering:
         for i, x in enumerate(more):
             require("system", x, f"error of the observer's state {i}: {bounds[i]}")
 
-    def after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
+    def bounds_after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, just after an update, by every pattern."""
         n, bounds = len(first), [column(first)]
         self._known(periods)
@@ -154,14 +154,14 @@ class Filtering:
                     if source is not None:
                         more = more + column(self.come[at][kind][source])
                     come[to] = more if at == 0 else column(maxima(come[to].entries(), more.entries()))
-            left = magnitude(self.left(age)) * bounds[0]
+            left = magnitude(self.error_map(age)) * bounds[0]
             bounds.append(column([x.upper() for x in (come[age] + left).entries()]))
         return [each.entries() for each in bounds]
 
     def fading(self, first: Bounds, document: Document) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, nothing being added, and ever after."""
         near, settled = (document.observer or {}).get("followed", 0), settled_errors(document)
-        errors, usual = (self.after(each, near + self.late, None) for each in (first, settled))
+        errors, usual = (self.bounds_after(each, near + self.late, None) for each in (first, settled))
         for bounds in usual[near:]:
             for x, y in zip(bounds, settled, strict=True):
                 require("system", y - x, f"errors of an observer after {near} periods")
@@ -205,7 +205,7 @@ class Filtering:
         if not late:
             return _fading(self.loop, column(first), document)
         left = self.fading(first, document)
-        joint = self.after(first, len(left) - 2, 0)
+        joint = self.bounds_after(first, len(left) - 2, 0)
         for at, each in enumerate(joint):
             left[at] = [smallest((x, y - z)) for x, y, z in zip(left[at], each, alone, strict=True)]
         left += [left[-1]] * (total + 1 - len(left))

@@ -7,9 +7,9 @@ from flint import arb, arb_mat
 
 from ...files.document import Document
 from ...kernel.balls import above, absolute, column, exponential, identity, magnitude, matrix, sums
-from ...kernel.motion import Plant, Push
+from ...kernel.motion import InputSet, Plant
 from ..plants import WHOLE
-from ..timing import carried_away, displaced
+from ..timing import carried_away, state_offset
 from .craft import Craft, Sample
 
 Blocks = dict[int, arb_mat]
@@ -35,7 +35,7 @@ class States:
     carries: int = 0  # block of the impulses that are carried, which the flight computer does not know of
 
     @classmethod
-    def of(cls, plant: Plant) -> "States":
+    def from_plant(cls, plant: Plant) -> "States":
         """Return the error alone."""
         one = identity(plant.A.nrows())
         parts = [(arb(0), plant.h, {0: one})]
@@ -56,7 +56,7 @@ class States:
         turned = {i: block.transpose() for i, block in blocks.items()}
         return self.laid_out(turned, rows).transpose()
 
-    def delay(self, delay: float, pushes: list[Push]) -> None:
+    def delay(self, delay: float, pushes: list[InputSet]) -> None:
         """Remember additions that no measurement has shown: a line of them, or one per part of periods."""
         plant, h, one = self.plant, self.plant.h, identity(self.plant.A.nrows())
         periods = max(ceil(float((arb(delay) / h).mid()) - WHOLE), 1)
@@ -126,7 +126,7 @@ class States:
             enters[block] = -rest * now
         self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), *noise))
 
-    def closed(self, gain: arb_mat, steady: list[Push], noise: Noise, base: list[arb] | None) -> Craft:
+    def closed(self, gain: arb_mat, steady: list[InputSet], noise: Noise, base: list[arb] | None) -> Craft:
         """Close the loop by a law."""
         plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
         if self.carries:
@@ -166,14 +166,16 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, worst.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
-        return States.of(plant).closed(gain, plant.disturbances([]), noise, known)
+        return States.from_plant(plant).closed(gain, plant.disturbances([]), noise, known)
     plant = replace(plant, unseen=[])  # states hold that
     along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
-    away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
-    states = States.of(plant)
-    drift = [Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []
+    away = [
+        _positive(x - y) + z for x, y, z in zip(state_offset(document, delay), moved, offset, strict=True)
+    ]
+    states = States.from_plant(plant)
+    drift = [InputSet.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []
     steady = [plant.disturbance, *plant.bias, *plant.shifting, *drift]
     if delay:
         states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])

@@ -402,12 +402,12 @@ def test_a_case_that_was_not_decided_in_time_is_tried_again(tmp_path, monkeypatc
 
 def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
-    from polaris.planning.effort import Effort
+    from polaris.planning.effort import SearchEffort
 
     with monkeypatch.context() as late:
         late.setattr(schedules, "_made", schedules._made.__wrapped__)  # others keep what they made
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
-        late.setattr(Effort, "cut_by_clock", struck)
+        late.setattr(SearchEffort, "cut_by_clock", struck)
         summary = run(make_cases([TINY]), 3, tmp_path / "c").summary
     assert summary["flown"] == 0 and "raise planner.time_limit_s" in summary["cases"][0]["failure"]
     assert summary["cases"][0]["exit_code"] == 4

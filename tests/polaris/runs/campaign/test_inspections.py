@@ -52,7 +52,7 @@ def seen(monkeypatch):
 
 
 def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_table(flown):
-    columns, picture = flown.read(0), read_run(flown.path).picture()
+    columns, picture = flown.read(0), read_run(flown.path).plot_data()
     assert len(columns["run"]) == RUNS * len(STUDIES) and picture.studies == STUDIES
     assert len(list((flown.path / "runs").glob("case-*.parquet"))) == 3
     x, sun = InitialConditions(scenario().families(), 1).first(RUNS)

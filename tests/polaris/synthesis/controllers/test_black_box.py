@@ -25,10 +25,10 @@ from polaris.certificate.kernel.verdict import Rejected
 from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.runs.black_box_program import black_box_program
 from polaris.runs.campaign import CampaignPlan, ScheduleRuns, local, make_cases, replay_run, run_campaign
 from polaris.runs.campaign.folder import read_campaign
 from polaris.runs.certificate import certificate
-from polaris.runs.program import program
 from polaris.runs.run import read_run, run
 from polaris.runs.tradeoff import tradeoff
 from polaris.scenario.reading import write_toml
@@ -37,7 +37,7 @@ from polaris.simulation.integration import Integrator
 from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
 from polaris.simulation.simulate import initial_states, simulate
 from polaris.synthesis.controllers.black_box import BlackBox
-from polaris.synthesis.sources.late_faults import moved
+from polaris.synthesis.sources.late_faults import wrong_thrust
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from tests.polaris.random_scenarios import random_scenario
@@ -143,7 +143,7 @@ def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
 def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
     law, rng = box(part=safety(errors)), np.random.default_rng(0)
     start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
-    tube = law.fly(start, k)
+    tube = law.propagate(start, k)
     system, q, parts = law.system, 4, 8
     xi = law.reference.fine(parts * q)[k]
     x = xi[0] + rng.uniform(-1, 1, (200, 4)) @ start.G.T
@@ -160,7 +160,7 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
         w = rng.normal(size=(len(x), system.p))
         w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
         u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
-        drift = rng.choice([-1.0, 1.0], (len(x), system.adrift.shape[1])) @ system.adrift.T
+        drift = rng.choice([-1.0, 1.0], (len(x), system.impulse_rates.shape[1])) @ system.impulse_rates.T
         drift = drift @ discretize(system.A, np.eye(system.n), PERIOD / parts)[1].T
         for part in range(1, parts + 1):
             x = x @ Ad.T + u @ Bd.T + w @ Dd.T + drift
@@ -171,26 +171,26 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
 
 def test_an_affine_box_is_fitted_to_rounding():
     law = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2])
-    tube = law.fly(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
+    tube = law.propagate(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
     assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
     assert np.all(tube.fit[..., 5] < 1e-7)
 
 
 def test_states_that_do_not_vary_are_not_fitted():
     flat = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
-    tube = box().fly(flat, 0)
+    tube = box().propagate(flat, 0)
     assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.abs(tube.fit).max() < 1e3
 
 
 def test_sets_without_bound_refuse_a_step():
     wild = box(lambda t, x, xi: np.sign(np.sin(1e9 * x[:, :2])))
-    assert wild.fly(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
+    assert wild.propagate(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
 
 
 def test_the_same_seed_gives_the_same_sets():
     start = Zonotope.box(np.zeros(4), np.full(4, 0.02))
-    assert np.array_equal(box().fly(start, 3).fit, box().fly(start, 3).fit)
-    assert not np.array_equal(box().fly(start, 3).fit, box(seed=1).fly(start, 3).fit)
+    assert np.array_equal(box().propagate(start, 3).fit, box().propagate(start, 3).fit)
+    assert not np.array_equal(box().propagate(start, 3).fit, box(seed=1).propagate(start, 3).fit)
 
 
 # -- what the statement catches, and what it does not ---------------------------------------------------
@@ -378,7 +378,7 @@ def test_a_box_that_mixes_up_flights_is_noticed():
 
 
 def test_a_comparison_asks_once_a_period_for_all_flights():
-    grid = DecisionGrid.of(sampled(Lagging(), probability=0.02).schedule)
+    grid = DecisionGrid.from_schedule(sampled(Lagging(), probability=0.02).schedule)
     ask = grid.controllers[1].ask
     before = len(ask.asked)
     compared = compare_methods(grid, 6, methods=["experimental", "schedule", "monitor", "simplex_implicit"])
@@ -389,7 +389,7 @@ def test_a_comparison_asks_once_a_period_for_all_flights():
     assert len(whole) >= 6 and all(np.allclose(np.diff(times), PERIOD) for times in ask.asked[before:])
     forgetful = replace(grid.schedule, controllers=(grid.controllers[0], box(follower)))
     assert not compare_methods(
-        DecisionGrid.of(forgetful), 2, methods=["simplex_implicit", "simulation"]
+        DecisionGrid.from_schedule(forgetful), 2, methods=["simplex_implicit", "simulation"]
     ).refused
 
 
@@ -555,7 +555,7 @@ for line in sys.stdin:
 
 
 def python(text, seconds=20.0):
-    return program([sys.executable, "-c", text], seconds)
+    return black_box_program([sys.executable, "-c", text], seconds)
 
 
 def test_a_program_answers_like_a_callable():
@@ -602,7 +602,7 @@ def test_what_a_program_has_started_ends_with_it():
     """Else whoever waits for its output would wait for the other."""
     begun = time.monotonic()
     box = shlex.join([sys.executable, "-c", f"input(); {ANSWER}"])
-    with program(["sh", "-c", f"sleep 60 & {box}"]) as asked:
+    with black_box_program(["sh", "-c", f"sleep 60 & {box}"]) as asked:
         assert asked(0.0, np.zeros((2, 4)), np.zeros(4)) == [[0, 0], [0, 0]]
     assert time.monotonic() - begun < 30
 
@@ -659,7 +659,7 @@ def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
 
 
 def test_a_program_that_is_none_is_one_error():
-    with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
+    with pytest.raises(ScenarioError, match="cannot be started"), black_box_program(["/nowhere/at-all"]):
         pass
 
 
@@ -716,8 +716,8 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     (known,) = system.transients
     for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
         fault = replace(known, lasts=lasts * h)
-        more = moved(system, replace(fault, asked=True), gain, loop)
-        none = moved(system, replace(fault, gains=0 * gain, asked=False), 0 * gain, loop)
+        more = wrong_thrust(system, replace(fault, asked=True), gain, loop)
+        none = wrong_thrust(system, replace(fault, gains=0 * gain, asked=False), 0 * gain, loop)
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
         assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
     asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}

@@ -18,13 +18,13 @@ from flint import arb, arb_mat
 from polaris.certificate.assumptions import ARITHMETIC
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import canonical, digest
-from polaris.certificate.files.parts import Law, Layer
+from polaris.certificate.files.entries import Law, Layer
 from polaris.certificate.kernel.balls import diagonal, matrix
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope as CheckedZonotope
-from polaris.certificate.model.bodies import Whereabouts
 from polaris.certificate.model.networks import Policy as CheckedPolicy
 from polaris.certificate.model.networks import Rounding, band, value
+from polaris.certificate.model.obstacle_boxes import ObstacleBoxes
 from polaris.certificate.model.onnx_file import read_layers
 from polaris.model.errors import ScenarioError
 from polaris.model.thrusters import Thrusters
@@ -110,7 +110,7 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
     system, k, parts = controller.system, seed % 11, 5
     q, h = controller.feedback.nodes_per_cell, controller.tracking.flow.h
     start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
-    tube = controller.fly(start, k)
+    tube = controller.propagate(start, k)
     assert not tube.refused
     rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
     signs = np.concatenate([rng.choice([-1.0, 1.0], (300, 6)), rng.uniform(-1, 1, (100, 6))])
@@ -144,7 +144,7 @@ def test_tube_of_a_small_network_is_no_looser_than_it_has_to_be():
     linear = Network((Affine(0.2 * rng.normal(size=(2, 4)), np.zeros(2)), Activation("clip", -5.0, 5.0)))
     controller = replace(controller, policy=Policy(linear, ("error",), np.ones(4), np.full(2, 0.1)))
     start = Zonotope.box(np.zeros(4), np.full(4, 0.05))
-    flown, q = controller.fly(start, 0), controller.feedback.nodes_per_cell
+    flown, q = controller.propagate(start, 0), controller.feedback.nodes_per_cell
     Ad, Bd = discretize(controller.system.A, controller.system.B, controller.tracking.flow.h)
     gain, moved = 0.1 * linear.layers[0].W, start
     for _ in range(q):
@@ -158,7 +158,7 @@ def test_commands_lie_in_what_is_said_of_them():
     for seed in range(4):
         controller, rng = random_controller(seed)
         start = Zonotope(np.zeros(4), 0.1 * rng.normal(size=(4, 5)))
-        tube = controller.fly(start, 3)
+        tube = controller.propagate(start, 3)
         middle, spread = controller.commanded(tube.nodes - controller.offset[3], tube.bow, 3)
         x = controller.reference.fine(4)[3, 0] + rng.choice([-1.0, 1.0], (200, 5)) @ start.G.T
         own = controller.own.fine(4)[3, 0]
@@ -191,7 +191,7 @@ def checked_policy(controller):
     )
     plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
     plant = type("Plant", (), plant)
-    return CheckedPolicy(law, plant, Whereabouts(plant, {}, arb(0), {}))
+    return CheckedPolicy(law, plant, ObstacleBoxes(plant, {}, arb(0), {}))
 
 
 PARTS = {"error": np.zeros(4), "state": np.full(4, 0.3), "time": np.array([2.0])}
@@ -265,7 +265,7 @@ def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
 @pytest.mark.parametrize("x", [[2.0**126, 1.0, 1.0], [1.0, 2.0**126, 1.0], [1.0, 1.0, 2.0**126]])
 def test_the_checker_refuses_numbers_that_round_to_infinity(x):
     """Inputs, weights and what activations make are each within the format, whatever follows."""
-    own, (read, weight, bent) = Rounding.of("float32"), [[arb(size)] for size in x]
+    own, (read, weight, bent) = Rounding.from_precision("float32"), [[arb(size)] for size in x]
 
     def book(read, weight, bent):
         own.read(read), own.summed([arb(1)], weight, [arb(1)], 1), own.bent(Layer("relu"), bent)
@@ -408,9 +408,9 @@ def test_a_run_that_forgets_the_rounding_of_its_network_is_rejected(tmp_path, mo
 def test_tubes_of_a_network_that_forget_an_error_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")
     path = scene(tmp_path, errors={forgotten: ERRORS[forgotten]})
-    fly = NeuralController.fly
+    fly = NeuralController.propagate
     ideal = lambda law, start, k: fly(replace(law, system=law.system.as_ideal()), start, k)  # noqa: E731
-    monkeypatch.setattr(NeuralController, "fly", ideal)
+    monkeypatch.setattr(NeuralController, "propagate", ideal)
     verdict = verify(run(path, tmp_path / "run").path)
     assert verdict.outcome == "REJECTED" and verdict.claim in SETS, verdict.text()
 
@@ -586,7 +586,7 @@ def test_simulation_flies_it_and_the_monitor_trusts_its_thrust_limits_only(made)
         e = flown.states[:, step.k * q] - schedule.safety.reference.fine(q)[step.k, 0]
         rows = np.vstack([np.eye(4), -np.eye(4)])
         assert np.all(e @ rows.T <= step.tube.nodes.support(rows)[0] + ROUNDING)
-    monitor = Monitor(DecisionGrid.of(schedule), trust="declared")
+    monitor = Monitor(DecisionGrid.from_schedule(schedule), trust="declared")
     assert {mode for mode, _ in monitor.prospects} == {0}
 
 
@@ -626,7 +626,7 @@ def test_a_missing_package_is_one_error(tmp_path, monkeypatch):
 def test_numbers_beyond_floating_point_refuse_a_step():
     controller, _ = random_controller(0)
     start = Zonotope.box(np.zeros(4), np.full(4, 1e308))
-    assert controller.fly(start, 0).refused
+    assert controller.propagate(start, 0).refused
 
 
 def test_the_slope_of_an_affine_network_is_the_network():

@@ -17,7 +17,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.schedule import Step
-from polaris.synthesis.schedule.search import Search
+from polaris.synthesis.schedule.search import ScheduleSearch
 from polaris.synthesis.schedule.synthesize import synthesize
 from tests.polaris.closed_loops import Attack, Loop, arrivals, attack, attack_monitor
 from tests.polaris.random_scenarios import synthesised
@@ -62,12 +62,12 @@ def judge(seed, found):
 def reckless(schedule):
     """Return the schedule with U all the way, called proved."""
     search, start, steps = (
-        Search(schedule.safety, schedule.controllers, SwitchingRules()),
+        ScheduleSearch(schedule.safety, schedule.controllers, SwitchingRules()),
         schedule.safety.start,
         [],
     )
     for k in range(schedule.safety.problem.K):
-        flight = search.controllers[1].fly(start, k)
+        flight = search.controllers[1].propagate(start, k)
         steps.append(Step(1, flight, k, schedule.safety.recoverable))
         start = flight.end
     return replace(schedule, steps=tuple(steps), final=start)
@@ -82,7 +82,8 @@ def monitored(seed, schedule):
     half = safety.start.half_widths * float(rng.choice([0, 0.3]))
     try:
         return Monitor(
-            DecisionGrid.of(schedule, period, latency, half), str(rng.choice(["declared", "thrust_limits"]))
+            DecisionGrid.from_schedule(schedule, period, latency, half),
+            str(rng.choice(["declared", "thrust_limits"])),
         )
     except NotCertified:
         return None

@@ -32,12 +32,12 @@ def test_what_s_needs_for_ever_is_little_more_than_its_fixed_point(name):
     given, bound, command = MOST[name]
     tracker = tracking(given)
     C, limits = tracker.system.position, tracker.tightening
-    needed = tracker.settled(C).max()
+    needed = tracker.settled_need(C).max()
     assert needed <= bound
-    alone = limits.settled()
+    alone = limits.settled_bound()
     least = limits.from_rest(tracker.whole(C), alone)[-1].max()
     assert least <= needed * (1 + 1e-9) and needed <= 1.06 * least
-    last = alone if tracker.profile is None else tracker.profile[-1]
+    last = alone if tracker.feedback_bound is None else tracker.feedback_bound[-1]
     assert (
         np.all(alone <= last * (1 + 1e-9)) and np.all(last <= 1.06 * alone) and last.max() <= command * 1e-3
     )
@@ -55,6 +55,6 @@ def test_a_bound_of_an_axis_is_reached_by_the_signs_that_count():
         z = F @ z + adds @ (channel.size * np.sign(rows[age] @ adds))
     quiet = sum(float(np.abs(r @ adds) @ channel.size) for r in rows)
     assert row[0] @ z == pytest.approx(quiet, rel=1e-9)
-    assert limits.response(channel, row, tracker.system.position[:1]).at(np.tile(channel.size, (200, 1)))[
-        200
-    ] == pytest.approx(quiet, rel=1e-6)
+    assert limits.response(channel, row, tracker.system.position[:1]).at_nodes(
+        np.tile(channel.size, (200, 1))
+    )[200] == pytest.approx(quiet, rel=1e-6)

@@ -12,7 +12,7 @@ import flint
 
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Rejected, Undecided
-from polaris.certificate.model.own import check_own
+from polaris.certificate.model.references import check_references
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
@@ -68,8 +68,8 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
             raise Rejected(claim, f"{whose} misses")
 
     try:
-        with patch("polaris.certificate.model.own.check_goal", goal):
-            check_own(document, law, scenario, {"reference": {"kind": kind, **spec}})
+        with patch("polaris.certificate.model.references.check_goal", goal):
+            check_references(document, law, scenario, {"reference": {"kind": kind, **spec}})
     except (Rejected, Undecided) as error:
         assert error.claim == "controllers"
         return type(error).__name__

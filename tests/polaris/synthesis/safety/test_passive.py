@@ -12,7 +12,7 @@ from polaris.certificate.checker import verify, verify_document
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.runs.files.tables import drift_told
+from polaris.runs.files.tables import drift_text
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.drifting import drifted, stopped
@@ -156,7 +156,7 @@ def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
 def test_what_is_required_is_kept_or_refused_with_the_witness():
     kept = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
     assert kept.passive.clear.all() and kept.passive.witness() is None
-    text = drift_told(kept.passive.told())
+    text = drift_text(kept.passive.to_dict())
     assert "any time in 0 to 12 s" in text and text.endswith("covers the whole flight.")
     with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
         drifting(load_scenario(TINY), 10 / 12, "abort.required=true")

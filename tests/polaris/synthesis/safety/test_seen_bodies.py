@@ -11,7 +11,7 @@ pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import Document, digest
-from polaris.certificate.model.bodies import Whereabouts
+from polaris.certificate.model.obstacle_boxes import ObstacleBoxes
 from polaris.certificate.model.plants import plant_of
 from polaris.model.errors import ScenarioError
 from polaris.model.scene.obstacles import BallObstacle, PolytopeObstacle
@@ -100,7 +100,7 @@ def test_boxes_hold_where_a_satellite_may_be_and_no_more():
     """Against motions that push along a row as hard as they may, all along."""
     system, h, count = tiny_safety().problem.system, 0.25, 41
     visitor = bodies()[1]
-    middle, half = visitor.whereabouts(system, h, count)
+    middle, half = visitor.state_boxes(system, h, count)
     times, reach = np.arange(count) * h, np.zeros((count, 4))
     drawn = true_states([visitor], system, times, 400, np.random.default_rng(0))["visitor"]
     assert np.all(np.abs(drawn - middle) <= half)
@@ -115,12 +115,12 @@ def test_a_rigid_body_is_where_it_is_but_for_the_clock():
     trolley, _, wall = bodies()
     system = tiny_safety().problem.system
     late = replace(system, timing=replace(system.timing, clock=0.5))
-    middle, half = trolley.whereabouts(late, 2.0, 3)
+    middle, half = trolley.state_boxes(late, 2.0, 3)
     assert middle == pytest.approx(
         np.array([[7, 1, -0.05, 0.1], [6.9, 1.2, -0.05, 0.1], [6.8, 1.4, -0.05, 0.1]])
     )
     assert half == pytest.approx(np.tile([0.025, 0.05, 0, 0], (3, 1)), abs=1e-7)
-    assert wall.whereabouts(system, 2.0, 2)[0] == pytest.approx(
+    assert wall.state_boxes(system, 2.0, 2)[0] == pytest.approx(
         np.array([[0, 0, 0.02, 0], [0.04, 0, 0.02, 0]])
     )
 
@@ -130,8 +130,8 @@ def test_the_checker_finds_the_same_places(seed):
     """Its own boxes lie in those that tubes are made from, and fill them."""
     law = random_controller(seed)[0]
     document = Document(certificate(synthesize(tiny_safety(), experimental=[law]), "tiny"))
-    checked = Whereabouts.of(document, document.laws[1], plant_of(document))
-    middle, half = law.told
+    checked = ObstacleBoxes.from_document(document, document.laws[1], plant_of(document))
+    middle, half = law.obstacle_motion
     for k, i in ((0, 0), (3, 2), (11, 4)):
         for j, body in enumerate(law.senses.bodies):
             at, off = checked._box(body.name, k * document.q + i)
@@ -148,14 +148,17 @@ def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
     law, rng = random_controller(seed, errors)
     system, k, q, h = law.system, seed % 11, law.feedback.nodes_per_cell, law.tracking.flow.h
     start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
-    tube, safe = law.fly(start, k), law.reference.fine(q)[k]
+    tube, safe = law.propagate(start, k), law.reference.fine(q)[k]
     assert not tube.refused
     rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
     e = start.c + rng.choice([-1.0, 1.0], (400, 6)) @ start.G.T
     Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h)
     middle, spread = law.commanded(tube.nodes, tube.bow, k)
     for i in range(q):
-        readings = law.told[0][k, i] + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.told[1][k, i]
+        readings = (
+            law.obstacle_motion[0][k, i]
+            + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.obstacle_motion[1][k, i]
+        )
         x = safe[i] + e
         seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
         u = np.clip(law.command(k, safe[i], safe[i], seen, i * h, readings), -system.u_max, system.u_max)
@@ -175,12 +178,12 @@ def test_a_tube_of_one_affine_layer_is_what_it_is_told():
     law = NeuralController("net", system, policy, *[safety.reference] * 2, safety.tracking, bodies())
     start, h = Zonotope(np.zeros(4), np.zeros((4, 0))), law.tracking.flow.h
     tube, blind = (
-        law.fly(start, 5),
+        law.propagate(start, 5),
         replace(law, unsafe=(replace(bodies()[1], state_half_widths=np.zeros(4)),)),
     )
-    more = tube.nodes[1].half_widths - replace(blind).fly(start, 5).nodes[1].half_widths
-    less = blind.told[1][5, 0, :2]
-    moved = gain * (law.told[1][5, 0, :2] - less) * 1.02
+    more = tube.nodes[1].half_widths - replace(blind).propagate(start, 5).nodes[1].half_widths
+    less = blind.obstacle_motion[1][5, 0, :2]
+    moved = gain * (law.obstacle_motion[1][5, 0, :2] - less) * 1.02
     assert more == pytest.approx(np.hstack([moved * h**2 / 2, moved * h]), rel=1e-3)
 
 
@@ -270,7 +273,7 @@ def test_flights_read_the_truth_and_are_judged_by_it(schedule):
     for i in range(q):
         readings = law.senses.seen(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
         assert readings[:, :4] == pytest.approx(truth[:, k * q + i])
-        assert np.all(np.abs(readings - law.told[0][k, i]) <= law.told[1][k, i])
+        assert np.all(np.abs(readings - law.obstacle_motion[0][k, i]) <= law.obstacle_motion[1][k, i])
         own, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]
         u = np.clip(law.command(k, own, own, x, i * h, readings), -law.system.u_max, law.system.u_max)
         assert runs.inputs[:, k * q + i] == pytest.approx(u, abs=1e-12)
@@ -298,7 +301,7 @@ def test_what_is_told_is_steered_by_the_gradient(schedule):
 
 
 def test_the_arena_flies_it(schedule):
-    grid = DecisionGrid.of(schedule, 0.5, 0.0, None)
+    grid = DecisionGrid.from_schedule(schedule, 0.5, 0.0, None)
     flown = fly(grid, ExperimentalAlone(grid), Conditions.draw(grid, 6, 0))
     assert np.ptp(flown.inputs[:, 0], axis=0).max() > 0, "told different things at once"
     assert fly(grid, ExperimentalAlone(grid), Conditions.undisturbed(grid)).states.shape[0] == 1
@@ -396,13 +399,13 @@ def test_bodies_that_are_altered_in_certificate_and_scenario_alike_are_refused(m
 @pytest.mark.parametrize("forgotten", [pytest.param("middle", marks=pytest.mark.slow), "half-widths"])
 def test_tubes_that_forget_where_bodies_may_be_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")
-    whereabouts = SatelliteObstacle.whereabouts
+    whereabouts = SatelliteObstacle.state_boxes
 
     def wrong(self, system, h, count):
         middle, half = whereabouts(self, system, h, count)
         return (middle, 0 * half) if forgotten == "half-widths" else (middle[:1] + 0 * middle, half)
 
-    monkeypatch.setattr(SatelliteObstacle, "whereabouts", wrong)
+    monkeypatch.setattr(SatelliteObstacle, "state_boxes", wrong)
     verdict = verify(run(scene(tmp_path, size=0.2), tmp_path / "run").path)
     assert verdict.outcome == "REJECTED" and verdict.claim in SETS
 

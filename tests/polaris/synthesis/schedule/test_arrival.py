@@ -72,7 +72,7 @@ def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has
     last, long = len(tracking.transitions) - 1, tracking.long
     need = rows.needs(HandOver(safety.start, T, T), T, T + long + 2)[0]
     path = rows.path[0, np.minimum(T + np.arange(long + 2), rows.path.shape[1] - 1)]
-    least = (tracking.responses(rows.rows, tracking.profile)[-1] + path) * (1 - 1e-12)
+    least = (tracking.responses(rows.rows, tracking.feedback_bound)[-1] + path) * (1 - 1e-12)
     assert last < long and np.all(need[last + 1 : long + 1] >= least[last + 1 : long + 1])
     assert np.all(need[long + 1] < least[long + 1])
 
@@ -85,8 +85,8 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     count = 5 * tracking.memory
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
-    always = always + gains @ tracking.system.thrusters.part(tracking.profile[-1])
-    assert 0.99 * always.max() <= tracking.settled(rows).max() <= always.max() * (1 + 1e-4)
+    always = always + gains @ tracking.system.thrusters.part(tracking.feedback_bound[-1])
+    assert 0.99 * always.max() <= tracking.settled_need(rows).max() <= always.max() * (1 + 1e-4)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------
@@ -125,7 +125,7 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         C = np.eye(n)[rng.permutation(n)[: len(C)]] if eta is None else np.eye(6)[:3]
         system = LinearSystem(A, np.ones((n, 1)), np.ones((n, 1)), [1.0], C=C)
         document = SimpleNamespace(mean_motion=eta, A=A.tolist(), C=C.tolist())
-        spec["kind"], goal, own = kind, goal.of(system), None
+        spec["kind"], goal, own = kind, goal.for_system(system), None
         if rng.random() < 0.4:
             own = spec["velocity_tolerance_m_s"] = rng.uniform(1e-3, 1)
             spec["tolerance_m"] = rng.uniform(0.1, 10)
@@ -133,9 +133,9 @@ def test_the_checker_derives_the_planner_s_rows(kind):
                 require_velocities(system, goal, "goal", own)
             except ScenarioError:
                 with pytest.raises(Rejected):
-                    goal_rows.Weighted.of(spec, arb(SOON) * steps * delta, document)
+                    goal_rows.WeightedRows.from_goal(spec, arb(SOON) * steps * delta, document)
                 continue
-        rows = goal_rows.Weighted.of(spec, arb(SOON) * steps * delta, document)
+        rows = goal_rows.WeightedRows.from_goal(spec, arb(SOON) * steps * delta, document)
         conditions = goal.conditions
         assert rows.scale == pytest.approx(conditions.scale, rel=1e-15)
         problem = SimpleNamespace(system=system, K=steps, delta=delta, goal=goal)
@@ -235,7 +235,7 @@ def derived(forger):
     argument = Argument(document, Record())
     path = argument.reference()
     sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.ahead))
-    tracker = Tracker.of(document, argument.craft, [], sets)
+    tracker = Tracker.from_sets(document, argument.craft, [], sets)
     taken = spent(flown, document.steps * document.q, document.weights[: document.steps]) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     nodes = [k * document.q for k in (last, document.steps)]
@@ -310,7 +310,7 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
 def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
     arrival, goal, spec = judged("reached")
     later = {"by_s": goal["by_s"] + arrival.document.delta, "distance_m": goal["tolerance_m"]}
-    exact = arrival.spent, arrival.until(arrival.node_at(later["by_s"]))
+    exact = arrival.spent, arrival.delta_v_until(arrival.node_at(later["by_s"]))
     without, until = (float(x.upper()) * (1 + 1e-5) / (1 + TOLD_SLACK) for x in exact)
     arrival.check(goal | later | {"delta_v_max_m_s": until}, spec)
     with pytest.raises(Rejected, match="velocity change"):

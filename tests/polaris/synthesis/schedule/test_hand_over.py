@@ -15,10 +15,10 @@ from flint import arb
 from scipy.linalg import expm, solve_continuous_are
 
 from polaris.certificate.kernel.balls import column, magnitude, matrix, sums
-from polaris.certificate.model.craft.memory import Memory
-from polaris.certificate.model.craft.needs import Needs
-from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedule
+from polaris.certificate.model.craft.feedforward import Feedforward as CheckedSchedule
+from polaris.certificate.model.craft.settling import Settling
 from polaris.certificate.model.craft.states import craft_of
+from polaris.certificate.model.craft.tightening import Tightening
 from polaris.certificate.model.plants import plant_of
 from polaris.certificate.model.timing import carried_away
 from polaris.model.craft import Craft
@@ -27,7 +27,7 @@ from polaris.model.estimates.prediction import predicting
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.synthesis.safety.carried_rows import CarriedRows
-from polaris.synthesis.safety.demand import Scheduled
+from polaris.synthesis.safety.feedforward import Feedforward
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import powers
@@ -113,7 +113,7 @@ class Flight:
 def worst(s):
     """Largest ``e - M(t) e_0`` at all parts of periods after a hand-over, of commands alike."""
     system, p, m, n = s.system, s.system.p, s.system.m, s.system.n
-    limits = np.minimum(s._since(s.profile), system.u_max)
+    limits = np.minimum(s._since(s.feedback_bound), system.u_max)
     shift = hold(system.A, system.B, H)[1] / H  # sets of other laws leave carried impulses out
     states, commands = np.zeros((AFTER * PARTS + 1, n)), np.zeros((AFTER, m))
     for k in range(BEFORE + AFTER):
@@ -133,13 +133,13 @@ def worst(s):
         thrust = system.thrusters.error(before)
         if system.observer is not None:
             noise = system.observer.noise + np.abs(system.observer.measures) @ (
-                system.displaced - system.carried_away
+                system.state_offset - system.carried_away
             )
         elif system.timing.missed:
             lag = k - BEFORE - system.timing.unseen[0][0]
             noise = system.estimate_off(system.u_max if lag < 0 else limits[lag])
         else:
-            noise = np.array(system.timing.measured) + system.displaced - system.carried_away
+            noise = np.array(system.timing.measured) + system.state_offset - system.carried_away
         for moved, total in ((x - own, states), (u, commands)):
             pushes = moved[:, : PARTS * (p + 2 * m)].reshape(len(moved), PARTS, p + 2 * m, -1)
             total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
@@ -177,7 +177,7 @@ def stated(s):
         fired=list(timing.fired),
         placed=timing.placed,
         carried=timing.carried,
-        at_nodes=system.displaced_at_nodes.tolist(),
+        at_nodes=system.state_offset_at_nodes.tolist(),
         pulsed=list(timing.pulsed) or nothing,
         transients=[],
         observer=None,
@@ -186,8 +186,8 @@ def stated(s):
     if seen is not None:
         document.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
         document.observer["noise"] = seen.noise.tolist()
-    if s.profile is not None:
-        document.profile = s.profile.tolist()
+    if s.feedback_bound is not None:
+        document.profile = s.feedback_bound.tolist()
     return document
 
 
@@ -196,8 +196,8 @@ def checker_needs(s, rows):
     document = stated(s)
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     profile = [[arb(x) for x in level] for level in document.profile]
-    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
-    return Needs(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
+    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, profile)
+    return Tightening(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
 
 
 def checked(s, rows):
@@ -224,7 +224,7 @@ def handed(s, rows):
 
 def needed(s, rows, ages):
     """Return the same with all that disturbs, between nodes too."""
-    return CarriedRows(s, rows).at(Zonotope.point(np.zeros(s.system.n)), ages)
+    return CarriedRows(s, rows).from_set(Zonotope.point(np.zeros(s.system.n)), ages)
 
 
 CASES = [
@@ -254,9 +254,9 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
     states, commands = worst(s)
     rows, ages = np.eye(s.system.n), np.arange(AFTER + 1)
     K = s.commands[: s.system.m]
-    by_tracking = s.responses(rows, s.profile)[ages] + handed(s, rows)[ages], needed(s, rows, ages)
+    by_tracking = s.responses(rows, s.feedback_bound)[ages] + handed(s, rows)[ages], needed(s, rows, ages)
     by_checker = checked(s, rows)
-    demand = (s.responses(K, s.profile)[:-1] + handed(s, K))[:AFTER] + s.noise
+    demand = (s.responses(K, s.feedback_bound)[:-1] + handed(s, K))[:AFTER] + s.noise
     asked = demand, checked(s, None)[0][:AFTER] + by_checker[2]
     within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
     for nodes, disturbance in (by_tracking, by_checker[:2]):
@@ -286,15 +286,15 @@ def test_what_is_older_than_the_horizon_counts(case):
     for _ in range(N):
         last = last * needs.craft.F
         more += [float(x.upper()) for x in needs.craft.supports(last)]
-    beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
+    beyond = [float((a - b).upper()) for a, b in zip(needs.settled_need, needs.responses[-1], strict=True)]
     assert np.all(more <= beyond)
 
 
 def along(s, nu, planned, by_step=(), between=True):
     """Return needs along states at nodes, and commands that they are bounded for, on both sides."""
     cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
-    own = Scheduled(s, SimpleNamespace(nu=nu, cells=cells), planned)
-    needs, commanded = own.along(rows, between), [own.commanded]
+    own = Feedforward(s, SimpleNamespace(nu=nu, cells=cells), planned)
+    needs, commanded = own.response(rows, between), [own.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
     document.known_to = lambda k: document.estimate
     if len(by_step):
@@ -302,12 +302,12 @@ def along(s, nu, planned, by_step=(), between=True):
         document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     profile = [[arb(x) for x in level] for level in document.profile]
-    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
+    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, profile)
     arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
     path = SimpleNamespace(planned=planned, arcs=arcs)
     checks = CheckedSchedule(document, craft, memory, path)
     commanded.append(np.array([[float(x) for x in level] for level in checks.commanded]))
-    checked_along = checks.along(Needs(craft, memory, matrix(rows.tolist())), between)
+    checked_along = checks.response(Tightening(craft, memory, matrix(rows.tolist())), between)
     other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
     nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (needs, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
@@ -374,14 +374,14 @@ def test_later_turns_of_the_tail_are_bounded_by_the_first():
 
 def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
     by_step = np.outer([3.0, 1, 4], [0.01, 0.02, 0.004, 0.003])
-    s, caused = tracking(), Needs.caused
+    s, caused = tracking(), Tightening.response
     s = replace(s, system=replace(s.system, error_by_step=by_step))
 
     def more(*given):
         older, bent = caused(*given)
         return [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
 
-    monkeypatch.setattr(Needs, "caused", more)
+    monkeypatch.setattr(Tightening, "response", more)
     assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)
 
 
@@ -431,7 +431,7 @@ def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters
     limits = tracking(missed=1, delay=0.5, proportional=True).tightening
     bound = np.linspace(0.6, 0.2, limits.horizon + 2)[:, None] * limits.u_max
     (late,) = (channel for channel in limits.closed.loop.channels if channel.lag)
-    sizes = limits.sizes(late, limits.known(late, bound))
+    sizes = limits.sizes(late, limits.remembered_bound(late, bound))
     assert np.all(sizes[0] > limits.sizes(late, bound[0]))
     assert np.all(limits.largest(late, bound) >= sizes)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, rungs
+from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, dwell_times
 from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 from tests.polaris.conftest import small_controllers, small_safety
@@ -138,7 +138,7 @@ def test_never_worse_than_greedy_nor_than_under_stricter_rules(seed):
     rng = np.random.default_rng(seed)
     scene = Scene.draw(rng, int(rng.integers(8, 26)), int(rng.integers(1, 3)))
     dwells = sorted(
-        {1, 2, 3, 4, 5, 7, int(rng.integers(1, EACH + 1)), *rungs(6, scene.K)} & {*range(scene.K)}
+        {1, 2, 3, 4, 5, 7, int(rng.integers(1, EACH + 1)), *dwell_times(6, scene.K)} & {*range(scene.K)}
     )
     caps = [0, 1, 2, 3, 5, APART - 1, APART, APART + 3, None]
     table = np.array([[scene.look_ahead(dwell, cap) for cap in caps] for dwell in dwells])
@@ -153,8 +153,8 @@ def test_never_worse_than_greedy_nor_than_under_stricter_rules(seed):
 def test_rungs_are_the_same_ladder_from_wherever_it_is_entered():
     for K in (1, 2, 5, 60, 400):
         for dwell in range(1, K + 1):
-            assert set(rungs(dwell, K)) == {d for d in rungs(1, K) if d >= dwell}
-    assert rungs(1, 60) == (1, 2, 3, 4, 6, 9, 13, 19, 28, 42, 60)
+            assert set(dwell_times(dwell, K)) == {d for d in dwell_times(1, K) if d >= dwell}
+    assert dwell_times(1, 60) == (1, 2, 3, 4, 6, 9, 13, 19, 28, 42, 60)
 
 
 # -- in flight ------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import pytest
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.powered import branched
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.model.plants import precision_for
@@ -21,19 +21,19 @@ from polaris.model.errors import NotCertified, PolarisError, ScenarioError, Synt
 from polaris.report.html.run_report import aborts
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.runs.files.tables import abort_told
+from polaris.runs.files.tables import abort_text
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.failing import Failing
 from polaris.simulation.falsification.aborting import aborted, exceeded
 from polaris.simulation.falsification.search import falsify
+from polaris.simulation.fault_times import FaultTimes
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.corrections import Corrections
-from polaris.synthesis.safety.demand import command_errors
+from polaris.synthesis.safety.feedforward import command_errors
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import distance
+from polaris.synthesis.schedule.abort_branch import AbortBranch, Takeover
 from polaris.synthesis.schedule.arrival import SPARE
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.schedule.takeover import Branch, Takeover
 from reach.sets.zonotope import Zonotope
 from tests.polaris.closed_loops import attack
 from tests.polaris.forging import CERTIFICATE, COARSE, QUARTER, Forger, make
@@ -84,7 +84,7 @@ def test_aborted_flights_reach_their_orbit(tiny):
         assert np.abs(runs.positions[:, at] - [0.0, 6.0]).max() < 0.5
         assert way.cell - k <= 10 and not runs.metrics().summary()["collided"]
     assert falsify(tiny, 300, 0).failure is None
-    assert "0 to 1" in aborts({"powered_abort": tiny.powered.told()})
+    assert "0 to 1" in aborts({"powered_abort": tiny.powered.to_dict()})
 
 
 def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkeypatch, tmp_path):
@@ -125,7 +125,7 @@ def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
         table = f"abort={{{ORBIT},within_s={within},delta_v_max_m_s={budget},required=true}}"
         return synthesize(load_scenario(TINY).with_assignments([table, QUARTER]))
 
-    assert abort_told(asked(10.0, 20.0).powered.told()).startswith("from 12 of 12 steps")
+    assert abort_text(asked(10.0, 20.0).powered.to_dict()).startswith("from 12 of 12 steps")
     with pytest.raises(NotCertified, match=r"in step \d+ .* raise abort.delta_v_max_m_s by") as scarce:
         asked(10.0, 4.5)
     with pytest.raises(SynthesisInfeasible, match=r"in step \d+ .*no branch is found") as late:
@@ -153,7 +153,7 @@ def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
     aborts = [way.delta_v for way in schedule.powered.ways]
     for known, outcome in ((tank, True), (0.5 * tank, False)):
         with flint.ctx.workprec(precision_for(document)):
-            argument = Argument(document, Record(), Stated(tank=known, aborts=aborts))
+            argument = Argument(document, Record(), FileClaims(tank=known, aborts=aborts))
             if outcome:
                 argument.run()
                 continue
@@ -167,7 +167,7 @@ def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2), tracking=one)
     sets = Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1)))
     tube = SimpleNamespace(states=sets, bow=np.zeros((2, 1)), end=start)
-    taken = Takeover.each(
+    taken = Takeover.for_steps(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )
     assert [each.spent for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
@@ -179,13 +179,17 @@ def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
     given = [LATE, "feedback.period_s=0.25"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
     tracking, reference = safety.tracking, safety.reference
-    branch = Branch(0, safety, Corrections(tracking))
+    branch = AbortBranch(0, safety, Corrections(tracking))
     rows, sides = branch.goal.rows
     one = Zonotope(safety.start.c[None], safety.start.G[None])
     off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
-    states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.upset(rows)[-1]
-    least = distance(safety.problem.goal.conditions, states + tracking.settled(rows)).min()
-    assert off >= least > distance(safety.problem.goal.conditions, states - tracking.upset(rows)[-1]).min()
+    states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.transient_need(rows)[-1]
+    least = distance(safety.problem.goal.conditions, states + tracking.settled_need(rows)).min()
+    assert (
+        off
+        >= least
+        > distance(safety.problem.goal.conditions, states - tracking.transient_need(rows)[-1]).min()
+    )
 
 
 @pytest.mark.parametrize(
@@ -361,7 +365,7 @@ def verified(scenario, schedule):
     """The checker derives every abort that is claimed of a scene, its arrival and its velocity change."""
     table = tomllib.loads(scenario.text_elsewhere())
     orbit, document = table["abort"]["orbit"], Document(certificate(schedule, "random"))
-    known = Stated(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
+    known = FileClaims(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
     before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
     try:
         Argument(document, record, known).run()
@@ -381,7 +385,7 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
         ends = np.full(count, schedule.powered.ways[k].cell * q)
         share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
         begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
-        failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
+        failing = FaultTimes(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
         runs = replace(attacker.worst(count), failing=failing).fly(attacker.flight)
         return exceeded(schedule, k, runs)[0].margin
 

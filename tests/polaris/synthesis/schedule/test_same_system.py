@@ -44,7 +44,7 @@ class Own:
     name: str = "own"
 
     def __getattr__(self, key):
-        if key in ("fly", "command", "system"):
+        if key in ("propagate", "command", "system"):
             return getattr(self.law, key)
         raise AttributeError(key)
 
@@ -224,8 +224,8 @@ class Tube:
     def __init__(self, change):
         self.change, self.law = change, small_controllers()["coasting"]
 
-    def fly(self, start, k):
-        return self.change(self.law.fly(start, k))
+    def propagate(self, start, k):
+        return self.change(self.law.propagate(start, k))
 
     def command(self, *given):
         return self.law.command(*given)
@@ -251,5 +251,5 @@ def test_a_tube_that_is_none_is_refused(change, told):
 
 def test_an_honest_tube_of_a_class_of_its_own_is_taken():
     assert proof(Tube(lambda f: f)).modes.tolist() == proof(small_controllers()["coasting"]).modes.tolist()
-    assert isinstance(Tube(lambda f: f).fly(small_safety().start, 0), TubeSegment)
+    assert isinstance(Tube(lambda f: f).propagate(small_safety().start, 0), TubeSegment)
     assert isinstance(small_safety().controller, AffineController)

@@ -15,7 +15,7 @@ from polaris.synthesis.controllers.controllers import AffineController, AnyThrus
 from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.share_bound import Master, share_bound
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.schedule.undisturbed import FREE, Flights
+from polaris.synthesis.schedule.undisturbed import FREE, UndisturbedFlights
 from reach.numerics.linear import discretize
 from tests.kept import printed as bundled
 from tests.kept import quick
@@ -82,10 +82,10 @@ def least_room(flights, states):
 def test_every_flight_lies_in_what_is_enclosed(more, times):
     _, schedule = printed(*more)
     problem, law = schedule.safety.problem, laws_of(schedule, times)[0]
-    flights, rng, clipped = Flights(schedule.safety, [law]), np.random.default_rng(5), 0
+    flights, rng, clipped = UndisturbedFlights(schedule.safety, [law]), np.random.default_rng(5), 0
     for seed in range(6):
         held = tuple(np.where(rng.random(problem.K) < 0.35, FREE, 1).tolist())
-        c, G, _ = flights.fly(held)
+        c, G, _ = flights.propagate(held)
         states = flights_of(problem, law, held, 200, seed)
         rows = rng.normal(size=(40, problem.system.n))
         room = c @ rows.T + np.abs(rows @ G).sum(axis=2)
@@ -102,7 +102,7 @@ def test_every_flight_lies_in_what_is_enclosed(more, times):
 def test_nothing_that_can_be_flown_is_called_impossible(more):
     scenario, schedule = printed(*more)
     problem, law = schedule.safety.problem, laws_of(schedule)[0]
-    flights, K = Flights(schedule.safety, [law]), problem.K
+    flights, K = UndisturbedFlights(schedule.safety, [law]), problem.K
     rng = np.random.default_rng(1)
     sets = [free for count in range(3) for free in combinations(range(K), count)]
     sets += [tuple(np.flatnonzero(rng.random(K) < 0.4).tolist()) for _ in range(20)]
@@ -122,7 +122,7 @@ def test_nothing_that_can_be_flown_is_called_impossible(more):
 
 def test_what_is_widened_is_still_impossible_and_demands_no_less():
     _, schedule = printed()
-    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
+    flights, K = UndisturbedFlights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
     held = (1,) * K
     assert flights.impossible(held)
     wide = flights.widened(held)
@@ -133,7 +133,7 @@ def test_what_is_widened_is_still_impossible_and_demands_no_less():
 
 def test_the_word_of_a_solver_is_not_enough(monkeypatch):
     _, schedule = printed()
-    flights, K = Flights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
+    flights, K = UndisturbedFlights(schedule.safety, laws_of(schedule)), schedule.safety.problem.K
     free = (FREE,) * K
     assert not flights.impossible(free)
     monkeypatch.setattr(GrowingLP, "solve", lambda self, seconds: None)
@@ -174,7 +174,7 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
     assert chosen is None if not every else chosen in every
     worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
     best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
-    assert best <= master.worth(worths) <= best + 1e-3
+    assert best <= master.objective_bound(worths) <= best + 1e-3
 
 
 # -- the bound ----------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ def tiny(*more):
 @pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])
 def test_the_worst_flights_spend_most_of_what_is_proven(errors):
     schedule = tiny(*errors)
-    attacker = Attacker.of(schedule, False, np.random.default_rng(1))
+    attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(1))
     spent = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
     by_chance = float(attacker.random(20).fly(attacker.flight).delta_v.max())
     assert by_chance < spent <= schedule.delta_v[1] * (1 + 1e-9)
@@ -46,7 +46,9 @@ def test_periods_cannot_all_be_the_worst():
     count = len(schedule.steps) * schedule.safety.clearance.q
     flight = FlightSpending(schedule._spells, count)
     assert schedule.delta_v[1] < 0.75 * flight.apart(count) * scale
-    assert flight.until(0) == 0 and flight.until(7) <= flight.until(8) <= flight.apart(8) * (1 + ROUNDING)
+    assert flight.thrust_bound(0) == 0 and flight.thrust_bound(7) <= flight.thrust_bound(8) <= flight.apart(
+        8
+    ) * (1 + ROUNDING)
 
 
 def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp_path):
@@ -67,7 +69,7 @@ def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp
 def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands(monkeypatch):
     """About a flight they go as far as without that, or further; what they count is the derivative."""
     schedule, rng = tiny(*SAMPLED, "thrusters.magnitude_error=0.1"), np.random.default_rng(0)
-    attacker = Attacker.of(schedule, False, rng)
+    attacker = Attacker.from_schedule(schedule, False, rng)
     rows, end = attacker.rows, attacker.flight.steps
 
     def reached():

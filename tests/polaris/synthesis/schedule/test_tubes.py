@@ -57,7 +57,7 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
     rng = np.random.default_rng(1)
     D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(12, 6)) / [5, 5, 5, 0.1, 0.1, 0.1]])
     for k in (0, 7):
-        flight = law.fly(START, k)
+        flight = law.propagate(START, k)
         if flight.refused:
             assert k > 0, "every law can fly the first step"
             continue
@@ -78,16 +78,16 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
 def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
     law = small_controllers(None)["clipped"]
     calm = small_controllers(None)["shared"]
-    assert law.fly(START, 0).refused == ""
+    assert law.propagate(START, 0).refused == ""
     assert (
         AffineController("hard", law.system, law.gain, law.reference, law.own, law.tracking, clips=False)
-        .fly(START, 0)
+        .propagate(START, 0)
         .refused.startswith("its command may exceed")
     )
     soft = AffineController(
         "soft", law.system, law.gain, law.reference, law.reference, law.tracking, clips=True
     )
-    assert np.array_equal(soft.fly(START, 0).nodes.G, calm.fly(START, 0).nodes.G)
+    assert np.array_equal(soft.propagate(START, 0).nodes.G, calm.propagate(START, 0).nodes.G)
 
 
 @pytest.mark.parametrize("kind", ["affine", "any"])
@@ -99,7 +99,7 @@ def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes
     law = AnyThrust("any", system, still, tracking)
     if kind == "affine":
         law = AffineController("affine", system, tracking.gain, still, still, tracking)
-    flight, row = law.fly(Zonotope.point(np.zeros(2)), 0), np.array([[0.0, 1.0]])
+    flight, row = law.propagate(Zonotope.point(np.zeros(2)), 0), np.array([[0.0, 1.0]])
     nodes, bow, excess = flight.nodes.support(row)[:, 0], flight.bow @ row[0], []
     for i in range(len(bow)):
         for part in np.linspace(0, 1, 41):
@@ -116,7 +116,7 @@ def test_a_law_that_pulls_away_from_the_safe_reference_leaves_the_chord_of_its_n
     tracking = Tracking(system, np.array([[1.0, 1.5]]), Feedback(2), 1.0)
     safe, own = (Reference.propagate(system, 1.0, np.zeros(2), np.array([[u]])) for u in (-1.0, 1.0))
     law = AffineController("pulls", system, tracking.gain, safe, own, tracking)
-    flight, h = law.fly(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
+    flight, h = law.propagate(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
     for i in range(2):
         chord = flight.nodes.c[i : i + 2, 0].mean()
         assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.bow[i, 0] + 1e-15

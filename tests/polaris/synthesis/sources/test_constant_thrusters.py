@@ -98,9 +98,13 @@ def bound(schedule, constant):
     errors, kept_ = system.thrusters, system.thrusters.constant
     object.__setattr__(errors, "constant", constant)
     try:
-        spells = [Spell.of(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
+        spells = [
+            Spell.from_tube(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps
+        ]
         count = len(spells) * schedule.safety.clearance.q
-        return FlightSpending(spells, count).until(count) * schedule.safety.tracking.flow.h / system.mass
+        return (
+            FlightSpending(spells, count).thrust_bound(count) * schedule.safety.tracking.flow.h / system.mass
+        )
     finally:
         object.__setattr__(errors, "constant", kept_)
 
@@ -118,7 +122,7 @@ def test_constants_spend_less_than_errors_that_vary(extra):
     schedule = tiny(*WRONG, *extra, NEVER)
     proven = schedule.delta_v[1]
     assert worst_spent(schedule) <= proven < bound(schedule, False)
-    attacker = Attacker.of(schedule, False, np.random.default_rng(1))
+    attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(1))
     flown = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
     assert 0.6 * proven < flown <= proven * (1 + 1e-9)
 
@@ -172,7 +176,9 @@ def test_what_is_constant_is_drawn_once_a_flight():
 
 def test_run_time_methods_fly_them_beside_jitter():
     """Errors that stand for jitter vary: of their flights the columns of the matrix are not read."""
-    grid = DecisionGrid.of(tiny(WRONG[0], "feedback.period_s=0.25", "timing.jitter_s=0.005", NEVER))
+    grid = DecisionGrid.from_schedule(
+        tiny(WRONG[0], "feedback.period_s=0.25", "timing.jitter_s=0.005", NEVER)
+    )
     conditions = Conditions.draw(grid, 3, 0)
     m, errors = grid.system.m, columns(grid.system)[2]
     assert errors.stop - errors.start == m + m**2

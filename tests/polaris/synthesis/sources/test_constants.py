@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.certificate.assumptions import Premises
+from polaris.certificate.assumptions import Assumptions
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical
 from polaris.model.craft import Craft
@@ -21,7 +21,7 @@ from polaris.simulation.delayed import flies
 from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.safety.attempts import perceive_unsafe
-from polaris.synthesis.safety.passive import Abort, FreeFlight
+from polaris.synthesis.safety.passive import DriftRequirement, FreeFlight
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.sources.observer import MEASUREMENT
 from polaris.synthesis.tracker.feedback import Feedback
@@ -129,7 +129,7 @@ def test_an_outage_beside_a_constant_error_covers_the_flight_of_that_error(share
     tracking, n = Tracking(system, gain, Feedback(1), h), 2
     rows = tracking.whole(np.eye(2))
     claimed = tracking.tightening.from_rest(rows)[-1]
-    claimed = claimed + tracking.left(rows, [tracking._unmade(count)]).max(axis=(0, 2))
+    claimed = claimed + tracking.difference_need(rows, [tracking._unmade(count)]).max(axis=(0, 2))
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * h)
     step, held = whole[:2, :2], whole[:2, 2:]
     F = np.block([[step - held @ gain, -held @ gain], [np.zeros((n, n)), (np.eye(n) - L @ M) @ step]])
@@ -147,7 +147,7 @@ def test_free_drift_is_bounded_by_the_worst_constant():
     """Two hours in a low orbit, against signs that change at will: only across the track much is won."""
     problem = load_scenario("static", ALONE["static"]).problem()
     sets = perceive_unsafe(problem, 260)
-    flight, steps = FreeFlight(Abort(7200.0), problem.system, sets, problem.delta), 7200
+    flight, steps = FreeFlight(DriftRequirement(7200.0), problem.system, sets, problem.delta), 7200
     pushed = flight._rows[2]
     (Ad, _), Dd = (
         held(problem.system.A, problem.system.B, 1.0),
@@ -243,7 +243,7 @@ def test_forged_constants_are_refused(forger):
         lie.scenario["system"] |= {"disturbance_max": varying, "bias_max": constant} if scenario else {}
         claimed = lie.schedule["guarantee"]
         for sentences in (lie.certificate["assumptions"], claimed["assumptions"]):
-            sentences[0] = Premises(varying, 0.5, constant).told()[0]
+            sentences[0] = Assumptions(varying, 0.5, constant).sentences()[0]
         lie.summary["guarantee"] = claimed
         return lie
 

@@ -15,7 +15,7 @@ import pytest
 from docs.generate import source_docs
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Record
@@ -35,7 +35,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.scenario.tables.schedule import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.safety.carried_rows import error_tube
-from polaris.synthesis.safety.demand import Scheduled
+from polaris.synthesis.safety.feedforward import Feedforward
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.sources.craft import SOURCES, craft_loop
@@ -234,7 +234,7 @@ def test_errors_of_thrusters_cover_every_way_to_make_them():
     rng, bounds = np.random.default_rng(1), (0.05, np.deg2rad(4.0), 0.03)
     bit, period = 0.005, 2.0
     rounding = bit / (2 * period)
-    errors, largest = Thrusters.of(*bounds, rounding, 3), 0.0
+    errors, largest = Thrusters.from_errors(*bounds, rounding, 3), 0.0
     for _ in range(4000):
         u = rng.normal(size=3) * [1.0, 0.3, 0.1]
         rounded = np.round(u * period / bit) * bit / period
@@ -257,7 +257,7 @@ def magnified():
 def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     schedule = magnified()
     law, start = schedule.controllers[1], schedule.safety.start
-    tube = law.fly(start, 0)
+    tube = law.propagate(start, 0)
     assert all(np.all(np.frombuffer(kept) <= law.system.u_max) for kept, _ in law._levels)
     levels, ends = list(law._levels.values()), [replace(law, most=1e-9 * law.system.u_max), law]
     least, widest = (each.disturbance[-1].half_widths for each in ends)
@@ -271,9 +271,9 @@ def test_levels_that_are_foreseen_are_those_that_are_found_from_the_least_one(mo
     schedule = magnified()
     law, start, u_max = schedule.controllers[1], schedule.safety.start, schedule.safety.problem.system.u_max
     foreseen = law.foreseen(start - law.whole_offset(0)[0], 0)
-    tube, _ = law.fly(start, 0), law._levels.clear()
+    tube, _ = law.propagate(start, 0), law._levels.clear()
     monkeypatch.setattr(AffineLaw, "foreseen", lambda law, d, k: LEVELS[0] * law.system.u_max)
-    climbed = law.fly(start, 0)
+    climbed = law.propagate(start, 0)
     assert np.any(foreseen > LEVELS[0] * u_max)
     assert np.array_equal(climbed.end.G, tube.end.G) and np.array_equal(climbed.bow, tube.bow)
 
@@ -285,7 +285,7 @@ def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():
     wide = Zonotope(start.c, 100 * np.eye(len(start.c)))
     widest, _ = law._like(law.system.u_max, None)._flown(wide, 0)
     assert widest.refused
-    assert np.array_equal(law.fly(wide, 0).nodes.half_widths, widest.nodes.half_widths)
+    assert np.array_equal(law.propagate(wide, 0).nodes.half_widths, widest.nodes.half_widths)
 
 
 def test_a_profile_allows_for_the_errors_of_its_own_commands():
@@ -295,7 +295,7 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
     safety = schedule.safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
-    profile, part = tracking.profile, tracking.system.thrusters.part
+    profile, part = tracking.feedback_bound, tracking.system.thrusters.part
     assert np.all(np.diff(profile, axis=0) <= 0) and np.all(profile[-1] < tracking.system.u_max)
     kick = np.abs(gain @ tracking.transitions @ flow.input_map(tracking.system.B))
     reached = np.zeros(len(gain))
@@ -315,7 +315,7 @@ def test_a_certificate_with_errors_holds_far_beyond_the_memory_of_the_loop():
     assert schedule.share() >= 0.8 and schedule.safety.end.horizon == "infinite"
     document, record = Document(json.loads(json.dumps(certificate(schedule, "static")))), Record()
     with flint.ctx.workprec(PRECISION):
-        Argument(document, record, Stated(schedule.safety.start_margin.value)).run()
+        Argument(document, record, FileClaims(schedule.safety.start_margin.value)).run()
     assert ("guarantee", "proved") in record.checked
 
 
@@ -352,8 +352,8 @@ def test_errors_that_nearly_feed_on_themselves_are_bounded():
         system = safety.tracking.system
         system = replace(system, thrusters=replace(system.thrusters, across=more * system.thrusters.across))
         tracking = replace(safety.tracking, system=system)
-        scheduled = Scheduled(tracking, safety.reference, safety.clearance.planned)
-        caused = scheduled.along(tracking.commands[: system.m]).max(axis=1)
+        scheduled = Feedforward(tracking, safety.reference, safety.clearance.planned)
+        caused = scheduled.response(tracking.commands[: system.m]).max(axis=1)
         bounded.append(np.all(scheduled.commanded >= np.abs(safety.reference.nu) + caused))
         assert bounded[-1] or np.any(caused > system.u_max), "neither a bound, nor are thrusters exhausted"
     assert bounded[1] and not bounded[-1]
@@ -378,7 +378,7 @@ def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
     worst, under = attack_monitor(monitor, 40, seed)
     judge(seed, worst)
     assert under > 0.1
-    judge(seed, attack_monitor(Monitor(monitor.grid.profiled(), monitor.trust), 40, seed)[0])
+    judge(seed, attack_monitor(Monitor(monitor.grid.with_feedback_bound(), monitor.trust), 40, seed)[0])
 
 
 @pytest.mark.slow
@@ -389,10 +389,13 @@ def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
     schedule = synthesize(scenario.with_assignments([PRINTED, *tables(scenario, 5001), *late]))
     system = schedule.safety.problem.system
     assert np.all(system.navigation > printed(5001).safety.problem.system.navigation)
-    assert DecisionGrid.of(schedule).half_widths.tolist() == system.navigation.tolist()
-    assert DecisionGrid.of(schedule, half_widths=0.0).half_widths.tolist() == system.displaced.tolist()
-    assert np.any(system.displaced)
-    worst, under = attack_monitor(Monitor(DecisionGrid.of(schedule)), 40, 5001)
+    assert DecisionGrid.from_schedule(schedule).half_widths.tolist() == system.navigation.tolist()
+    assert (
+        DecisionGrid.from_schedule(schedule, half_widths=0.0).half_widths.tolist()
+        == system.state_offset.tolist()
+    )
+    assert np.any(system.state_offset)
+    worst, under = attack_monitor(Monitor(DecisionGrid.from_schedule(schedule)), 40, 5001)
     judge(5001, worst)
     assert under > 0.1
 
@@ -428,7 +431,7 @@ def test_many_monitors_hold_with_errors_at_their_worst():
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
     mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
     schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
-    comparison = compare_methods(DecisionGrid.of(schedule, latency=1 / 3, period=1 / 3), 4)
+    comparison = compare_methods(DecisionGrid.from_schedule(schedule, latency=1 / 3, period=1 / 3), 4)
     assert not comparison.refused and comparison.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
     for one in comparison.results.values():
         assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name
@@ -442,7 +445,7 @@ def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
     start = BoxFilter(motion, np.zeros(6), np.zeros(6))
     command = 0.5 * system.u_max
     start.flown(np.array([-command, command]), True)
-    ahead = start.moved(start.t + duration)
+    ahead = start.propagated(start.t + duration)
     Ad, Bd = discretize(system.A, system.B, duration)
     reach = np.zeros(6)
     for _ in range(200):
@@ -465,9 +468,9 @@ def test_a_grown_set_holds_every_place_within_the_radius():
     ]
     p = rng.uniform(-8, 8, (4000, 3))
     for item in sets:
-        before, after = item.signed_distance(0.0, p), item.grown(radius).signed_distance(0.0, p)
+        before, after = item.signed_distance(0.0, p), item.inflated(radius).signed_distance(0.0, p)
         assert np.all(after <= before - radius + 1e-9), item.name
-        assert np.all((after < 0)[before < radius]) and item.grown(radius).chaser_radius == radius
+        assert np.all((after < 0)[before < radius]) and item.inflated(radius).chaser_radius == radius
         near = np.abs(after) < 0.2
         assert np.median((before - radius - after)[near]) < 0.02, item.name  # facets fit exactly
 

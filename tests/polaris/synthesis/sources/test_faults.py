@@ -50,7 +50,7 @@ def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
     m, count = int(rng.integers(1, 4)), int(rng.integers(9, 13))
     directions, limits = rng.normal(size=(count, m)), rng.uniform(0.5, 2, count)
     faults = [Fault("stuck_off", 0.0), Fault("loss", 0.4)][seed % 2 :]
-    made = Allocation.of(directions, limits, wanted := rng.uniform(0.5, 1, m) * 5, faults)
+    made = Allocation.from_directions(directions, limits, wanted := rng.uniform(0.5, 1, m) * 5, faults)
     share = 1.0  # of what is asked
     for _, capacity in cases(limits, faults):
         box = list(zip(np.zeros(count), capacity, strict=True))
@@ -63,10 +63,10 @@ def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
 
 def test_a_loss_of_axis_pairs_takes_its_share_and_one_that_is_off_takes_all():
     limits = np.array([1.0, 2.0, 3.0])
-    made = Allocation.of(*axis_pairs(limits), limits, [Fault("loss", 0.75)])
+    made = Allocation.from_directions(*axis_pairs(limits), limits, [Fault("loss", 0.75)])
     assert made.u_max == pytest.approx(0.75 * limits)
     with pytest.raises(SynthesisInfeasible, match="thruster 0 under the fault stuck_off"):
-        Allocation.of(*axis_pairs(limits), limits, [Fault("stuck_off", 0.0)])
+        Allocation.from_directions(*axis_pairs(limits), limits, [Fault("stuck_off", 0.0)])
 
 
 def test_without_faults_nothing_changes_and_pairs_stated_are_the_pairs_there_were():

@@ -13,7 +13,7 @@ from polaris.model.thrusters import Nozzles
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.allocating import thrusts_of
-from polaris.simulation.failing import Failing
+from polaris.simulation.fault_times import FaultTimes
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.simulation.simulate import simulate
@@ -36,9 +36,9 @@ def drawn(seed, carried=False, faults=False):
     directions = rng.normal(size=(int(rng.integers(10, 17)), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     limits, failing = rng.uniform(0.02, 0.05, len(directions)), [Fault("stuck_off", 0.0)] * faults
-    made = Allocation.of(directions, limits, np.full(3, 0.05), failing)
+    made = Allocation.from_directions(directions, limits, np.full(3, 0.05), failing)
     errors = rng.uniform(0, 0.1), np.deg2rad(rng.uniform(0, 5)), rng.uniform(0, 0.05)
-    return rng, Nozzles.of(made, *errors, BIT, carried, True), errors
+    return rng, Nozzles.from_errors(made, *errors, BIT, carried, True), errors
 
 
 def flown(rng, layout, errors, f):
@@ -90,7 +90,7 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
         assert np.all(off <= bounds.error(u) + 1e-12)
         before, asked, spent = now, asked + np.abs(u), spent + whole @ made.lengths
         assert spent <= asked @ layout.weights + 1e-9
-    assert largest <= layout.left * (1 + 1e-9) and largest > 0.2 * layout.left
+    assert largest <= layout.max_carried * (1 + 1e-9) and largest > 0.2 * layout.max_carried
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -110,7 +110,9 @@ def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(s
 
 def test_a_thruster_without_a_direction_is_refused():
     with pytest.raises(ScenarioError, match="must not be zero"):
-        Allocation.of(np.vstack([np.eye(2), -np.eye(2), np.zeros((1, 2))]), np.ones(5), np.ones(2), ())
+        Allocation.from_directions(
+            np.vstack([np.eye(2), -np.eye(2), np.zeros((1, 2))]), np.ones(5), np.ones(2), ()
+        )
 
 
 def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):
@@ -188,7 +190,7 @@ def test_thrusters_as_built_fail_too_in_the_nonlinear_motion(monkeypatch):
     schedule = synthesize(static().with_assignments(given))
     env = Environment(schedule.safety.problem.system.mean_motion, 0.9)
     flown = fly_true(schedule, env, 24, substeps=1).runs
-    monkeypatch.setattr(Failing, "added", lambda self, u, step: 0 * u)
+    monkeypatch.setattr(FaultTimes, "added", lambda self, u, step: 0 * u)
     sound = fly_true(schedule, env, 24, substeps=1).runs
     assert np.any(flown.states[12:] != sound.states[12:]) and not np.any(flown.metrics().collided)
 
@@ -196,7 +198,7 @@ def test_thrusters_as_built_fail_too_in_the_nonlinear_motion(monkeypatch):
 @pytest.mark.parametrize("lengths", [(1e4, 1.0, 1e-4), (1.0, 1e-5, 1e4)])
 def test_a_long_thruster_takes_none_from_the_mixes_of_short_ones(lengths):
     ways = np.diag(lengths)
-    made = Allocation.of(np.vstack([ways, -ways]), 1 / np.tile(lengths, 2), np.ones(3), [])
+    made = Allocation.from_directions(np.vstack([ways, -ways]), 1 / np.tile(lengths, 2), np.ones(3), [])
     np.testing.assert_allclose(made.mixes[0, 0] @ made.directions, np.eye(3), atol=1e-12)
 
 
@@ -204,7 +206,7 @@ def test_thrusters_whose_mixes_rounding_spoils_are_refused():
     around = np.linspace(0, 2 * np.pi, 7)[:-1] + 0.3
     flat = np.stack([np.cos(around), 1e-7 * np.sin(around)], axis=1)
     with pytest.raises(SynthesisInfeasible, match="barely"):
-        Allocation.of(flat, np.ones(6), np.ones(2), [])
+        Allocation.from_directions(flat, np.ones(6), np.ones(2), [])
 
 
 def test_thrusters_spend_all_that_is_commanded_though_errors_take_a_part_of_it_back():
@@ -219,7 +221,7 @@ def test_thrusters_spend_all_that_is_commanded_though_errors_take_a_part_of_it_b
     system, law = schedule.safety.problem.system, schedule.controllers[0]
     before, spells = schedule.steps[0].tube.states[0], []
     for k in range(schedule.safety.problem.K):
-        spells.append(Spell.of(law, law.fly(before, k), k))
+        spells.append(Spell.from_tube(law, law.propagate(before, k), k))
         before = spells[-1].tube.end
     count = sum(len(spell.most) for spell in spells)
     off, x, asked = system.thrusters.error(np.zeros(2)), np.zeros(4), 0.0
@@ -227,7 +229,7 @@ def test_thrusters_spend_all_that_is_commanded_though_errors_take_a_part_of_it_b
     for _ in range(count):
         u = -law.gain @ x
         x, asked = Phi @ x + Gamma @ (u + off), asked + np.abs(u) @ system.weights
-    assert asked <= FlightSpending(spells, count).until(count)
+    assert asked <= FlightSpending(spells, count).thrust_bound(count)
 
 
 def layout(seed):
@@ -238,7 +240,7 @@ def layout(seed):
     ways = np.stack([np.cos(at), np.sin(at)], axis=1) * 10.0 ** rng.uniform(-0.5, 0.5, (count, 1))
     limits = 10.0 ** rng.uniform(-0.5, 0.5, len(ways))
     faults = [Fault("stuck_off", 0.0)] * (seed % 3 == 2)
-    limits *= 1.1 / Allocation.of(ways, limits, np.full(2, 1e3), faults).u_max.min()
+    limits *= 1.1 / Allocation.from_directions(ways, limits, np.full(2, 1e3), faults).u_max.min()
     limits = np.ceil(100 * limits / limits.min()) / 100 * limits.min()  # a whole number of bits in a period
     table = {"thrusters.directions": ways.tolist(), "thrusters.thrust_max_N": limits.tolist()}
     table |= {"thrusters.magnitude_error": 0.02, "thrusters.mass_error": 0.01 * (seed % 2)}

@@ -73,7 +73,7 @@ def test_flights_measure_along_their_true_line_of_sight():
     schedule, rng = sighted("ranged", RANGED), np.random.default_rng(1)
     flight = Integrator(schedule, schedule.modes, 1)
     for step, off, angle in ((3, 0.05, 0.2), (60, 0.02, 0.2)):
-        bound = flight.known[step, 0]
+        bound = flight.estimate_bounds[step, 0]
         x = schedule.safety.reference.chi[step // 5] + rng.uniform(-1, 1, (2000, 6)) * [5, 5, 5, 0, 0, 0]
         error = flight.turned(step, x, bound * rng.uniform(-1, 1, (2000, 6)), bound)
         p, seen = x[:, :3], x[:, :3] + error[:, :3]

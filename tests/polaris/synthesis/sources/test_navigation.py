@@ -152,7 +152,7 @@ def test_a_camera_knows_the_velocity_once_s_has_settled():
     given = ["feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1", "timing.delay_s=2"]
     safety = get_safety(load_scenario("static").with_assignments([*given, *errors]).problem())
     tracking = safety.tracking
-    known = tracking.settled(tracking.estimate_error_rows) + tracking.unremembered(tracking.system.u_max)
+    known = tracking.settled_need(tracking.estimate_error_rows) + tracking.unremembered(tracking.system.u_max)
     assert known[:3].max() < 0.19 and 0.008 < known[3:].max() < 0.0086
     assert tracking.system.navigation[3:].max() > 10 * known[3:].max()  # at full thrust
 

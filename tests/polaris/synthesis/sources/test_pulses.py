@@ -19,8 +19,8 @@ from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods import METHODS
 from polaris.rta.online.estimate import Measurement
-from polaris.rta.online.observer import Observer
-from polaris.rta.online.runtime_options import Limits
+from polaris.rta.online.observer import MeasurementCheck
+from polaris.rta.online.runtime_options import Durations
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import disturbances
@@ -129,10 +129,12 @@ def test_flights_that_fire_keep_what_is_proven_and_are_displaced_as_much():
 
 def test_a_measurement_between_nodes_is_displaced_by_pulses():
     scenario = load_scenario(TINY).with_assignments([*PULSED, *ERRORS])
-    grid = DecisionGrid.of(kept("pulsed", lambda: synthesize(scenario)))
+    grid = DecisionGrid.from_schedule(kept("pulsed", lambda: synthesize(scenario)))
     pulsed, system = np.array(grid.system.timing.pulsed), grid.system
     for age, more in ((0.0, 0.0), (0.4 * grid.period, pulsed)):
-        observer = Observer(grid, Limits(grid.period, 10 * grid.period, 0.01, 0.1, 1.0, 1.0), 1e6, 3)
+        observer = MeasurementCheck(
+            grid, Durations(grid.period, 10 * grid.period, 0.01, 0.1, 1.0, 1.0), 1e6, 3
+        )
         reading = observer._read(Measurement(1.0 - age, np.zeros(system.n)), 1.0)
         assert np.array_equal(reading.half_widths, system.navigation + more)
 
@@ -373,7 +375,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     }
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, along=0.5, across=0.0, shares=())
-    plant.prompt = plant
+    plant.without_delay = plant
     claims = {}
     arrival = SimpleNamespace(
         document=document,
@@ -381,9 +383,9 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
             tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), memory=SimpleNamespace(periods=0))
         ),
         node_at=lambda t: 0,
-        tops=lambda node: [arb(0.5)],
-        until=lambda node: arb(7),
-        no_less=lambda what, claimed, derived: claims.update({what: float(derived.mid())}),
+        max_commands=lambda node: [arb(0.5)],
+        delta_v_until=lambda node: arb(7),
+        require_bound=lambda what, claimed, derived: claims.update({what: float(derived.mid())}),
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")
     claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
@@ -402,7 +404,7 @@ def test_what_is_carried_is_a_displacement_and_a_drift():
         timing = Timing(carried=bit, period=h)
         Ad, Bd = discretize(system.A, system.B, h)
         moved = np.array(predicting(system, Timing(carried=bit), h).timing.displaced)
-        drift = discretize(system.A, replace(system, timing=timing).adrift[:, : system.m], h)[1] / bit
+        drift = discretize(system.A, replace(system, timing=timing).impulse_rates[:, : system.m], h)[1] / bit
         x = other = rng.normal(size=system.n)
         left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
         seen = np.zeros(system.n)
@@ -424,7 +426,7 @@ def test_errors_of_what_is_carried_are_those_of_what_is_asked_for_and_a_displace
     share, bit, h, parts, rng = 0.3, 0.01, 2.0, 8, np.random.default_rng(6)
     for system in systems():
         exact, wrong = (replace(system, thrusters=Thrusters(along)) for along in (0.0, share))
-        drift = replace(wrong, timing=Timing(carried=bit, period=h)).adrift[:, system.m :]
+        drift = replace(wrong, timing=Timing(carried=bit, period=h)).impulse_rates[:, system.m :]
         assert np.allclose(drift, share * bit * system.A @ system.B)
         less, more = (predicting(each, Timing(carried=bit), h).timing.displaced for each in (exact, wrong))
         moved, dt = np.array(more) - np.array(less), h / parts
@@ -467,7 +469,7 @@ def test_flights_that_carry_keep_what_is_proven():
 def test_every_method_flies_the_same_pulses_and_carries():
     more = [*PULSED, *ERRORS, "thrusters.impulse_bit_N_s=0.02", "thrusters.remainder=carried"]
     schedule = kept("pulsed and carried", lambda: synthesize(load_scenario(TINY).with_assignments(more)))
-    grid = DecisionGrid.of(schedule)
+    grid = DecisionGrid.from_schedule(schedule)
     conditions = Conditions.draw(grid, 9, 1)
     flown = Integrator(grid.fine_schedule, schedule.modes, 1).run(conditions.x0, conditions.w).states
     proved = 0
@@ -532,7 +534,7 @@ def test_tubes_with_errors_are_hardly_wider_than_if_nothing_were_merged(monkeypa
         law = controllers.AffineController("soft", system, gain, still, still, tracking, clips=True)
         reached = problem.initial_set - problem.initial_set.c
         for k in range(K):
-            reached = law.fly(reached, k).end
+            reached = law.propagate(reached, k).end
         widths.append(reached.half_widths)
     assert np.all(widths[1] <= widths[0] * (1 + 1e-9)) and np.all(widths[0] <= 1.25 * widths[1])
 

@@ -11,12 +11,12 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.certificate.claims.argument import Argument
-from polaris.certificate.files.artefacts import Stated
+from polaris.certificate.files.artefacts import FileClaims
 from polaris.certificate.files.document import Document
 from polaris.certificate.files.repeated import limit_names
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Record, Rejected
-from polaris.certificate.model.transients import check_withheld
+from polaris.certificate.model.transients import check_attribution
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
@@ -27,7 +27,7 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.sources.late_faults import moved
+from polaris.synthesis.sources.late_faults import wrong_thrust
 from polaris.synthesis.tracker.tracking import Tracking
 from tests.polaris.forging import CERTIFICATE, Forger, make
 from tests.polaris.synthesis.sources.test_error_sources import exact, tables
@@ -70,7 +70,7 @@ def checked(schedule):
     """Return True if the checker's argument holds, the fault derived by itself."""
     document, record = Document(json.loads(json.dumps(certificate(schedule, "scene")))), Record()
     with flint.ctx.workprec(2 * PRECISION):
-        Argument(document, record, Stated(margins=[float(x) for x in schedule.margins])).run()
+        Argument(document, record, FileClaims(margins=[float(x) for x in schedule.margins])).run()
     return ("guarantee", "proved") in record.checked
 
 
@@ -160,8 +160,8 @@ def test_networks_fly_where_a_fault_may_be_isolated_late(fault, precision):
     calm = dataclasses.replace(transient, networks=None)
     gain = schedule.safety.tracking.gain
     loop = schedule.safety.tracking.loop
-    least, middle, high = (moved(system, each, gain, loop) for each in (calm, transient, steeper))
-    limit = moved(system, dataclasses.replace(calm, asked=True), gain, loop)
+    least, middle, high = (wrong_thrust(system, each, gain, loop) for each in (calm, transient, steeper))
+    limit = wrong_thrust(system, dataclasses.replace(calm, asked=True), gain, loop)
     assert np.all(least <= middle) and np.all(middle <= high) and np.all(high <= limit)
     assert fault == LOST or np.allclose(high.max(axis=0), limit.max(axis=0))  # along the axis that is pushed
 
@@ -188,8 +188,8 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     tracking = synthesize(load_scenario(TINY).with_assignments([*SOFT, given])).safety.tracking
     rows = np.vstack([tracking.system.position, tracking.gain])
     bound, box = (
-        tracking.upset(rows)[-1],
-        np.max([each.along(np.eye(len(each.added[0]))) for each in tracking.upsets], axis=0),
+        tracking.transient_need(rows)[-1],
+        np.max([each.support(np.eye(len(each.added[0]))) for each in tracking.transients], axis=0),
     )
     reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
     assert np.all(reached <= bound) and np.all(reached > 0.8 * bound)
@@ -214,8 +214,8 @@ def test_a_thruster_fails_for_as_long_as_commands_without_it_are_late(given):
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, late, *given]))
     document = Document(json.loads(json.dumps(certificate(schedule, "scene"))))
     with flint.ctx.workprec(2 * PRECISION):
-        derived = Argument(document, Record(), Stated()).upsets
-    for box in (*(each.added[0].sum(axis=1) for each in schedule.safety.tracking.upsets), *derived):
+        derived = Argument(document, Record(), FileClaims()).upsets
+    for box in (*(each.added[0].sum(axis=1) for each in schedule.safety.tracking.transients), *derived):
         sizes = [float(x) for x in (box.entries() if isinstance(box, flint.arb_mat) else box)]
         assert max(sizes[2:4]) >= 0.1 * (0.25 + 0.03) * (1 - 1e-6)
     assert checked(schedule)
@@ -242,8 +242,8 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
     if given == LATE and not late:  # S flies all the time, and knows of the fault only by what it measures
         push, rows = flow.input_map(system.B), np.vstack([np.eye(8), tracking.commands])
         bound, need = (
-            np.max([each.along(np.eye(len(each.added[0]))) for each in tracking.upsets], axis=0),
-            tracking.upset(rows)[-1],
+            np.max([each.support(np.eye(len(each.added[0]))) for each in tracking.transients], axis=0),
+            tracking.transient_need(rows)[-1],
         )
         for i in range(1 - round(fault.lasts / 0.25 * parts), 40 * parts + 1):
             wrong = fault.pushes[-1] * (i <= 0)
@@ -256,7 +256,9 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
                 assert np.all(np.abs(state) <= (bound if i <= 0 else need[:8]))
                 assert np.all(np.abs(tracking.gain @ (moved_by + off)) <= need[8:10])
                 assert i < 0 or i > 0 or np.max(np.abs(state) / np.maximum(bound, 1e-12)) > 0.5
-    monkeypatch.setattr(type(tracking), "upset", lambda self, rows: np.zeros((self.memory + 3, len(rows))))
+    monkeypatch.setattr(
+        type(tracking), "transient_need", lambda self, rows: np.zeros((self.memory + 3, len(rows)))
+    )
     with pytest.raises(Rejected):
         checked(synthesize(scenario))
 
@@ -278,7 +280,7 @@ def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer)
     push, held = flow.input_map(system.B), whole.input_map(system.B)
     gain, measures = (system.observer.gain, system.observer.measures) if observed else (np.eye(4), np.eye(4))
     rows = np.vstack([np.eye(4), -np.eye(4)])
-    states, commands = tracking.upset(rows)[:, :4], tracking.upset(tracking.commands)[:, :2]
+    states, commands = tracking.transient_need(rows)[:, :4], tracking.transient_need(tracking.commands)[:, :2]
     x, seen, shown, sent = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
     begin = length - fault.lasts / 0.25  # in periods; S flies from node `length` on
     for i in range(200):
@@ -316,8 +318,8 @@ def test_updates_that_are_not_made_leave_what_they_would_have_corrected(late):
     whole, known = expm(0.25 * tracking.system.A), tracking.remembered[-4:]
     rest, power = tracking.system.observer.rest @ whole, np.linalg.matrix_power
     bound = np.max([np.abs(power(whole, i) - power(rest, i)) @ known for i in range(1, 5)], axis=0)
-    (upset,) = tracking.upsets
-    assert upset.along(np.eye(tracking.loop.N))[-4:] == pytest.approx(bound, rel=1e-6)
+    (upset,) = tracking.transients
+    assert upset.support(np.eye(tracking.loop.N))[-4:] == pytest.approx(bound, rel=1e-6)
 
 
 @pytest.mark.parametrize("lasts", [0.25, 1.0, 6.0])
@@ -372,7 +374,10 @@ def test_an_outage_moves_a_flight_by_no_more_than_it_needs(late):
         flown.append(np.array(rows))
     reached = np.abs(flown[1] - flown[0]).sum(axis=1).max(axis=0)
     need = np.concatenate(
-        [tracking.upset(np.vstack([np.eye(4), -np.eye(4)]))[-1], tracking.upset(tracking.commands)[-1]]
+        [
+            tracking.transient_need(np.vstack([np.eye(4), -np.eye(4)]))[-1],
+            tracking.transient_need(tracking.commands)[-1],
+        ]
     )
     assert np.all(reached <= need) and np.all(reached > 0.5 * need)
 
@@ -488,19 +493,21 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
             in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
         )
         for step in fault["steps"]:
-            k, tube = step["step"], law.fly(starts[step["step"]], step["step"])
+            k, tube = step["step"], law.propagate(starts[step["step"]], step["step"])
             named.add(k)
             assert (
                 schedule.modes[k] == 0
                 and step["short"] > 0
                 and not safety.recoverable.holds(k, tube.nodes, tube.bow)
             )
-            assert safety.under(()).holds(k, tube.nodes, tube.bow)
-            least = safety.under((transient,)).margin(k, tube.nodes, tube.bow)
+            assert safety.recoverable_with(()).holds(k, tube.nodes, tube.bow)
+            least = safety.recoverable_with((transient,)).margin(k, tube.nodes, tube.bow)
             assert (step["limit"], step["need"]) == (least.limit, least.need) and not least.inside
     for k in set(np.flatnonzero(schedule.modes == 0).tolist()) - named:
-        tube = law.fly(starts[k], k)
-        held = [sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.under(()))]
+        tube = law.propagate(starts[k], k)
+        held = [
+            sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.recoverable_with(()))
+        ]
         assert held != [False, True]
     assert named and "withheld" not in guarantee(synthesize(scenario))
 
@@ -535,7 +542,7 @@ def test_forged_transients_are_refused(tmp_path):
         assert verdict.outcome == "REJECTED", change.__name__
     document, withheld = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
     limits = limit_names(document)
-    assert check_withheld(document, withheld, limits) == withheld and withheld[0]["steps"]
+    assert check_attribution(document, withheld, limits) == withheld and withheld[0]["steps"]
     for part, lie in (
         (None, {"lasts_s": 0.2}),
         (None, {"fault": "stuck_off"}),
@@ -544,7 +551,7 @@ def test_forged_transients_are_refused(tmp_path):
         other = copy.deepcopy(withheld)
         (other[0] if part is None else other[0]["steps"][part]).update(lie)
         with pytest.raises(Rejected):
-            check_withheld(document, other, limits)
+            check_attribution(document, other, limits)
     without = copy.deepcopy(forger.honest)
     del without["system"]["transients"]
     assert forger.judge({CERTIFICATE: json.dumps(without)}).outcome == "REJECTED"

@@ -11,8 +11,8 @@ LONG = 200  # periods in which all responses die out
 
 def lasting(s):
     """The storage of a loop, and what a period costs."""
-    bound, none = s.tightening.settled(), np.zeros(s.system.n)
-    return Inputs.of(s.tightening.closed, s.system, (bound, bound), none, none).lasting()
+    bound, none = s.tightening.settled_bound(), np.zeros(s.system.n)
+    return Inputs.from_loop(s.tightening.closed, s.system, (bound, bound), none, none).lasting()
 
 
 def peaks(s):
@@ -45,7 +45,7 @@ def test_errors_of_thrusters_follow_what_is_commanded_on_average():
     """A period costs less than the largest command in each period does, and more than without them."""
     exact, s = tracking(delay=1.0), tracking(delay=1.0, proportional=True)
     without, cost = lasting(exact)[1], lasting(s)[1]
-    assert without < cost < s.system.spent(s.tightening.settled()).sum()
+    assert without < cost < s.system.spent(s.tightening.settled_bound()).sum()
 
 
 @pytest.mark.parametrize("proportional", [False, True])

@@ -83,7 +83,7 @@ def bounds(soft, nav, w=W, errors=None, noise=None, scale=None):
     """Tightening of the loop of a flight software."""
     n, m = soft.B.shape
     noise = sizes(nav, n) if noise is None else noise
-    loop = Loop.of(soft.A, soft.B, soft.h)
+    loop = Loop.from_plant(soft.A, soft.B, soft.h)
     if soft.delay:
         loop = Delay(soft.delay).extend(loop)
     if soft.bit:
@@ -97,7 +97,7 @@ def bounds(soft, nav, w=W, errors=None, noise=None, scale=None):
         more = errors.across * np.sqrt(m - 1) * soft.bit / soft.h  # errors of what is made (Lemma 6 (c))
         loop = ThrusterErrors(replace(errors, bit=errors.bit + more)).extend(loop)
     return Tightening(
-        loop.under(soft.gain), np.full(m, soft.u_max), np.ones(loop.N) if scale is None else scale
+        loop.close(soft.gain), np.full(m, soft.u_max), np.ones(loop.N) if scale is None else scale
     )
 
 
@@ -268,7 +268,7 @@ def shares(flight, targets, nodes, limits, P, start=0, z=None):
     return max(reached)
 
 
-THRUSTERS = Thrusters.of(0.05, np.deg2rad(2), 0.03, 0.0, 3)
+THRUSTERS = Thrusters.from_errors(0.05, np.deg2rad(2), 0.03, 0.0, 3)
 CASES = [("", 0), ("estimate", 1.4), ("observer", 0), ("observer", 0.5), ("observer", 1.4)]
 
 
@@ -285,7 +285,7 @@ def test_no_flight_exceeds_the_bounds_under_errors_in_proportion_to_commands(pla
     n, m = soft.B.shape
     errors = Thrusters(0.2) if m == 1 else THRUSTERS
     limits, targets = bounds(soft, nav, errors=errors), some_targets(n, L)
-    P = limits.settled()
+    P = limits.settled_bound()
     flight = attack(soft, nav, targets, errors)
     assert np.all(np.abs(flight.feedback) <= P)
     feedback = shares(flight, targets, L, limits, P)
@@ -325,7 +325,7 @@ def turned(rng, mass=0.03, size=0.05, angle=np.pi / 90):
 def test_no_flight_exceeds_the_bounds_under_thrusters_that_turn(nav, delay):
     soft, L = software("hill", nav, delay), 40
     limits, targets = bounds(soft, nav, errors=THRUSTERS), some_targets(6, L)
-    P = limits.settled()
+    P = limits.settled_bound()
     for rng in (None, np.random.default_rng(1)):
         flight = attack(soft, nav, targets, THRUSTERS, turn=turned(rng))
         share = shares(flight, targets, L, limits, P)
@@ -348,7 +348,7 @@ def handed_over(soft, nav, rng, size=20.0):
 
 def profile(limits, z, rounds=4):
     """Bounds on commands after a hand-over in z (runs, N), not growing, (N + 2, m)."""
-    K, P = limits.closed.K, limits.settled()
+    K, P = limits.closed.K, limits.settled_bound()
     start = np.abs(np.einsum("lmn,pn->lpm", limits.carried(K), z)).max(axis=1)
     while np.any(start + limits.from_rest(K, P)[-1] + limits.noise(P) > P):
         P = P * 1.5
@@ -519,8 +519,8 @@ def test_bounds_scale_with_the_units_of_the_states(nav, delay, carried, power):
     assert len(scale) == loop.N
     given = unit * noise if nav == "estimate" else noise
     scaled = bounds(other, nav, errors=THRUSTERS, noise=given, scale=scale)
-    P = plain.settled()
-    np.testing.assert_allclose(scaled.settled(), P, rtol=1e-5)
+    P = plain.settled_bound()
+    np.testing.assert_allclose(scaled.settled_bound(), P, rtol=1e-5)
     assert scaled.horizon == plain.horizon
     E = np.eye(4, loop.N)
     np.testing.assert_allclose(scaled.from_rest(E, P), plain.from_rest(E, P) * unit, rtol=1e-7)
@@ -533,7 +533,7 @@ def test_nothing_uncertain_adds_nothing():
     soft = software("chain", "estimate", 0)
     limits = bounds(soft, "estimate", w=0.0, errors=Thrusters(0.2), noise=np.zeros(2))
     rows = rows_of(limits)
-    assert np.all(limits.settled() == 0) and np.all(limits.noise() == 0)
+    assert np.all(limits.settled_bound() == 0) and np.all(limits.noise() == 0)
     assert np.all(limits.from_rest(rows, np.zeros(1)) == 0) and np.all(
         limits.between(np.eye(2), np.zeros(1))[0] == 0
     )
@@ -542,14 +542,14 @@ def test_nothing_uncertain_adds_nothing():
 def test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_period():
     """Both terms of Proposition 9 (d), of a plant whose pushes fade within a period."""
     A, B, D = np.array([[-1, 0.3], [0, -0.5]]), np.array([[0.0], [1]]), np.array([[1.0, 0.2], [0, 0.5]])
-    loop = Disturbance(D, W).extend(Loop.of(A, B, 0.4))
-    limits = Tightening(loop.under(np.array([[0.1, 0.2]])), np.ones(1), np.ones(2))
+    loop = Disturbance(D, W).extend(Loop.from_plant(A, B, 0.4))
+    limits = Tightening(loop.close(np.array([[0.1, 0.2]])), np.ones(1), np.ones(2))
     own, rows = W * np.linalg.norm(D, axis=1), np.eye(2)
     rate = limits.from_rest(limits.closed.rates).max(axis=0)
     bend = 0.4**2 / 8 * np.abs(A)
     assert np.all(limits.between(rows)[0] >= bend @ (rate + own))
     box = replace(loop.channels[0], ball=False, size=np.full(2, W))
-    boxed = replace(limits, closed=replace(loop, channels=(box,)).under(limits.closed.gain))
+    boxed = replace(limits, closed=replace(loop, channels=(box,)).close(limits.closed.gain))
     assert np.all(boxed.response(box, rows, rows).between @ box.size >= boxed.between(rows)[0] * (1 - 1e-3))
     assert np.all(boxed.between(rows)[0] >= limits.between(rows)[0])
 
@@ -557,7 +557,7 @@ def test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_
 def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
     """A remainder and its errors displace the state by up to alpha |B| I (Lemma 6 (c))."""
     soft, M = software("plane"), np.array([[1.0, 0, -2, 0], [0, 1, 0, 1]])
-    loop = CarriedImpulse(BIT, 0.5).extend(Loop.of(soft.A, soft.B, soft.h))
+    loop = CarriedImpulse(BIT, 0.5).extend(Loop.from_plant(soft.A, soft.B, soft.h))
     away = 0.5 * BIT * np.abs(soft.B).sum(axis=1)
     seen = Estimate(sizes("estimate", 4)).extend(loop).channels[-1]
     np.testing.assert_allclose(seen.size, sizes("estimate", 4) + away)
@@ -569,7 +569,9 @@ def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
 def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
     """A row may be near zero at the horizon and larger again later, where what hardly damps turns."""
     A, B = np.array([[0, 1], [-1, -0.02]]), np.array([[0.0], [1]])
-    limits = Tightening(Loop.of(A, B, 0.5).under(np.array([[0, 0.02]])), np.ones(1), np.array([1.0, 0.02]))
+    limits = Tightening(
+        Loop.from_plant(A, B, 0.5).close(np.array([[0, 0.02]])), np.ones(1), np.array([1.0, 0.02])
+    )
     rows, N = np.array([[1.0, 0], [0, 1], [1, 1], [1, -1]]), limits.horizon
     left = np.abs(rows @ powers(limits.closed.F, 3 * N)[N:]) @ limits.v
     bound = limits.remainder(rows)
@@ -579,8 +581,8 @@ def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
 def test_a_loop_that_hardly_settles_is_bounded_for_ever_or_refused():
     A, B, h = np.zeros((1, 1)), np.ones((1, 1)), 1.0
     for rate, fades in ((2e-3, True), (2e-4, False)):
-        loop = Disturbance(B, W).extend(Loop.of(A, B, h))
-        limits = Tightening(loop.under(np.array([[rate]])), np.ones(1), np.ones(1))
+        loop = Disturbance(B, W).extend(Loop.from_plant(A, B, h))
+        limits = Tightening(loop.close(np.array([[rate]])), np.ones(1), np.ones(1))
         if fades:
             ever = limits.from_rest(np.eye(1))[-1]
             assert W / rate <= ever <= W / rate * 1.01
@@ -595,20 +597,20 @@ def test_an_unstable_loop_is_refused_in_one_sentence():
     soft = software("chain")
     limits = bounds(replace(soft, gain=-soft.gain), "")
     with pytest.raises(ScenarioError, match=r"^feedback.period_s: got 1.0; must give a stable loop$"):
-        limits.settled()
+        limits.settled_bound()
 
 
 def test_errors_that_feed_on_themselves_leave_no_thrust():
     """Nothing above the limit counts in errors, so a bound above it says that S may clip."""
     soft = replace(software("chain"), u_max=0.02)
-    assert bounds(soft, "", errors=Thrusters(0.2)).settled() < soft.u_max
-    assert bounds(soft, "", errors=Thrusters(5.0)).settled() > soft.u_max
+    assert bounds(soft, "", errors=Thrusters(0.2)).settled_bound() < soft.u_max
+    assert bounds(soft, "", errors=Thrusters(5.0)).settled_bound() > soft.u_max
 
 
 def test_sources_are_refused_in_an_order_that_would_lose_errors():
-    loop = Loop.of(*(software("plane").A, software("plane").B), 1.0)
+    loop = Loop.from_plant(*(software("plane").A, software("plane").B), 1.0)
     seen = Estimate(np.zeros(4)).extend(loop)
     with pytest.raises(ValueError, match="before navigation"):
         Delay(1.0).extend(seen)
     with pytest.raises(ValueError, match="after the sources"):
-        CarriedImpulse(BIT, 0.1).extend(seen).under(software("plane").gain)
+        CarriedImpulse(BIT, 0.1).extend(seen).close(software("plane").gain)

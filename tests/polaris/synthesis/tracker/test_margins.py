@@ -14,7 +14,7 @@ from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.safety import continuation
 from polaris.synthesis.safety.continuation import Continuation
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
-from polaris.synthesis.safety.recoverable import directed, left, missing
+from polaris.synthesis.safety.recoverable import directed, missing, slack_share
 from tests.polaris.conftest import small_safety
 from tests.polaris.random_scenarios import synthesised
 from tests.polaris.tiny import TINY
@@ -262,7 +262,7 @@ def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_
         inside = sets.contains(0, (middle := (below * above) ** 0.5)[:, None] * ways)
         below, above = np.where(inside, middle, below), np.where(inside, above, middle)
     commanded = np.abs(np.einsum("lmn,rn->rlm", rows, below[:, None] * ways)) + need
-    share = (commanded / tracking.profile).max(axis=(1, 2))
+    share = (commanded / tracking.feedback_bound).max(axis=(1, 2))
     assert np.all(share <= 1) and share.max() > 0.9
 
 
@@ -305,4 +305,4 @@ def test_what_is_missing_has_the_unit_of_its_limit():
 
 
 def test_a_need_too_small_to_show_beside_one_leaves_less_than_everything():
-    assert left(np.array([1e-20]), np.array([1.0]))[0] < 1
+    assert slack_share(np.array([1e-20]), np.array([1.0]))[0] < 1

@@ -10,7 +10,7 @@ pytest.importorskip("flint")
 from flint import arb, arb_mat, ctx
 
 from polaris.certificate.claims import storage as checked
-from polaris.certificate.claims.mean_commands import MeanCommands, Period, TurnedCommands
+from polaris.certificate.claims.mean_spending import MeanCommands, TurnedCommands, WeightedPeriod
 from polaris.certificate.kernel.balls import PRECISION, column, diagonal, matrix
 from polaris.certificate.kernel.verdict import Undecided
 from polaris.certificate.kernel.zonotopes import Zonotope as Enclosed
@@ -19,7 +19,7 @@ from polaris.synthesis.tracker import storage
 from polaris.synthesis.tracker.long_flight import Inputs, Storage, carried_across
 from polaris.synthesis.tracker.storage import LinearStep, Weights
 from reach.sets.zonotope import Zonotope
-from tests.polaris.certificate.test_mean_commands import PERIODS, Flown
+from tests.polaris.certificate.test_mean_spending import PERIODS, Flown
 from tests.polaris.random_scenarios import synthesised
 from tests.polaris.synthesis.schedule.test_hand_over import CASES, H, checker_needs, tracking
 
@@ -45,7 +45,7 @@ def steps(s):
     """S in many periods, about its middle."""
     within, zero = (s.system.u_max, s.system.u_max), np.zeros(s.system.n)
     law = s.tightening.closed
-    inputs = Inputs.of(law, s.system, within, zero, zero, s.worst_noise)
+    inputs = Inputs.from_loop(law, s.system, within, zero, zero, s.worst_noise)
     u = middles(s.system.m)
     return [LinearStep((inputs,) * STEP, u[i : i + STEP]) for i in range(0, PERIODS, STEP)]
 
@@ -225,7 +225,7 @@ def test_synthesis_and_checker_store_alike(case):
     for step, weights in zip(reversed(whole), reversed(chosen), strict=True):
         columns = checked._columns(loop, weights.b.tolist())
         for c in step.middle[::-1]:
-            period = Period(loop, (weights.r + np.abs(c)).tolist(), columns)
+            period = WeightedPeriod(loop, (weights.r + np.abs(c)).tolist(), columns)
             after = after.before(period, column(c.tolist()))
     assert float(after.cost) == pytest.approx(store.cost, rel=5e-3)
     P = np.array([[float(x) for x in row] for row in after.P.tolist()])
@@ -245,7 +245,7 @@ def test_synthesis_and_checker_store_alike(case):
             for each, z in ((after, y + off), (moved, y))
         ]
         assert values[0] <= values[1] * (1 + 1e-12)
-    small = Period(loop, weights.r.tolist(), [x * 1e-3 for x in columns])
+    small = WeightedPeriod(loop, weights.r.tolist(), [x * 1e-3 for x in columns])
     with pytest.raises(Undecided, match="too small"):
         after.before(small, column([0.0] * s.system.m))
 
@@ -263,4 +263,4 @@ def test_all_laws_of_a_flight_are_looked_at_at_once(tmp_path):
     for k, spell in enumerate(flight.spells):
         if spell.linear is not None:
             assert np.all(np.abs(spell.linear.middle) <= spell.commands * (1 + 1e-9)), k
-    assert flight.until(flight.periods) <= flight.apart(flight.periods) * (1 + 1e-9)
+    assert flight.thrust_bound(flight.periods) <= flight.apart(flight.periods) * (1 + 1e-9)

@@ -123,7 +123,7 @@ def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
 Points = tuple[Sequence[Row], float]  # rows of all points, and the share asked
 
 
-def _tell_points(scenario: ScheduleScenario, points: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(scenario: ScheduleScenario, points: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``tradeoff.json``."""
     rows, share = points
     fields = dict.fromkeys(row["field"] for row in rows if row["non_dominated"] is None)
@@ -135,7 +135,7 @@ TRADEOFF = RunKind(  # run folder of a trade-off
     "tradeoff",
     (SCENARIO, "tradeoff.csv"),
     lambda folder, scenario, points: write_csv(folder / "tradeoff.csv", points[0]),
-    _tell_points,
+    _summary,
     lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",
 )

@@ -20,7 +20,7 @@ LONGEST = 20000  # most periods that are followed one by one
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class Settling:
     """Settling horizon N: the number of periods after which the loop has forgotten what it was.
 
     With ``z > 0`` and ``|F^N| z <= c z``, c < 1, every undisturbed state of the loop that was within z is
@@ -30,26 +30,26 @@ class Memory:
     powers: list[arb_mat]  # F^l for l = 0 ... N + 1
     z: arb_mat  # shape (states, 1)
     c: arb
-    profile: list[list[arb]] = field(default_factory=list)
+    feedback_bound: list[list[arb]] = field(default_factory=list)
     """Bounds on what is commanded l periods after a hand-over, within limits; the last one holds for ever."""
     rates: list[Any] = field(default_factory=list, repr=False)
-    """`Needs` of ``e'`` and of ``A e'`` at nodes, once they are known."""
+    """`Tightening` of ``e'`` and of ``A e'`` at nodes, once they are known."""
 
     @property
     def periods(self) -> int:
         """N."""
         return len(self.powers) - 2
 
-    def left(self, box: arb_mat) -> tuple[arb_mat, arb_mat]:
+    def decayed(self, box: arb_mat) -> tuple[arb_mat, arb_mat]:
         """Bounds on loop states in a box after N periods, and after 2 N."""
         first = magnitude(self.powers[self.periods]) * box
         share = largest(a / b for a, b in zip(first.entries(), self.z.entries(), strict=True))
         return magnitude(first), magnitude(self.z * (share * self.c))
 
     @classmethod
-    def of(
+    def for_craft(
         cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[Sequence[float]] = ()
-    ) -> Memory:
+    ) -> Settling:
         """Find N, a multiple of a number of periods, for states, or errors, up to an extent.
 
         `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.

@@ -10,7 +10,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import Law
+from ..files.entries import Law
 from ..kernel.balls import column, exponential, largest, magnitude, matrix, require
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected
@@ -23,7 +23,7 @@ GOAL_SLACK = 1e-5
 """By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
 
 
-def check_own(document: Document, law: Law, scenario: dict[str, Any], spec: dict[str, Any]) -> None:
+def check_references(document: Document, law: Law, scenario: dict[str, Any], spec: dict[str, Any]) -> None:
     """Compare the reference of one affine controller with `spec`, the scenario's entry for it."""
     reference = spec.get("reference", {"kind": "shared"})
     kind: str = reference["kind"]

@@ -13,7 +13,7 @@ FEW = 6  # numbers of an array that are written out
 Class = TypeVar("Class", bound=type)
 
 
-def brief(cls: Class) -> Class:
+def short_repr(cls: Class) -> Class:
     """Give a dataclass a short ``repr``, and a table of the same values for notebooks.
 
     The values are its fields, or what its method ``_brief`` returns as a mapping.

@@ -32,7 +32,7 @@ class Takeover:
     spent: float  # velocity change until then at most, that of S in this step apart [m/s]
 
     @classmethod
-    def each(
+    def for_steps(
         cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
     ) -> tuple["Takeover", ...]:
         """Return all steps' takeovers, by who flies each, in which tube, for which delta-v (K,) [m/s]."""
@@ -56,7 +56,7 @@ class Takeover:
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class AbortStep:
     """Result of the proof of an abort in one step."""
 
     branch: int | None  # along which branch; None if nothing is proven
@@ -73,7 +73,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class AbortBranch:
     """S along a reference that leaves the schedule's at the start of a step, towards the orbit."""
 
     step: int
@@ -85,25 +85,29 @@ class Branch:
         """Distance from the orbit, and S's commands, a fault included."""
         return Nearness(self.safety, failing=True)
 
-    def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> Way:
+    def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> AbortStep:
         """Return what is proven of aborts in a step along this branch, the one at a place in their list."""
         margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.bow)
         if not margin.inside:
-            return Way(None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room)
+            return AbortStep(
+                None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room
+            )
         cell, off = self._reached(taken, asked.within)
         if cell is None:
             why = f"it ends within {off:.4g} m of the orbit, the tolerance is {self.goal.tolerance:.4g} m"
-            return Way(None, why=f"the orbit is not reached in time: {why}", short=off - self.goal.tolerance)
+            return AbortStep(
+                None, why=f"the orbit is not reached in time: {why}", short=off - self.goal.tolerance
+            )
         spent = self._spent(taken, cell)
         if asked.budget is not None and spent > asked.budget:
             why = f"S may need {directed(spent, '.4g', up=True)} m/s, the budget is {asked.budget:g} m/s"
-            return Way(None, why=why, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
+            return AbortStep(None, why=why, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
         tank = self.safety.problem.tank
         if tank is not None and taken.spent + spent > tank:
             parts = (directed(x, ".4g", up=True) for x in (taken.spent, spent))
             why = "up to {} m/s are used and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
-            return Way(None, why=why, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
-        return Way(place, cell, spent)
+            return AbortStep(None, why=why, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
+        return AbortStep(place, cell, spent)
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
         """Return the first cell of the tail at whose start the orbit is reached in time; least distance."""
@@ -112,7 +116,7 @@ class Branch:
             last = min(last, taken.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
         if last < K:
             return None, np.inf
-        need = self.goal.along.needs(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
+        need = self.goal.goal_rows.needs(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
         off = self.goal.distance(self.safety.reference.chi[K : last + 1], need)
         there = np.flatnonzero(off <= self.goal.tolerance)
         return (K + int(there[0]) if len(there) else None), float(off.min())
@@ -127,7 +131,7 @@ class Branch:
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
         spent = min(spent + more / system.mass, self._together(taken, end))
-        return (spent + system.owed / system.mass) * (1 + SPARE)
+        return (spent + system.carried_impulse / system.mass) * (1 + SPARE)
 
     def _together(self, taken: Takeover, end: int) -> float:
         """Bound the same by all periods at once since S may have taken over, what is owed apart [m/s]."""
@@ -142,7 +146,7 @@ class Branch:
             count * mean,
             self.corrections.once(taken.sets, count),
             self.corrections.planned(inputs),
-            self.corrections.moved(moved, count),
-            self.corrections.late(count),
+            self.corrections.answer_bound(moved, count),
+            self.corrections.late_fault_thrust(count),
         )
         return system.longest * sum(parts) * self.safety.tracking.flow.h / system.mass

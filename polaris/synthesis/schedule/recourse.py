@@ -25,17 +25,17 @@ from ...planning.following import Followed, FollowingSearch
 from ...planning.problem import IN_VIEW, Plan, PlanProblem
 from ...planning.recheck import certified
 from ...planning.reference import Reference
-from ...planning.rows import Key, Rows
-from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController, Controller, fly_states
+from ...planning.rows import Key, PlanRows
+from ...planning.search import Candidate, CheckedPath
+from ..controllers.controllers import AffineController, Controller, propagate_states
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.carried_rows import error_tube
 from ..safety.goal_rows import inset
 from ..tracker.tracking import Tracking
 from .hand_over import HandOvers, reached_sets
+from .objective import Mask, Objective
 from .schedule import Schedule
-from .worth import Mask, Worth
 
 STICKING = (20.0, 3.0)
 """Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
@@ -83,7 +83,7 @@ def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Ma
         yield in_windows([*parts[:i], (a, d), *parts[i + 2 :]], K)
 
 
-class Windows:
+class ReferenceSearch:
     """Windows for S along the path of one law, and the least velocity change with each.
 
     `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
@@ -92,18 +92,18 @@ class Windows:
     it, U's own tube, which fades.
     """
 
-    def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
+    def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Objective) -> None:
         self.safety, self.law, self.mode, self.worth = printed.safety, law, mode, worth
         safety, problem = printed.safety, printed.safety.problem
         tracking, system, self.K, s = safety.tracking, problem.system, problem.K, safety.controller
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         self.renewed = not system.ideal and any(body.keep_in for body in sets)
         self.hand_overs = HandOvers(tracking, sets, problem.K)
-        handed = reached_sets([law.along(law.own, tracking)] * problem.K, safety.start, s)
+        handed = reached_sets([law.with_reference(law.own, tracking)] * problem.K, safety.start, s)
         if self.renewed:
             settled = reached_sets([s] * min(SETTLED, problem.K), safety.start, s)[-1]
-            handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled, s)
-        self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
+            handed += reached_sets([law.with_reference(law.own, tracking)] * problem.K, settled, s)
+        self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.feedforward(law.own)
         self.fades = system.ideal
         # Coasting after T that is proven safe along the printed reference shall stay so.
         asked = plan_problem(problem, tracking, sets)
@@ -111,7 +111,7 @@ class Windows:
             both = zip(asked.margins, self._fading(), strict=True)
             asked = replace(asked, margins=tuple(margin + tube for margin, tube in both))
         transition = law.powers[-1][: system.n, : system.n]
-        self.followed = Followed.of(system, transition, law.own)
+        self.followed = Followed.from_law(system, transition, law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
         self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
@@ -129,7 +129,7 @@ class Windows:
 
     def _ask(self, asked: PlanProblem, deadline: float) -> None:
         """Search paths of a planning problem from now on, until a deadline."""
-        self.asked, self.rows = asked, Rows(asked)
+        self.asked, self.rows = asked, PlanRows(asked)
         self.lacking = [np.zeros((self.K, len(body.normals))) for body in asked.unsafe]
         self.search = FollowingSearch(self.rows, deadline, self.followed)
         self.unit = float(self.rows.price.max())
@@ -165,17 +165,17 @@ class Windows:
             path, cost = self.search.best({}), np.inf
             if path is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
-                cost = -self.worth.of({0: s, self.mode: 1.0 - s}, path.fuel, switches)
+                cost = -self.worth.value({0: s, self.mode: 1.0 - s}, path.fuel, switches)
             self.known[key] = cost, path
         return self.known[key]
 
-    def starts(self) -> list[tuple[Mask, Seen | None]]:
+    def starts(self) -> list[tuple[Mask, CheckedPath | None]]:
         """Return windows to begin with, of paths near U's own past every side of what is in its way."""
         self._priced(np.full(self.K, STICKING[0] * self.unit))
         own = self.search.solve({})
         if own is None:
             return []
-        sides: list[tuple[dict[Key, int], Seen | None]] = [({}, None), ({}, self.planned)]
+        sides: list[tuple[dict[Key, int], CheckedPath | None]] = [({}, None), ({}, self.planned)]
         ways: list[tuple[float, int, dict[Key, int]]] = []
         for i, surplus in enumerate(self.search.look(own).surplus):
             cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
@@ -185,7 +185,7 @@ class Windows:
                 ways.append((cost, len(ways), {(i, k): f for k in cells}))
         nearest = sorted(sorted(ways, key=lambda way: way[:2])[:SIDES], key=lambda way: way[1])
         sides += [(way, None) for _, _, way in nearest]
-        candidates: list[tuple[float, int, Mask, Seen]] = []
+        candidates: list[tuple[float, int, Mask, CheckedPath]] = []
         for choice, guide in sides:
             self.search.guide = guide
             for price in STICKING:
@@ -248,7 +248,10 @@ class Windows:
         if schedule is None:
             start, problem = safety.problem.initial_set.c, safety.problem
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
-            laws = safety.controller.along(reference, tracking), self.law.along(reference, tracking)
+            laws = (
+                safety.controller.with_reference(reference, tracking),
+                self.law.with_reference(reference, tracking),
+            )
         else:
             reference = schedule.safety.reference
             laws = schedule.controllers[0], schedule.controllers[self.mode]
@@ -256,7 +259,7 @@ class Windows:
             known = [step.tube.end for step in schedule.steps[: int(as_meant.sum())]]
         sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller, known)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
-        parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
+        parts = self.hand_overs.tighten(reference, {k: sets[k] for k in sorted(ends)})
         for i, (need, lack) in enumerate(parts):
             more = np.where(lack > 0, need + (SPARE - 1) * lack, 0.0)
             self.lacking[i] = np.maximum(self.lacking[i], more)
@@ -268,7 +271,7 @@ class Windows:
         lacking = np.zeros((len(names), self.K, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
-                tube = fly_states(schedule.controllers[intended[k]], reached, k, safety.controller)
+                tube = propagate_states(schedule.controllers[intended[k]], reached, k, safety.controller)
                 margin = safety.recoverable.margin(k, tube.states, tube.bow)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
@@ -307,7 +310,7 @@ class Windows:
         return mask
 
     @property
-    def late(self) -> bool:
+    def cut_by_clock(self) -> bool:
         """Return True if the wall clock ended the search early: another machine may find another path."""
         return perf_counter() > self.search.deadline
 
@@ -335,10 +338,10 @@ def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
                 yield mode, law
 
 
-def views(printed: Schedule, worth: Worth) -> list[Windows]:
+def views(printed: Schedule, worth: Objective) -> list[ReferenceSearch]:
     """Return the searches for windows along the paths of all laws that a reference can follow."""
     searches = []
     for mode, law in followable(printed):
         with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
-            searches.append(Windows(printed, law, mode, worth))
+            searches.append(ReferenceSearch(printed, law, mode, worth))
     return searches

@@ -28,7 +28,7 @@ GRACE = 0.05  # seconds before new flights in which nothing may be answered
 
 
 class _Program:
-    """A running program that is asked; see `program`."""
+    """A running program that is asked; see `black_box_program`."""
 
     def __init__(self, command: Sequence[str], seconds: float) -> None:
         self.shown, self.seconds = " ".join(command)[:100], positive("seconds", seconds, "s")
@@ -97,7 +97,7 @@ class _Program:
 
 
 @contextmanager
-def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
+def black_box_program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     """Yield a black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
 
     What it has started ends with it. `ScenarioError` where it cannot be started, `NoAnswer` where it ends,

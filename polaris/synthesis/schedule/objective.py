@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
 WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
 
 
-def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
+def is_as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
     """Return True if a schedule keeps the rules, is safe as long and arrives wherever another one does."""
     first, second = (
         (each.keeps(rules), each.safety.end.until, each.approach.reached is True) for each in (one, other)
@@ -23,7 +23,7 @@ def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
 
 
 @dataclass(frozen=True)
-class Worth:
+class Objective:
     """Objective of a schedule: the time of U, less velocity change and switches, as shares of the horizon.
 
     Less share, or without errors more velocity change, than the printed algorithms' schedule is worth `WORSE`
@@ -37,7 +37,7 @@ class Worth:
     until: float  # instant [s] until which it is proven safe
 
     @classmethod
-    def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Worth":
+    def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Objective":
         """Worth of the schedules of one scene, in units of what S `alone` would spend there."""
         problem = alone.problem
         largest = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
@@ -50,7 +50,7 @@ class Worth:
         """Objective of a flight by itself, whatever the printed algorithms find."""
         return self.rules.prices(self.scale)
 
-    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+    def value(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """Return the value by the prices, less what is worse than with the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
@@ -59,7 +59,7 @@ class Worth:
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Rank a schedule: the rules allow it, it is safe as long as the printed one, arrives; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        value = self.of(shares, schedule.delta_v_middle, schedule.switches)
+        value = self.value(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until
         return schedule.keeps(self.rules), lasts, schedule.approach.reached is True, value
 

@@ -8,7 +8,7 @@ from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.channel import Channel
-from ..tracker.profile import SETTLED, SPARE
+from ..tracker.feedback_bound import SETTLED, SPARE
 from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking
 
@@ -18,7 +18,7 @@ Effects = list[tuple[Channel, Response]]
 """Channels, and what each adds along some rows."""
 
 
-class Scheduled:
+class Feedforward:
     """Needs by the time of the flight: of the reference's own commands, and of estimates in some steps.
 
     The former cause errors of thrusters. The latter are by how much estimates may be off more than in the
@@ -55,7 +55,7 @@ class Scheduled:
                 return np.asarray(bound)
         return np.asarray(bound + u_max / SPARE)
 
-    def along(self, rows: Array, between: bool = True) -> Array:
+    def response(self, rows: Array, between: bool = True) -> Array:
         """Return what they add along rows at every node of every cell, shape (cells, q + 1, r).
 
         Rows are those of the error, (r, n), or of the loop state, (r, N). If `between`, a row is at most the
@@ -66,7 +66,7 @@ class Scheduled:
     def _effects(self, rows: Array) -> Effects:
         tracking, n = self.tracking, self.tracking.system.n
         channels = [Channel("steps", np.zeros(n), noise=np.eye(n))] * bool(np.any(self.off))
-        if tracking.profile is not None:
+        if tracking.feedback_bound is not None:
             channels += [channel for channel in tracking.tightening.closed.loop.channels if channel.share]
         return [(channel, tracking.response(channel, rows)) for channel in channels]
 
@@ -76,11 +76,11 @@ class Scheduled:
         at, later, bent = (np.zeros((nodes, count)) for nodes in (cells * q + 1, cells * q - T + 1, 1))
         for channel, effect in effects:
             sizes = np.repeat(self._sizes(channel, commanded), q, axis=0)
-            at += effect.at(sizes)
+            at += effect.at_nodes(sizes)
             bent += effect.between @ sizes.max(axis=0) * between
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
                 last, largest = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
-                later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
+                later += effect.at_nodes(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
                 later += effect.ever(largest - last, constant, len(later))
         parts = at[: T + 1], np.maximum(at[T:], later)
         ends = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
@@ -123,7 +123,7 @@ def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
 def taken_over(tracking: Tracking, reference: Reference) -> Array:
     """Bound on the errors of what S applies along a reference, right after it takes over, shape (m,) [N]."""
     system, commanded = tracking.system, tracking.system.u_max
-    if tracking.profile is not None:
-        scheduled = Scheduled(tracking, reference, reference.cells).commanded.max(axis=0)
-        commanded = np.minimum(commanded, scheduled + tracking.profile[0])
+    if tracking.feedback_bound is not None:
+        scheduled = Feedforward(tracking, reference, reference.cells).commanded.max(axis=0)
+        commanded = np.minimum(commanded, scheduled + tracking.feedback_bound[0])
     return system.input_error(tracking.gain, commanded)

@@ -14,7 +14,7 @@ from ..model.scene.obstacle import Obstacle
 from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from ..simulation.baselines import Flights
+from ..simulation.baselines import FlightEnvelope
 
 PRINTED = 8  # most hand-overs that are drawn with their slices
 
@@ -43,7 +43,7 @@ class Frame:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, system: LinearSystem) -> Self:
+    def from_system(cls, system: LinearSystem) -> Self:
         """Frame of a system: Hill's, or plain position coordinates."""
         if system.mean_motion is not None and system.d == 3:
             return cls((1, 0, 2), ("Along-track (m)", "Radial (m)", "Cross-track (m)"))
@@ -56,7 +56,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class TubePicture:
+class TubeData:
     """Reachable set of the position, d = 2 or 3, or of the state, d = n, absolute, of all `TubeSegment`s."""
 
     centre: Array  # (K, q+1, d)
@@ -65,7 +65,7 @@ class TubePicture:
 
 
 @dataclass(frozen=True, eq=False)
-class SlicePicture:
+class SliceData:
     """Positions recoverable at some instants, all else of the state being that of a run at the time."""
 
     times: Array  # (S,) [s]
@@ -83,7 +83,7 @@ class PrintedSlice(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Approach:
+class ApproachData:
     """Closest approach of the safe path to one unsafe set: time [s], distance [m] and position (d,) [m]."""
 
     time: float
@@ -92,7 +92,7 @@ class Approach:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class PlotData:
     """One synthesis, to be drawn."""
 
     title: str
@@ -107,11 +107,13 @@ class Picture:
     modes: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
     margins: Array = field(default_factory=lambda: np.zeros(0))
     limits: tuple[str, ...] = ()  # what limits each step
-    flights: Mapping[str, Flights] = field(default_factory=dict)  # of safety, experimental, polaris, as flown
-    tube: TubePicture | None = None
-    state_tube: TubePicture | None = None
+    flights: Mapping[str, FlightEnvelope] = field(
+        default_factory=dict
+    )  # of safety, experimental, polaris, as flown
+    tube: TubeData | None = None
+    state_tube: TubeData | None = None
     state_limits: tuple[StateLimit, ...] = ()  # taken out of the obstacles
-    slices: SlicePicture | None = None
+    slices: SliceData | None = None
     reached: float | None = None  # by when the goal is proven to be reached [s]
     delta_v_max: float | None = None  # bound on the velocity change until then [m/s]
 
@@ -125,7 +127,7 @@ class Picture:
     @property
     def frame(self) -> Frame:
         """Coordinates shown."""
-        return Frame.of(self.system)
+        return Frame.from_system(self.system)
 
     @property
     def duration(self) -> float:
@@ -149,7 +151,7 @@ class Picture:
         """Positions of the initial set."""
         return self.system.position @ self.initial_set
 
-    def positions(self, flights: Flights, run: int = 0) -> Array:
+    def positions(self, flights: FlightEnvelope, run: int = 0) -> Array:
         """Positions of one run [m], shape (N+1, d)."""
         return np.asarray(flights.states[run] @ self.system.position.T)
 
@@ -161,7 +163,7 @@ class Picture:
         after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""
         return f"goal reached by {self.reached:.6g} s{after}"
 
-    def velocity_change(self, runs: Flights) -> Array:
+    def velocity_change(self, runs: FlightEnvelope) -> Array:
         """Return the velocity change so far, the 1-norm of the input over the mass [m/s], shape (r, N+1)."""
         parts = np.abs(runs.inputs).sum(axis=2) * np.diff(runs.times) / self.system.mass
         return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
@@ -173,12 +175,12 @@ class Picture:
             return flights.times, self.positions(flights)
         return self.path_times(), self.path()[0]
 
-    def approach(self, obstacle: Obstacle) -> Approach:
+    def approach(self, obstacle: Obstacle) -> ApproachData:
         """Return the closest approach to an unsafe set (of another satellite: to its nominal place)."""
         times, path = self.safe_path()
         distances = obstacle.signed_distance(times, path, self.system)
         least = int(np.argmin(distances))
-        return Approach(float(times[least]), float(distances[least]), path[least])
+        return ApproachData(float(times[least]), float(distances[least]), path[least])
 
     @property
     def closest(self) -> float:

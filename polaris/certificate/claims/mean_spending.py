@@ -10,7 +10,7 @@ from math import cos, pi, sin
 from flint import acb, acb_mat, arb, arb_mat
 
 from ..kernel.balls import above, beside, diagonal, identity, matrix, scaled, sums
-from ..kernel.motion import Push
+from ..kernel.motion import InputSet
 from ..model.craft.craft import Craft
 
 FREQUENCIES = 100  # among which the worst of every input is; weights are those of a sine of it
@@ -25,7 +25,7 @@ STRICT, SETTLED, LEAST = 1e-5, 1e-7, 1e-12  # of a storage: growth a period, cha
 
 
 @dataclass(frozen=True, eq=False)
-class Lasting:
+class LastingStorage:
     """Storage that lasts: rows whose sum of squares is twice as large, and what a period costs [N]."""
 
     rows: arb_mat
@@ -41,9 +41,9 @@ class MeanCommands:
 
     def __init__(self, craft: Craft, error: Sequence[arb], seen: arb_mat, K: arb_mat | None = None) -> None:
         plant, spans, m = craft.plant, craft.spans, craft.plant.B.ncols()
-        leads = [] if plant.lead is None else [Push.in_box(plant.A * plant.B, list(error[m:]))]
+        leads = [] if plant.lead is None else [InputSet.in_box(plant.A * plant.B, list(error[m:]))]
         steady = [*craft.steady, *leads]
-        enter, groups = [craft.held * seen], [[i] for i in range(seen.ncols())]
+        enter, groups = [craft.held_map * seen], [[i] for i in range(seen.ncols())]
         for each in craft.samples:
             enter.append(each.adds * diagonal(each.size))
             groups += [[len(groups) + i] for i in range(len(each.size))]
@@ -56,7 +56,7 @@ class MeanCommands:
                 held = list(range(place, place + cover.ncols()))
                 groups += [[i] for i in held] if radius is None else [held]
                 place += cover.ncols()
-            box = motion.uneven(*steady, Push.in_box(plant.B, list(error[:m])))
+            box = motion.uneven(*steady, InputSet.in_box(plant.B, list(error[:m])))
             enter.append(enters * diagonal(box.entries()))
             groups += [[place + i] for i in range(box.nrows())]
             place += box.nrows()
@@ -65,13 +65,13 @@ class MeanCommands:
         self.enter, self.parts = beside(*enter, *made, *made), len(spans)
         rest = self.enter.ncols() - seen.ncols()
         self.own = beside(seen, arb_mat(self.m, rest))
-        self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held * K, -K)
+        self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held_map * K, -K)
 
     @cached_property
     def spends(self) -> list[arb]:
         """Return the thrust that a unit of each command spends, errors of thrusters included."""
         weights = list(map(arb, self.plant.weights or [1.0] * self.m))
-        return sums(weights, (matrix([weights]) * self.plant.prompt.alone).entries())
+        return sums(weights, (matrix([weights]) * self.plant.without_delay.alone).entries())
 
     @cached_property
     def squares(self) -> arb_mat:
@@ -118,14 +118,14 @@ class MeanCommands:
             for row in rows
         ]
 
-    def lasting(self) -> Lasting | None:
+    def lasting(self) -> LastingStorage | None:
         """Return a storage that lasts, if one is there."""
         r, b = self.sine
         for attempt in range(ATTEMPTS):
             more = LOOSER**attempt
             scaled_b = [x * more if i < self.held else x for i, x in enumerate(b)]
-            period = Period(self, [x * more for x in r], scaled_b)
-            P = period.found()
+            period = WeightedPeriod(self, [x * more for x in r], scaled_b)
+            P = period.storage()
             if P is None or pivots(period.spare(P)) is None:
                 continue
             try:
@@ -133,7 +133,7 @@ class MeanCommands:
             except ZeroDivisionError:
                 continue
             if rows is not None and pivots((less + less.transpose()) * 0.5) is not None:
-                return Lasting(matrix(rows), period.cost)
+                return LastingStorage(matrix(rows), period.cost)
         return None
 
 
@@ -153,7 +153,7 @@ class TurnedCommands(MeanCommands):
         late, (known, grown) = carried_across(craft), (_split(M, loop.held) for M in (loop.enter, loop.own))
         self.loop, self.plant, self.m, self.held = loop, plant, m, loop.held + late.ncols()
         self.groups = [*loop.groups, *([i] for i in range(loop.held, self.held))]
-        self.F = above(beside(loop.F, made_by(craft) * turned), beside(arb_mat(q, N), identity(q)))
+        self.F = above(beside(loop.F, unknown_inputs(craft) * turned), beside(arb_mat(q, N), identity(q)))
         self.K = above(beside(loop.K, -applied), beside(loop.K, arb_mat(m, q)))
         enter = beside(known[0], late - loop.F * late, known[1])
         own = beside(grown[0], loop.K * late, grown[1])
@@ -174,7 +174,7 @@ class TurnedCommands(MeanCommands):
         return beside(arb_mat(self.m, self.m), self.loop.squares)
 
 
-def made_by(craft: Craft) -> arb_mat:
+def unknown_inputs(craft: Craft) -> arb_mat:
     """Return what units of inputs in a period add to the loop state that no law knows of, (N, m)."""
     each = [enters * motion.gamma * craft.plant.B for enters, motion in craft.spans]
     return sum(each[1:], each[0])
@@ -182,8 +182,10 @@ def made_by(craft: Craft) -> arb_mat:
 
 def carried_across(craft: Craft) -> arb_mat:
     """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
-    bits = craft.plant.prompt.bits if craft.plant.carried else []
-    return made_by(craft) * diagonal([arb(x) for x in bits]) if any(bits) else arb_mat(craft.F.nrows(), 0)
+    bits = craft.plant.without_delay.bits if craft.plant.carried else []
+    return (
+        unknown_inputs(craft) * diagonal([arb(x) for x in bits]) if any(bits) else arb_mat(craft.F.nrows(), 0)
+    )
 
 
 def _split(M: arb_mat, column: int) -> tuple[arb_mat, arb_mat]:
@@ -192,7 +194,7 @@ def _split(M: arb_mat, column: int) -> tuple[arb_mat, arb_mat]:
     return matrix([row[:column] for row in rows]), matrix([row[column:] for row in rows])
 
 
-class Period:
+class WeightedPeriod:
     """One period under weights of commands and values: storage before it by storage after it."""
 
     def __init__(self, loop: MeanCommands, r: list[float], b: list[float]) -> None:
@@ -223,7 +225,7 @@ class Period:
         stored = self.F.transpose() * P * self.F + self.fed
         return stored + crossed.transpose() * self.spare(P).solve(crossed)
 
-    def found(self) -> arb_mat | None:
+    def storage(self) -> arb_mat | None:
         """Return a storage that lasts as far as is known, in exact numbers."""
         N = self.F.nrows()
         P = arb_mat(N, N)

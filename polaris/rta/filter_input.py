@@ -8,14 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..model.foreign import kind_of, numbers, real
 from ..model.system import Array
 from ..model.tolerances import FARTHEST
+from ..model.untrusted import kind_of, numbers, real
 
 MEMORY = 60.0  # time [s] for which the last good state is propagated in place of an unknown one
 
 
-class Craft(Protocol):
+class Formation(Protocol):
     """Craft of one kind that fly together, with n states and m inputs each."""
 
     @property
@@ -26,7 +26,7 @@ class Craft(Protocol):
     def thrust_max(self) -> float | Array:
         """Limit of every input [N], one number or shape (m,)."""
 
-    def held(self, duration: float) -> tuple[Array, Array]:
+    def discretize(self, duration: float) -> tuple[Array, Array]:
         """Transition (n, n) over a time [s], and what an input held meanwhile adds, (n, m)."""
 
 
@@ -52,7 +52,7 @@ def commanded(
 
 
 @dataclass(frozen=True, eq=False)
-class Received:
+class FilterInput:
     """One call of a filter, made safe: everything is finite.
 
     The time [s]; states (N, n), estimates where they are not `known`, zeros where not even `estimated`: then
@@ -93,10 +93,10 @@ def listed(chosen: NDArray[np.bool_]) -> str:
     return ", ".join(map(str, np.flatnonzero(chosen)))
 
 
-class Receiver:
+class InputCheck:
     """Check what a filter is handed; remember the last good states and the thrusts since.
 
-    Times are taken as they come, and what is odd about one is said in `Received.odd`:
+    Times are taken as they come, and what is odd about one is said in `FilterInput.odd`:
 
     - one that is not a finite number is replaced by the last plus the last step (0 at the first call);
     - one that stands still is the same instant again;
@@ -107,9 +107,9 @@ class Receiver:
     The period [s] is the time for which an answer is held; default any. A call may be `late` [s].
     """
 
-    def __init__(self, craft: Craft, period: float | None = None, late: float = 0.0) -> None:
+    def __init__(self, craft: Formation, period: float | None = None, late: float = 0.0) -> None:
         self.craft, self.period, self.late = craft, period, late
-        N, (n, m) = craft.deputies, craft.held(1.0)[1].shape
+        N, (n, m) = craft.deputies, craft.discretize(1.0)[1].shape
         self._every, self._none = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
         self._every.flags.writeable = self._none.flags.writeable = False
         self._least = float(np.min(craft.thrust_max))
@@ -122,7 +122,7 @@ class Receiver:
         self._x, self._applied = np.zeros_like(self._x), np.zeros_like(self._applied)
         self._seen = np.full(len(self._x), -np.inf)  # when each state was last known
 
-    def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Received:
+    def receive(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> FilterInput:
         """Take in one call; arguments as of `RunTimeFilter.filter`.
 
         States and desired thrusts that are no numbers of the right shape are not known and not given:
@@ -157,16 +157,16 @@ class Receiver:
         clipped = np.asarray((u != wanted).any(axis=1))
         timed = now is not None and isfinite(now)
         every = known, estimated, u, given, clipped, wanted
-        return Received(t, states, *every, tuple(odd), steady, timed=timed)
+        return FilterInput(t, states, *every, tuple(odd), steady, timed=timed)
 
-    def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> Received:
+    def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> FilterInput:
         """Return a call with nothing missing or odd; `within`: the desired thrust is within the limits."""
         self._x, self._t, self._seen = x, t, np.full(len(x), t)
         u, clipped = wanted, self._none
         if not within:
             u = np.minimum(np.maximum(wanted, -self.craft.thrust_max), self.craft.thrust_max)
             clipped = np.asarray((u != wanted).any(axis=1))
-        return Received(t, x, self._every, self._every, u, self._every, clipped, wanted, (), steady, True)
+        return FilterInput(t, x, self._every, self._every, u, self._every, clipped, wanted, (), steady, True)
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, m), that was answered to the last call."""
@@ -200,5 +200,5 @@ class Receiver:
             return np.full(len(self._x), -np.inf), self._x
         if passed == 0 or (self._seen == -np.inf).all():
             return self._seen, self._x
-        Phi, Gamma = self.craft.held(passed)
+        Phi, Gamma = self.craft.discretize(passed)
         return self._seen, self._x @ Phi.T + self._applied @ Gamma.T

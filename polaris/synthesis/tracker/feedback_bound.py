@@ -11,7 +11,9 @@ SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, an
 SLOWER = 1.5  # ratio of decay times: demand of sets that U leaves to that of a ball
 
 
-def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]) -> Array:
+def feedback_bound(
+    norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]
+) -> Array:
     """Bound on what S's feedback commands so many periods after a hand-over, shape (memory + 2, m) [N].
 
     Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as

@@ -21,10 +21,10 @@ from ...kernel.balls import (
     sums,
     widths,
 )
-from ...kernel.motion import Along, Motion
+from ...kernel.motion import Motion, RowIntersample
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
-from .memory import Gains, Memory
+from .settling import Gains, Settling
 
 FEW = 8  # generators per dimension of sets whose intersample bounds are made: with more, hardly smaller ones
 
@@ -33,11 +33,11 @@ Differences = list[tuple[arb_mat, arb_mat]]
 
 
 @dataclass(frozen=True, eq=False)
-class Needs:
+class Tightening:
     """Bounds on rows of the error under the safety controller, lag by lag."""
 
     craft: Craft
-    memory: Memory
+    memory: Settling
     given: arb_mat  # rows of the error, shape (r, n), or of the loop state
     upset: list[list[arb]] = field(default_factory=list)
     """Need of a fault that is isolated late by the end of the period after node l, once in a flight."""
@@ -113,7 +113,7 @@ class Needs:
     @cached_property
     def responses(self) -> list[list[arb]]:
         """Needs at node L besides the state at the hand-over, for L = 0 ... N + 1."""
-        profile, plant, craft = self.memory.profile, self.craft.plant, self.craft
+        profile, plant, craft = self.memory.feedback_bound, self.craft.plant, self.craft
         if not profile:
             return self._steady
         count, last = len(self._steady) - 1, len(profile) - 1
@@ -133,9 +133,9 @@ class Needs:
         count = len(self.alike[0])
         return [stacked[at : at + count] for at in range(0, len(stacked), count)]
 
-    def late(self, box: arb_mat) -> list[arb]:
+    def tail_bound(self, box: arb_mat) -> list[arb]:
         """Bound on the share of all that is older than N periods, if each adds at most a box (states, 1)."""
-        first, later = self.memory.left(box)
+        first, later = self.memory.decayed(box)
         return list((self._reached * (first + later / (1 - self.memory.c))).entries())
 
     @cached_property
@@ -144,47 +144,47 @@ class Needs:
         return sum(map(magnitude, others), magnitude(first))
 
     @cached_property
-    def settled(self) -> list[arb]:
+    def settled_need(self) -> list[arb]:
         """Needs besides the state at every node more than N periods after a hand-over."""
-        craft, first = self.craft, self.memory.profile[0] if self.memory.profile else []
+        craft, first = self.craft, self.memory.feedback_bound[0] if self.memory.feedback_bound else []
         one = identity(craft.F.nrows())
         box = column(craft.supports(one))
         if first:
             box += craft.thrust_gains(one) * column(craft.plant.thruster_part(first))
             box += craft.noise_gains(one) * column(craft.lagged(craft.plant.u_max))
-        return [x.upper() for x in sums(self.responses[-1], self.late(box))]
+        return [x.upper() for x in sums(self.responses[-1], self.tail_bound(box))]
 
     @property
-    def rates(self) -> tuple[Needs, Needs]:
+    def rates(self) -> tuple[Tightening, Tightening]:
         """Needs of ``e'`` and of ``A e'`` at nodes, which bend the motion between them."""
         known, rates = self.memory.rates, self.craft.rates
         if not known:
-            known[:] = [Needs(self.craft, self.memory, M) for M in (rates, self.motion.A * rates)]
+            known[:] = [Tightening(self.craft, self.memory, M) for M in (rates, self.motion.A * rates)]
         return known[0], known[1]
 
     @cached_property
     def peak(self) -> list[arb]:
         """Needs besides the state at any node."""
-        return maxima(*self.responses, self.settled)
+        return maxima(*self.responses, self.settled_need)
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """Needs besides the state at node l = 0 ... N, and ever after; between nodes chords of them hold."""
-        craft, plant, profile = self.craft, self.craft.plant, self.memory.profile
+        craft, plant, profile = self.craft, self.craft.plant, self.memory.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
         curved = craft.always_bent(self.rows, rates)
         if profile:
             none = arb_mat(len(self.rates[0].peak), 1)
             off, error = craft.lagged(plant.u_max), plant.thruster_part(profile[0])
             curved = sums(curved, craft.bent(self.rows, (none, none), off, error))
-        return self._upset([sums(each, curved) for each in (*self.responses[:-1], self.settled)])
+        return self._upset([sums(each, curved) for each in (*self.responses[:-1], self.settled_need)])
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
         """Needs besides the state at node l alone, l = 0 ... N, then at every later one."""
-        return self._upset([*self.responses[:-1], self.settled])
+        return self._upset([*self.responses[:-1], self.settled_need])
 
-    def caused(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
+    def response(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
         """Response to sizes of a channel, period by period: to those older than N periods, and between nodes.
 
         `off` says that these are errors of estimates.
@@ -192,9 +192,11 @@ class Needs:
         worst, one = maxima(*sizes), identity(self.craft.F.nrows())
         box = (self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)) * column(worst)
         rates = ((each, each.noise if off else each.thrust) for each in self.rates)
-        first, last = (magnitude(column(sums(rate.always(worst), each.late(box)))) for each, rate in rates)
+        first, last = (
+            magnitude(column(sums(rate.always(worst), each.tail_bound(box)))) for each, rate in rates
+        )
         bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
-        return self.late(box), bent
+        return self.tail_bound(box), bent
 
     def _upset(self, needs: list[list[arb]]) -> list[list[arb]]:
         return [sums(*each) for each in zip(needs, self.upset, strict=True)] if self.upset else needs
@@ -226,27 +228,27 @@ class Needs:
         """Largest need of a unit of each state in the first N periods."""
         return reduce(_larger, self._sizes[: self.memory.periods])
 
-    def still(self, size: arb_mat) -> list[arb]:
+    def need_after_settling(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size after N periods."""
-        first, later = self.memory.left(self.craft.lifted(size))
+        first, later = self.memory.decayed(self.craft.lifted(size))
         return list((self._most * (first + later)).entries())
 
-    def ever(self, size: arb_mat) -> list[arb]:
+    def need_at_any_time(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size at any time."""
-        each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
+        each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.need_after_settling(size)]
         return list(map(largest, zip(*each, strict=True)))
 
     @cached_property
-    def along(self) -> Along:
+    def intersample(self) -> RowIntersample:
         """Intersample bounds along the rows."""
-        return Along(self.motion, self.rows)
+        return RowIntersample(self.motion, self.rows)
 
 
 @dataclass(frozen=True, eq=False)
-class Bows:
+class SetIntersample:
     """Intersample bounds of one set under the safety controller, lag by lag."""
 
-    needs: Needs
+    needs: Tightening
     start: Zonotope
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
@@ -255,14 +257,14 @@ class Bows:
         return self.start.reduced(FEW * self.start.c.nrows())
 
     def next_to(self, lag: int) -> list[arb]:
-        """Bounds for the periods next to node l: no more than `Needs.bend` says."""
+        """Bounds for the periods next to node l: no more than `Tightening.bend` says."""
         return maxima(*(self._within(at) for at in {lag, max(lag - 1, 0)}))
 
     def _within(self, lag: int) -> list[arb]:
         """Bounds within the period after node l."""
         if lag not in self._known:
             rate = self._start.image(self.needs.rates[0].carried[lag])
-            self._known[lag] = self.needs.along.closer_bow(rate)
+            self._known[lag] = self.needs.intersample.closer_bow(rate)
         return self._known[lag]
 
 

@@ -16,7 +16,7 @@ KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"  # in the order in wh
 
 
 @dataclass(frozen=True, eq=False)
-class Failing:
+class FaultTimes:
     """Faults of R flights: steps of the integration in which each begins and ends; S flies from then on.
 
     Thrust (R, m) that a thruster makes at its limit, none where navigation is lost; the share of it that is
@@ -31,17 +31,17 @@ class Failing:
     gap: Array = field(repr=False)
     latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
-    def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "Failing":
+    def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "FaultTimes":
         """Return the faults of some of the flights."""
         known = {name: getattr(self, name)[chosen] for name in TOLD}
-        return Failing(**known, gap=0 * self.gap[chosen], latched=self.latched)
+        return FaultTimes(**known, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
-        """Return the first of the flights, as `of` reads it."""
+        """Return the first of the flights, as `from_table` reads it."""
         return {name: getattr(self, name)[0].tolist() for name in TOLD}
 
     @classmethod
-    def of(cls, table: dict[str, Any], n: int) -> "Failing":
+    def from_table(cls, table: dict[str, Any], n: int) -> "FaultTimes":
         """One flight with n states from a `table`."""
         known: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
         return cls(**known, gap=np.zeros((1, n)))
@@ -58,7 +58,7 @@ class Failing:
         """Return True where S flies because of it."""
         return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
 
-    def at_nodes(self, per_node: int) -> "Failing":
+    def at_nodes(self, per_node: int) -> "FaultTimes":
         """Return the faults in nodes, with so many steps to a node."""
         return replace(self, begins=-(-self.begins // per_node), ends=self.ends // per_node)
 
@@ -95,7 +95,7 @@ class Failing:
 
 def drawn(
     schedule: Schedule, per_node: int, rows: Array, targets: NDArray[np.int_], rng: np.random.Generator
-) -> Failing:
+) -> FaultTimes:
     """One fault per flight; half of them are the worst along a row.
 
     Rows are (R, n), targets (R,) instants as numbers of steps, so many per node. S flies on at nodes.
@@ -117,12 +117,12 @@ def drawn(
             ends[mine] -= np.where(worst[mine], np.minimum(age * per_node, ends[mine] - 1), 0)
             thrust[mine], share[mine] = fault.thrust[chosen], -1.0 if on else fault.share
     ends = -(-np.maximum(ends, length) // per_node) * per_node
-    return Failing(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))
+    return FaultTimes(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))
 
 
 def in_every_second(
     schedule: Schedule, per_node: int, rows: Array, steps: int, runs: int, rng: np.random.Generator
-) -> Failing | None:
+) -> FaultTimes | None:
     """Draw what fails in the runs of odd numbers, and when; half of them at the worst along a row."""
     if not schedule.safety.tracking.system.transients:
         return None

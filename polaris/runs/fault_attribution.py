@@ -3,13 +3,13 @@
 from functools import lru_cache
 from typing import Any
 
-from ..synthesis.controllers.controllers import fly_states
+from ..synthesis.controllers.controllers import propagate_states
 from ..synthesis.safety.recoverable import Margin
 from ..synthesis.schedule.schedule import Schedule
 
 
 @lru_cache(maxsize=1)
-def withheld(schedule: Schedule) -> list[dict[str, Any]]:
+def attribute_faults(schedule: Schedule) -> list[dict[str, Any]]:
     """Return, as data, the steps that each late fault keeps from experimental controllers (Proposition 8).
 
     Each names the controller that could fly it without late faults, and what is short with this fault alone.
@@ -18,10 +18,10 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
     rows = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
     starts = [safety.start, *(step.tube.end for step in schedule.steps)]
-    ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
+    ideal, alone = safety.recoverable_with(()), [safety.recoverable_with((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
         for law in schedule.controllers[1:] if step.mode == 0 else ():
-            tube = fly_states(law, starts[step.k], step.k, safety.controller)
+            tube = propagate_states(law, starts[step.k], step.k, safety.controller)
             if tube.refused or not ideal.holds(step.k, tube.nodes, tube.bow):
                 continue
             if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):

@@ -8,31 +8,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.system import Array
-from ..simulation.baselines import Flights, fly_nominal
+from ..simulation.baselines import FlightEnvelope, fly_nominal
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.schedule.schedule import Schedule
 from .files.arrays import tube_arrays, tube_pictures
-from .picture import Picture, SlicePicture, directions
+from .plot_data import PlotData, SliceData, directions
 
 SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
 
 
-def picture_of_safety(safety: Safety, title: str = "Safe reference", **found: Any) -> Picture:
+def safety_plot_data(safety: Safety, title: str = "Safe reference", **found: Any) -> PlotData:
     """Return the plot data of Algorithm 1, what Algorithm 2 `found`, and slices of the recoverable sets."""
     problem = safety.problem
     scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
-    picture = Picture(title, *scene, safety.reference, problem.K, **found)
+    picture = PlotData(title, *scene, safety.reference, problem.K, **found)
     return replace(picture, slices=recoverable_slices(safety, picture))
 
 
-def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
+def schedule_plot_data(schedule: Schedule, flights: Mapping[str, FlightEnvelope] | None = None) -> PlotData:
     """Return the plot data of a schedule as flown, by default once without disturbance."""
     if flights is None:
         flights = {"polaris": fly_nominal(schedule, None, "polaris")}
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
     arrival = schedule.arrival if schedule.guarantee == "proved" else None
-    return picture_of_safety(
+    return safety_plot_data(
         schedule.safety,
         "Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
@@ -46,7 +46,7 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
     )
 
 
-def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:
+def _slice_nodes(picture: PlotData, q: int) -> NDArray[np.int_]:
     """Nodes that get slices: decisions, switches first, and where the path is closest to an unsafe set."""
     K, switches = picture.planned, np.flatnonzero(np.diff(picture.modes)) + 1
     parts = [np.arange(K), switches]
@@ -57,7 +57,7 @@ def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:
     return np.unique(np.concatenate([*(q * part for part in steps), known]).astype(int))
 
 
-def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
+def recoverable_slices(safety: Safety, picture: PlotData) -> SliceData:
     """Slice the recoverable sets through the states of all runs under Polaris, else through the reference.
 
     Sets are convex and asked only whether they contain points, along rays on ever finer scales.
@@ -81,7 +81,7 @@ def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
     outlines = np.array(slices) + places[:, :, None, flat]
     places[np.isnan(outlines).any(axis=(2, 3))] = np.nan
     kept = np.isin(nodes % q, 0) | ~np.isnan(places[:, 0, 0])
-    return SlicePicture(nodes[kept] * reference.delta / q, places[kept], outlines[kept])
+    return SliceData(nodes[kept] * reference.delta / q, places[kept], outlines[kept])
 
 
 def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array) -> Array:

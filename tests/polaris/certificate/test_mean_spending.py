@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("flint")
 from flint import arb, arb_mat, ctx
 
-from polaris.certificate.claims.mean_commands import MeanCommands
+from polaris.certificate.claims.mean_spending import MeanCommands
 from polaris.certificate.kernel.balls import (
     PRECISION,
     above,
@@ -21,7 +21,7 @@ from polaris.certificate.kernel.balls import (
     matrix,
     sums,
 )
-from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.tightening import Tightening
 from polaris.model.thrusters import Thrusters
 from polaris.synthesis.tracker.long_flight import Inputs
 from tests.polaris.synthesis.schedule.test_hand_over import (
@@ -52,12 +52,12 @@ class Flown:
         system, thrusts = self.system, PARTS * (self.p + 2 * self.m)
         self.answers = Flight(s, BEFORE, BEFORE + REMEMBERED).fly()[1]
         if system.observer is not None:
-            off = system.displaced - system.carried_away
+            off = system.state_offset - system.carried_away
             noise = system.observer.noise + np.abs(system.observer.measures) @ off
         elif system.timing.missed:
             noise = system.estimate_off(system.u_max)
         else:
-            noise = np.array(system.timing.measured) + system.displaced - system.carried_away
+            noise = np.array(system.timing.measured) + system.state_offset - system.carried_away
         left = np.full(self.m, system.timing.carried)
         self.sampled = np.concatenate([noise * self.has("noise"), left * self.has("carried")])
         self.thrusts = thrusts
@@ -116,7 +116,7 @@ def bounds(s, only=None):
     """Return what a period costs, what is spent once, and the weights and most of commands."""
     commands, needs, tops = loop(s, only)
     one = identity(commands.F.nrows())
-    both = Needs(needs.craft, needs.memory, above(one, -one)).peak
+    both = Tightening(needs.craft, needs.memory, above(one, -one)).peak
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
     lasting = commands.lasting()
     once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2
@@ -161,7 +161,7 @@ def test_synthesis_and_checker_find_a_storage_that_costs_as_much(case):
     commands, _, tops = loop(s)
     limits = np.array([float(x) for x in tops])
     within, rounding = (limits, s.system.u_max), np.zeros(s.system.n)
-    inputs = Inputs.of(s.tightening.closed, s.system, within, s.step_errors[-1], rounding)
+    inputs = Inputs.from_loop(s.tightening.closed, s.system, within, s.step_errors[-1], rounding)
     _, cost = inputs.lasting()
     assert 0.97 * cost < float(commands.lasting().cost) <= cost
     flights = np.random.default_rng(0).uniform(-1, 1, (4, 300, len(inputs.group)))
@@ -180,7 +180,7 @@ def test_a_storage_that_runs_away_is_none():
     """Errors of thrusters that feed on themselves have no bound."""
     s = tracking(proportional=True)
     within = s.system.u_max, s.system.u_max
-    inputs = Inputs.of(s.tightening.closed, s.system, within, s.step_errors[-1], np.zeros(s.system.n))
+    inputs = Inputs.from_loop(s.tightening.closed, s.system, within, s.step_errors[-1], np.zeros(s.system.n))
     wild = replace(inputs, F=1.05 * np.eye(len(inputs.F)))
     assert inputs.lasting() is not None and wild.lasting() is None
 
@@ -195,7 +195,7 @@ def test_squares_of_errors_and_what_is_spent_hold_for_layouts_and_without(seed):
     timing = replace(s.system.timing, on_time=own)
     system = replace(s.system, thrusters=own, nozzles=nozzles, timing=timing)
     zero = np.zeros(4)
-    inputs = Inputs.of(s.tightening.closed, system, (system.u_max, system.u_max), zero, zero)
+    inputs = Inputs.from_loop(s.tightening.closed, system, (system.u_max, system.u_max), zero, zero)
     craft = checker_needs(s, None).craft
     errors = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
     errors |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}

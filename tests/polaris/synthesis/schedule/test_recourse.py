@@ -12,17 +12,17 @@ import pytest
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.scene.distances import stretches
 from polaris.planning.following import Followed, FollowingSearch
-from polaris.planning.rows import Rows
+from polaris.planning.rows import PlanRows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.clearance import error_tube, facet_room
 from polaris.synthesis.safety.goal_rows import _weights, distance, goal_rows, inset
 from polaris.synthesis.schedule.hand_over import HandOvers, reached_sets
-from polaris.synthesis.schedule.in_view import Windows, followable, in_windows, neighbours
+from polaris.synthesis.schedule.objective import Objective
+from polaris.synthesis.schedule.recourse import ReferenceSearch, followable, in_windows, neighbours
 from polaris.synthesis.schedule.rules import SwitchingRules
-from polaris.synthesis.schedule.search import Search
+from polaris.synthesis.schedule.search import ScheduleSearch
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.schedule.worth import Worth
 from tests.golden.scenes import scenes
 from tests.polaris.random_scenarios import synthesised as random_schedule
 from tests.polaris.tiny import TINY, synthesised
@@ -57,12 +57,12 @@ def folder(tmp_path_factory):
 def test_a_followed_path_is_that_of_the_law():
     _, schedule = printed()
     _, law = next(followable(schedule))
-    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules(), schedule.safety))
-    followed = Followed.of(law.system, law.powers[-1], law.own)
+    window = ReferenceSearch(schedule, law, 1, Objective.beside(schedule, SwitchingRules(), schedule.safety))
+    followed = Followed.from_law(law.system, law.powers[-1], law.own)
     own = law.own
     # On the law's own reference the constant input is the reference's own.
     assert np.allclose(own.chi[: own.cells] @ followed.F.T + followed.f, own.nu, atol=1e-9)
-    rows = Rows(window.asked)
+    rows = PlanRows(window.asked)
     search = FollowingSearch(rows, perf_counter() + 60, followed)
     K = rows.problem.K
     free = window.closing | window.limited
@@ -92,7 +92,7 @@ def test_windows_and_their_neighbours():
 def test_dwell_and_cap_are_kept_by_the_windows():
     _, schedule = printed()
     rules = SwitchingRules(min_dwell=3, max_switches=3)
-    worth = Worth.beside(schedule, rules, schedule.safety)
+    worth = Objective.beside(schedule, rules, schedule.safety)
     assert worth.allows(in_windows([(4, 7)], 12))
     assert not worth.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
     assert not worth.allows(in_windows([(2, 6)], 12)), "so does U"
@@ -144,7 +144,7 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
             rows = -body.normals @ safety.problem.system.position
             exact = error_tube(tracking, handed, rows).over_cells(K, q)
             assert np.all(needs <= exact + 1e-6) and np.all(needs >= exact - 0.2 * np.abs(exact).max())
-    along = hand_overs.along(safety.reference, {k: sets[k] for k in range(K)})
+    along = hand_overs.tighten(safety.reference, {k: sets[k] for k in range(K)})
     for i, (body, (need, lack)) in enumerate(zip(unsafe, along, strict=True)):
         tables = (hand_overs.since(sets[k])[i][: K - k] for k in range(K))
         later = [np.vstack([np.full((k, len(body.normals)), -np.inf), each]) for k, each in enumerate(tables)]
@@ -187,13 +187,13 @@ def test_velocity_change_beyond_the_printed_one_counts_more_without_errors_alone
     """Less of U than in the printed schedule counts eleven times."""
     _, schedule = printed()
     rules = SwitchingRules(delta_v_price=0.1, switch_price=0.0)
-    worth = Worth.beside(schedule, rules, schedule.safety)
+    worth = Objective.beside(schedule, rules, schedule.safety)
     assert schedule.safety.problem.system.ideal
     worth = worth if ideal else replace(worth, delta_v=np.inf)
     share, spent, unit = schedule.share(), schedule.delta_v_middle, worth.scale
-    same = worth.of({1: share}, spent, 0)
-    assert worth.of({1: share}, spent + unit, 0) == pytest.approx(same - (10.1 if ideal else 0.1))
-    assert worth.of({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
+    same = worth.value({1: share}, spent, 0)
+    assert worth.value({1: share}, spent + unit, 0) == pytest.approx(same - (10.1 if ideal else 0.1))
+    assert worth.value({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
 
 
 @pytest.mark.slow
@@ -233,18 +233,21 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
         known = {"controllers": schedule.controllers[:2], "keeps": lambda rules: rules.affords(spent)}
         return SimpleNamespace(**made, **known, approach=SimpleNamespace(reached=True))
 
-    search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
+    search, unit = (
+        ScheduleSearch.from_scenario(scenario, safety, None, SwitchingRules(), None),
+        safety.plan.delta_v,
+    )
     for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time
         module = import_module("polaris.synthesis.schedule.synthesize")
         monkeypatch.setattr(module, "find_safety", lambda problem, like: safety)
-        monkeypatch.setattr(module, "most_worthy", lambda *_, share=share: found(share, 4 * unit))
+        monkeypatch.setattr(module, "best_schedule", lambda *_, share=share: found(share, 4 * unit))
         assert module.best_share(search, found(0.9, 3 * unit), True).share() == best
 
 
 def test_a_budget_comes_first():
     scenario, schedule = printed()
     free, tight = (
-        Worth.beside(schedule, SwitchingRules(delta_v_max=budget), schedule.safety)
+        Objective.beside(schedule, SwitchingRules(delta_v_max=budget), schedule.safety)
         for budget in (None, schedule.delta_v[1] / 2)
     )
     assert free(schedule)[0] and not tight(schedule)[0]

@@ -6,9 +6,9 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..files.parts import Law
+from ..files.entries import Law
 from ..kernel.balls import above, absolute, column, sums
-from ..kernel.motion import Plant, Push
+from ..kernel.motion import InputSet, Plant
 from .satellites import acceleration_input
 
 MOVES = dict.fromkeys(("center_m", "velocity_m_s", "state", "state_half_widths")) | {
@@ -25,22 +25,22 @@ def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Whereabouts:
+class ObstacleBoxes:
     """Motion of bodies that a network is told, as boxes at the nodes, worked out one after the other."""
 
     plant: Plant
     bodies: dict[str, dict[str, Any]]
     clock: arb  # by how much the time may be off by which rigid ones move
-    pushes: dict[str, list[Push]]  # what moves each satellite
+    pushes: dict[str, list[InputSet]]  # what moves each satellite
     _carried: dict[str, list[tuple[arb_mat, list[arb]]]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, document: Document, law: Law, plant: Plant) -> "Whereabouts":
+    def from_document(cls, document: Document, law: Law, plant: Plant) -> "ObstacleBoxes":
         """Return the motion of the bodies that a network of a certificate reads."""
         pushes = {body["name"]: [plant.disturbance, *plant.bias] for body in law.bodies}
         for body in (body for body in law.bodies if body["thrust_accel_max_m_s2"]):
             enters = acceleration_input(document, body["name"])
-            pushes[body["name"]].append(Push.in_ball(enters, arb(body["thrust_accel_max_m_s2"])))
+            pushes[body["name"]].append(InputSet.in_ball(enters, arb(body["thrust_accel_max_m_s2"])))
         clock = arb(document.timing.get("clock", 0.0))
         return cls(plant, {body["name"]: body for body in law.bodies}, clock, pushes)
 
@@ -55,7 +55,7 @@ class Whereabouts:
         rows = rows * self.plant.A if kind.endswith("velocity") else rows
         return -rows * x if kind.startswith("relative") else arb_mat(rows.nrows(), x.ncols())
 
-    def at(self, name: str, node: int) -> tuple[arb_mat, arb_mat]:
+    def at_node(self, name: str, node: int) -> tuple[arb_mat, arb_mat]:
         """Middle (d, 1) of what an input takes of a body at a node, and generators, (d, width)."""
         kind, _, body = name.partition(":")
         d, middle, half = self.plant.C.nrows(), *self._box(body, node)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import polaris
-from reach.brief import MOST_TEXT, short
+from reach.short_repr import MOST_TEXT, short
 from tests.polaris.tiny import flown, synthesised
 from tests.test_doors import PACKAGES
 
@@ -99,7 +99,7 @@ def test_results_and_all_public_objects_in_them_are_short():
     seen = {}
     reachable([scenario, schedule, flown(), runs, polaris.evaluate(runs, 0, "polaris")], seen)
     met = [one for one in seen.values() if type(one) in PUBLIC]
-    assert {"Schedule", "Safety", "Runs", "Metrics", "Flown", "Reference"} <= {
+    assert {"Schedule", "Safety", "Runs", "Metrics", "ControllerRuns", "Reference"} <= {
         type(one).__name__ for one in met
     }
     for one in met:

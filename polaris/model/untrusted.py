@@ -106,7 +106,7 @@ def _listed(value: Any, deepest: int = 1) -> Array | None:
     return np.array(rows, dtype=float)
 
 
-def settled(value: object) -> Any:
+def sanitize(value: object) -> Any:
     """A value as it is used and logged: None, a float, an array of floats of our own, or `Unreadable`."""
     if value is None or type(value) is float:
         return value

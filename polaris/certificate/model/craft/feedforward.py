@@ -10,8 +10,8 @@ from ...kernel.arcs import Path
 from ...kernel.balls import absolute, column, largest, maxima, smallest, sums
 from ...kernel.verdict import Undecided
 from .craft import Craft
-from .memory import Memory
-from .needs import Needs
+from .settling import Settling
+from .tightening import Tightening
 
 ROUNDS, SPARE = 300, 1e-3
 """Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
@@ -20,14 +20,14 @@ Along = list[list[list[arb]]]
 """Bounds by step, node of the step and row."""
 
 
-class Scheduled:
+class Feedforward:
     """The input of the reference, what S corrects of its errors, and their response along rows.
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
     The tail is flown again and again: over it bounds on commands do not grow, over its second half they last.
     """
 
-    def __init__(self, document: Document, craft: Craft, memory: Memory, path: Path) -> None:
+    def __init__(self, document: Document, craft: Craft, memory: Settling, path: Path) -> None:
         self.craft, self.memory, self.planned = craft, memory, min(path.planned, len(path.arcs))
         self.constant = self.planned + (len(path.arcs) - self.planned) // 2  # bounds do not change from it on
         self.off = [craft.extra(document, k) for k in range(len(path.arcs))]
@@ -35,9 +35,9 @@ class Scheduled:
         noise = [(gain * column(off)).entries() for off in self.off]
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
-        self.commanded, needs = nu, Needs(craft, memory, craft.commands)
+        self.commanded, needs = nu, Tightening(craft, memory, craft.commands)
         for _ in range(ROUNDS):
-            more = [maxima(*nodes) for nodes in self.along(needs)]
+            more = [maxima(*nodes) for nodes in self.response(needs)]
             for k in range(len(more) - 2, self.planned - 1, -1):
                 more[k] = maxima(more[k], more[k + 1])
             more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
@@ -50,11 +50,11 @@ class Scheduled:
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
         raise Undecided("recoverable", "thruster errors amplify themselves along the reference")
 
-    def along(self, needs: Needs, between: bool = True) -> Along:
+    def response(self, needs: Tightening, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
         plant, q, off = self.craft.plant, self.craft.plant.q, self.off
         parts = []
-        if self.memory.profile:
+        if self.memory.feedback_bound:
             if self.craft.lag:
                 lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
@@ -66,7 +66,7 @@ class Scheduled:
         at, later = [booked] * (len(off) * q + 1), [booked] * (len(off) * q - T + 1)
         for gains, by_cell, seen in parts:
             sizes = [size for size in by_cell for _ in range(q)]
-            older, bent = needs.caused(sizes, seen)
+            older, bent = needs.response(sizes, seen)
             booked = sums(booked, older, bent) if between else sums(booked, older)
             at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before

@@ -1,8 +1,8 @@
 """Errors that are possible when the next decision takes effect, and the test that S can still take over.
 
 Everything that does not depend on the measurement is worked out beforehand. Many errors are judged at once by
-`Prospect.share`, a single one in a few microseconds by `Prospect.share_one`: the same arithmetic, up to the
-order of sums.
+`Permission.share`, a single one in a few microseconds by `Permission.share_one`: the same arithmetic, up to
+the order of sums.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,13 +16,13 @@ from reach.tubes.flow import LinearFlow
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.controllers.controllers import AffineController
-from ..synthesis.safety.demand import taken_over
+from ..synthesis.safety.feedforward import taken_over
 from .decision_grid import DecisionGrid
 from .recovery import Recovery
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class PredictedError:
     """Error of a flight some nodes after a measurement: ``e -> M e + offset(k) + G b, |b_i| <= 1``."""
 
     M: Array
@@ -31,7 +31,7 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class ErrorMotion:
     """Motion of errors under one controller over a period of the nodes: ``e -> phi e + steps[node] + G b``.
 
     Of a declared, unclipped `law`, `zeta` (nodes, 2, n) is its own reference minus the safe one at both ends
@@ -45,7 +45,7 @@ class Leg:
     zeta: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
 
     @classmethod
-    def declared(cls, recovery: Recovery, mode: int) -> "Leg":
+    def declared(cls, recovery: Recovery, mode: int) -> "ErrorMotion":
         """A controller at its declared law, unclipped on the exact state: the clip then adds to no error."""
         grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
@@ -53,37 +53,37 @@ class Leg:
         error = law.error if mode else taken_over(grid.tracking, grid.clearance.reference)
         flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta, error)
         zeta = np.zeros((nodes, 2, system.n))
-        if mode in grid.own:
+        if mode in grid.own_references:
             clearance = grid.clearance
             arcs = law.own.fine(clearance.q)[: clearance.planned] - clearance.nodes[: clearance.planned]
             zeta = np.stack([arcs[:, :-1], arcs[:, 1:]], axis=2).reshape(nodes, 2, system.n)
         return cls(flow, zeta[:, 1] - zeta[:, 0] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
 
     @classmethod
-    def held(cls, recovery: Recovery) -> "Leg":
+    def held_input(cls, recovery: Recovery) -> "ErrorMotion":
         """An input that is held from node to node, less what it does: ``input_map`` adds that."""
         grid, flow = recovery.grid, recovery.open_flow
         steps = -grid.mu[: grid.last] @ flow.input_map(grid.system.B).T
         return cls(flow, steps, flow.period_zonotope.G)
 
     @classmethod
-    def any_thrust(cls, recovery: Recovery) -> "Leg":
+    def any_thrust(cls, recovery: Recovery) -> "ErrorMotion":
         """Anything within the thrust limits."""
-        system, held = recovery.grid.system, cls.held(recovery)
+        system, held = recovery.grid.system, cls.held_input(recovery)
         size = np.abs(system.B) @ system.u_max
         push = held.flow.input_zonotope(system.B, np.diag(system.u_max), size)
         return replace(held, G=np.hstack([push.G, held.G]))
 
-    def after(self, stage: Stage, shift: int) -> Stage:
+    def advance(self, stage: PredictedError, shift: int) -> PredictedError:
         """Return the stage one node later; the given one is `shift` nodes after the measurement."""
         steps = np.zeros_like(stage.offset)
         available = self.steps[shift:]
         steps[: len(available)] = available[: len(steps)]
         phi = self.flow.phi
-        return Stage(phi @ stage.M, stage.offset @ phi.T + steps, np.hstack([phi @ stage.G, self.G]))
+        return PredictedError(phi @ stage.M, stage.offset @ phi.T + steps, np.hstack([phi @ stage.G, self.G]))
 
 
-class Prospect:
+class Permission:
     """Test before U may fly on, after a measurement within the grid's half widths.
 
     During the latency `before` flies (None without one), then `leg` does. For sets of such errors about a
@@ -91,14 +91,14 @@ class Prospect:
     from column `commands` on the commands of a declared law.
     """
 
-    def __init__(self, recovery: Recovery, before: Leg | None, leg: Leg) -> None:
+    def __init__(self, recovery: Recovery, before: ErrorMotion | None, leg: ErrorMotion) -> None:
         grid = recovery.grid
         n, c = grid.system.n, grid.nodes
         self.recovery, self.grid = recovery, grid
-        stages = [Stage(np.eye(n), np.zeros((grid.last, n)), np.diag(grid.half_widths))]
+        stages = [PredictedError(np.eye(n), np.zeros((grid.last, n)), np.diag(grid.half_widths))]
         for i in range(grid.delay + c):
             flying = before if before is not None and i < grid.delay else leg
-            stages.append(flying.after(stages[-1], i))
+            stages.append(flying.advance(stages[-1], i))
         self.end = stages[-1]
         W = grid.tracking.W
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
@@ -120,7 +120,7 @@ class Prospect:
         self._rooms = self.room.tolist()
         self._beyond = recovery.far_shares.tolist()
 
-    def _lay_out_inner(self, inner: list[Stage]) -> None:
+    def _lay_out_inner(self, inner: list[PredictedError]) -> None:
         """The facets at the nodes before the end: one matrix, and one row of constants per decision."""
         recovery, o, n = self.recovery, len(self.recovery.bow), self.grid.system.n
         facets, starts = recovery.matrix[:o], np.arange(len(self.known)) * self.grid.nodes
@@ -227,7 +227,7 @@ class Prospect:
 
 
 def _commands(
-    grid: DecisionGrid, leg: Leg, law: AffineController, stages: list[Stage]
+    grid: DecisionGrid, leg: ErrorMotion, law: AffineController, stages: list[PredictedError]
 ) -> tuple[Array, Array, Array]:
     """Commands ``matrix e + known`` at every node, within limits if at most ``room``."""
     system, count = grid.system, len(stages[0].offset)

@@ -6,7 +6,7 @@ import daqp
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.scene.shapes import Ball, Box, Polytope, Shape
+from ..model.scene.shapes import BallShape, BoxShape, PolytopeShape, Shape
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace
@@ -14,14 +14,14 @@ from .settings import between, interpolate, rates
 
 
 @dataclass(frozen=True, eq=False)
-class Swelling:
+class MovingBall:
     """A ball about 0 whose radius changes; at every instant it is taken to keep the radius of then."""
 
     radii: Array
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), one per time."""
-        return Ball(0.0).signed_distance(p) - self.radii
+        return BallShape(0.0).signed_distance(p) - self.radii
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """Seconds until straight rays enter; lengths are scaled so that all radii are 1 (or 0)."""
@@ -29,16 +29,16 @@ class Swelling:
         for radius in (0.0, 1.0):
             rows = (self.radii > 0) == (radius > 0)
             scale = self.radii[rows, None] if radius else 1.0
-            out[rows] = Ball(radius).entry_time(p[rows] / scale, v[rows] / scale)
+            out[rows] = BallShape(radius).entry_time(p[rows] / scale, v[rows] / scale)
         return out
 
-    def at(self, i: int) -> Shape:
+    def shape_at(self, i: int) -> Shape:
         """The ball at one time."""
-        return Ball(float(self.radii[i]))
+        return BallShape(float(self.radii[i]))
 
 
 @dataclass(frozen=True, eq=False)
-class Faceted:
+class MovingPolytope:
     """A polytope ``H p <= b`` whose facets differ from sample to sample; as they are at every instant."""
 
     H: Array  # unit rows, shape (N or 1, F, d)
@@ -67,36 +67,36 @@ class Faceted:
     def entry_time(self, p: Array, v: Array) -> Array:
         """Seconds until straight rays enter; in the coordinates ``H p`` all facets are the same."""
         reach, rate = (np.einsum("nfd,nd->nf", self._rows(p), x) for x in (p, v))
-        return Polytope(np.eye(self.H.shape[1]), self.b).entry_time(reach, rate)
+        return PolytopeShape(np.eye(self.H.shape[1]), self.b).entry_time(reach, rate)
 
-    def at(self, i: int) -> Polytope:
+    def shape_at(self, i: int) -> PolytopeShape:
         """The polytope at one time."""
-        return Polytope(self.H[i if len(self.H) > 1 else 0], self.b[i])
+        return PolytopeShape(self.H[i if len(self.H) > 1 else 0], self.b[i])
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class UnsafePart:
     """A convex set at N times."""
 
-    body: Shape | Swelling | Faceted  # relative to its centre; a shape does not change
+    body: Shape | MovingBall | MovingPolytope  # relative to its centre; a shape does not change
     centre: Array  # [m], shape (N, d)
     velocity: Array  # [m/s], shape (N, d)
 
     @property
     def rigid(self) -> bool:
         """Return True if the set moves without changing its shape."""
-        return not isinstance(self.body, (Swelling, Faceted))
+        return not isinstance(self.body, (MovingBall, MovingPolytope))
 
     def shape(self, i: int) -> Shape:
         """The set at one time, relative to its centre."""
-        return self.body.at(i) if isinstance(self.body, (Swelling, Faceted)) else self.body
+        return self.body.shape_at(i) if isinstance(self.body, (MovingBall, MovingPolytope)) else self.body
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedParts:
     """A set at N times: the union of convex parts."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[UnsafePart, ...]
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), shape (N,)."""
@@ -109,7 +109,7 @@ class Placed:
         return np.asarray(np.min(times, axis=0))
 
 
-def place(item: AnySet, t: Array, d: int) -> Placed:
+def place(item: AnySet, t: Array, d: int) -> PlacedParts:
     """The set at times t (N,): centres, sizes, offsets run linearly, at rest before and after all stamps.
 
     Facets that turn are taken as at both stamps around. Sets of other axes and empty ones are refused.
@@ -119,17 +119,17 @@ def place(item: AnySet, t: Array, d: int) -> Placed:
     if isinstance(item, PolytopeTrace):
         return _place_polytope(item, t)
     rows = between(item.times, t)
-    body: Shape | Swelling | Faceted = Ball(0.0)
+    body: Shape | MovingBall | MovingPolytope = BallShape(0.0)
     if isinstance(item, BallTrace):
         steady = np.all(item.radii == item.radii[0])
-        body = Ball(float(item.radii[0])) if steady else Swelling(interpolate(item.radii, rows))
+        body = BallShape(float(item.radii[0])) if steady else MovingBall(interpolate(item.radii, rows))
     elif not isinstance(item, PointTrace):
         half = item.lengths[:, :d] / 2
-        body = Box.of(half[0])
+        body = BoxShape.from_half_widths(half[0])
         if not np.all(half == half[0]):
             b = interpolate(half, rows)
-            body = Faceted(body.H[None], np.hstack([b, b]))
-    return Placed((Part(body, *_moved(item, item.centers[:, :d], t)),))
+            body = MovingPolytope(body.H[None], np.hstack([b, b]))
+    return PlacedParts((UnsafePart(body, *_moved(item, item.centers[:, :d], t)),))
 
 
 def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
@@ -144,25 +144,25 @@ def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
     return centre, np.where(away[:, None], 0.0, interpolate(speeds, rows))
 
 
-def _place_polytope(item: PolytopeTrace, t: Array) -> Placed:
+def _place_polytope(item: PolytopeTrace, t: Array) -> PlacedParts:
     H, b = unit_rows(item.A, item.b)
-    local = b[0] - H[0] @ Polytope(H[0], b[0]).middle
+    local = b[0] - H[0] @ PolytopeShape(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
     centre, velocity = _moved(item, centers, t)
     rest = b - np.einsum("mfd,md->mf", H, centers)
     for row in np.flatnonzero(rest.min(axis=1) < 0):  # most are cleared by the centre itself
-        if Faceted(H, rest).at(int(row)).depth < 0:
+        if MovingPolytope(H, rest).shape_at(int(row)).depth < 0:
             given = item.b[row].tolist()
             raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
     size = np.abs(b).max(axis=1) + np.abs(local).max()
     if len(H) == 1 and np.all(np.abs(rest - local).max(axis=1) <= ROUNDING * size):
-        return Placed((Part(Polytope(H[0], local), centre, velocity),))
+        return PlacedParts((UnsafePart(PolytopeShape(H[0], local), centre, velocity),))
     left, right, _ = rows = between(item.times, t)
     if len(H) == 1:
-        return Placed((Part(Faceted(H, interpolate(rest, rows)), centre, velocity),))
+        return PlacedParts((UnsafePart(MovingPolytope(H, interpolate(rest, rows)), centre, velocity),))
     # Where facets turn in between: the union of what the set is at the stamps on either side.
     sides = (left,) if np.array_equal(left, right) else (left, right)
-    return Placed(tuple(Part(Faceted(H[k], rest[k]), centers[k], velocity) for k in sides))
+    return PlacedParts(tuple(UnsafePart(MovingPolytope(H[k], rest[k]), centers[k], velocity) for k in sides))
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ class Least:
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedRun:
+class EvaluatedRun:
     """A flight and what it came to: the least values by name, and of the barriers by family."""
 
     run: InspectionRun
@@ -36,7 +36,7 @@ class JudgedRun:
     barriers: dict[str, Least]
 
 
-class Keeper:
+class LeastRecorder:
     """Keeps the least value of one constraint over each of R runs, when [s] and for whom.
 
     `places` (K, 2) are the deputies that its values are about; the second is -1 where there is one only. The
@@ -73,17 +73,17 @@ class Keeper:
         return Least(value, time, self.who(run), at_samples, float(self.violated[run]) / self.seen)
 
 
-def keepers(families: Families, runs: int = 1) -> dict[str, Keeper]:
+def keepers(families: Families, runs: int = 1) -> dict[str, LeastRecorder]:
     """Return a keeper for each constraint that the families keep, by name."""
     alone, pairs = np.split(families.everyone, [families.inspection.deputies])
     own = families.inspection.constraints
     every = [(name, kind.family, kind.pair) for name, kind in KINDS.items()]
     every += [(one.label, one.family or one.label, one.pair) for one in own]
     kept = [(name, pair) for name, family, pair in every if family in families.family]
-    return {name: Keeper(pairs if pair else alone, runs) for name, pair in kept}
+    return {name: LeastRecorder(pairs if pair else alone, runs) for name, pair in kept}
 
 
-def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
+def least_values(run: InspectionRun, families: Families, between: int) -> EvaluatedRun:
     """Least values of all constraints and of all barriers over a flight.
 
     The families are all constraints, nothing tightened and none left out; `between` is the number of instants
@@ -91,7 +91,9 @@ def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
     """
     order = (name for name in dict.fromkeys((*FAMILIES, *families.family)) if name in families.family)
     rows = {name: np.flatnonzero(families.among(name)) for name in order}
-    barriers = {name: Keeper(families.everyone[families.place[chosen]]) for name, chosen in rows.items()}
+    barriers = {
+        name: LeastRecorder(families.everyone[families.place[chosen]]) for name, chosen in rows.items()
+    }
     constraints = keepers(families)
     for t, x, sun, sampled in _instants(run, between):
         values = allowable(run.inspection, x, sun)
@@ -103,7 +105,7 @@ def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
         for name, keeper in constraints.items():
             keeper.see(t, values[name][None], sampled)
     least, least_h = ({name: one.least() for name, one in all_.items()} for all_ in (constraints, barriers))
-    return JudgedRun(run, least, least_h)
+    return EvaluatedRun(run, least, least_h)
 
 
 def _instants(run: InspectionRun, between: int) -> Iterator[tuple[Array, Array, Array, bool]]:
@@ -112,7 +114,7 @@ def _instants(run: InspectionRun, between: int) -> Iterator[tuple[Array, Array, 
     for part in range(between + 1):
         x, t = run.x, run.t
         if part:
-            Phi, Gamma = run.inspection.held(later := period * (part / (between + 1)))
+            Phi, Gamma = run.inspection.discretize(later := period * (part / (between + 1)))
             x, t = x[:-1] @ Phi.T + run.u @ Gamma.T, t[:-1] + later
         sun = run.inspection.sun_angle(t - run.t[0], run.sun[0])
         for k in range(0, len(t), CHUNK):

@@ -105,7 +105,7 @@ class Law:
     precision: str = "real"  # arithmetic in which a network is evaluated: real, float32 or float64
 
     @classmethod
-    def of(cls, law: Any) -> "Law":
+    def from_item(cls, law: Any) -> "Law":
         """Build a law from its item."""
         return cls(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
 
@@ -133,7 +133,7 @@ class Departure:
 
 
 @dataclass(frozen=True)
-class Abort:
+class DriftClaim:
     """Claim of the drift after all thrust stops."""
 
     horizon: float  # [s]
@@ -143,7 +143,7 @@ class Abort:
 
 
 @dataclass(frozen=True)
-class Branch:
+class AbortBranch:
     """A reference that leaves the schedule's at the start of a step, towards the orbit of an abort."""
 
     step: int
@@ -153,7 +153,7 @@ class Branch:
     tolerance: float  # what counts as reached [m]
     horizon: str  # as that of the schedule
 
-    def until(self, delta: float) -> float | None:
+    def claim_end(self, delta: float) -> float | None:
         """Last instant of the claim [s]; steps are `delta` long."""
         return last_instant(self.horizon, self.step + len(self.inputs), len(self.facets), delta)
 
@@ -164,7 +164,7 @@ def last_instant(horizon: str, steps: int, cells: int, delta: float) -> float | 
 
 
 @dataclass(frozen=True)
-class Way:
+class AbortStep:
     """Claim of an abort in one step: its branch, and the cell at whose start it has arrived."""
 
     branch: int
@@ -177,14 +177,14 @@ class Powered:
 
     within: float | None  # [s]
     budget: float | None  # [m/s]
-    branches: list[Branch]
-    steps: list[Way | None]  # None of those of which nothing is claimed
+    branches: list[AbortBranch]
+    steps: list[AbortStep | None]  # None of those of which nothing is claimed
 
 
 def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
     """Return the claims of aborts with thrust; `sets` are the numbers of facets of the unsafe sets."""
-    branches = [Branch(**each) for each in item["branches"]]
-    steps = [None if way is None else Way(**way) for way in item["steps"]]
+    branches = [AbortBranch(**each) for each in item["branches"]]
+    steps = [None if way is None else AbortStep(**way) for way in item["steps"]]
     within, budget = item["within"], item["budget"]
     for branch in branches:
         if not branch.step + len(branch.inputs) <= len(branch.facets) or not branch.step <= len(steps):
@@ -216,13 +216,13 @@ def unsafe_set(item: dict[str, Any], n: int, d: int) -> UnsafeSet:
     return UnsafeSet(item["name"], item["keep_in"], normals, first, last, of_state)
 
 
-def abort_of(drift: dict[str, Any], q: int) -> Abort:
+def abort_of(drift: dict[str, Any], q: int) -> DriftClaim:
     """Return the claims of drifts, from their item and the number of periods in a step."""
     steps = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
     covered = {sum(part.periods for part in parts) for parts in steps if parts is not None}
     if not covered <= {q}:
         raise ValueError("a drift must have departures in every period of a step")
-    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], steps)
+    return DriftClaim(drift["horizon"], drift["keep_in"], drift["parts"], steps)
 
 
 def check_law(law: Law, steps: int, reads: int) -> None:
