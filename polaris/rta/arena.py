@@ -88,7 +88,7 @@ def compare_methods(
     runs, seed : int
         Number of runs, and what their conditions are drawn from (`Conditions.draw`).
     methods : sequence of str, optional
-        Keys of `polaris.rta.method.METHODS`; default all.
+        Keys of `polaris.rta.method.METHODS`; default all, ``monitor_code`` with code alone.
     tuning : mapping of str to float, optional
         Values by ``method.option``, such as ``monitor.dwell`` (see `tunable`). The defaults are those of the
         methods.
@@ -106,6 +106,7 @@ def compare_methods(
     grid = scene if isinstance(scene, DecisionGrid) else DecisionGrid.from_schedule(scene)
     whole("runs", runs, 1)
     keys, options = selected(methods, tuning)
+    keys = [key for key in keys if methods is not None or code is not None or key != "monitor_code"]
     if len(grid.controllers) < 2:
         raise ScenarioError("experimental", "none", "must hold at least one controller for a comparison")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]

@@ -32,11 +32,11 @@ def forger(tmp_path_factory):
 def derived(forger):
     """Figures that the checker derives of the honest run, by name; lists over steps for aborts."""
     known = {"before": [], "abort": [], "off": []}
-    no_less, affords, distance = Arrival.require_bound, BranchMotion.affords, BranchMotion.distance
+    require_bound, affords, distance = Arrival.require_bound, BranchMotion.affords, BranchMotion.distance
 
     def told(self, what, claimed, value):
         known[what] = float(value.upper())
-        no_less(self, what, claimed, value)
+        require_bound(self, what, claimed, value)
 
     def spent(self, taken, budget, stated):
         known["before"].append(float(taken.before.upper()))
@@ -49,7 +49,7 @@ def derived(forger):
         return away
 
     with (
-        patch.object(Arrival, "no_less", told),
+        patch.object(Arrival, "require_bound", told),
         patch.object(BranchMotion, "affords", spent),
         patch.object(BranchMotion, "distance", off),
     ):

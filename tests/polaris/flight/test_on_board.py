@@ -229,7 +229,7 @@ def test_the_arena_flies_the_code_beside_the_schedule():
 def test_without_a_compiler_the_arena_says_so(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     refused = compare_methods(scheduled("plain"), 1, 0, methods=("safety", "code")).refused
-    assert refused == {"code": "flight code needs a C compiler, and none of cc, gcc, clang is here"}
+    assert refused == {"code": "flight code needs a C compiler, but none of cc, gcc, clang is installed"}
 
 
 def test_what_is_not_proved_is_not_flown_as_code(monkeypatch):

@@ -239,7 +239,7 @@ def test_each_has_its_own_alpha_in_a_family_and_any_sequence_will_do():
     ("make", "match"),
     [
         (lambda: Families(Inspection(constraints=(Bare(),)), sampled=SampledData(1.0)), "curvature"),
-        (lambda: build_filter("explicit", Q), "for all time"),
+        (lambda: build_filter("explicit", Q), "custom constraints need a barrier filter"),
         (lambda: Inspection(constraints=(Ceiling(), Ceiling())), "labels, each different"),
         (lambda: Inspection(constraints=(Ceiling,)), "must be a Constraint"),
         (lambda: build_filter("central", Q), "must be one of"),

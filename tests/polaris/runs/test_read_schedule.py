@@ -48,7 +48,7 @@ SEARCHES = (
     "synthesis.schedule.powered.plan",
     "scenario.experimental.plan",
     "synthesis.schedule.look_ahead.LookAhead.best",
-    "synthesis.schedule.synthesize.most_worthy",
+    "synthesis.schedule.synthesize.best_schedule",
     "synthesis.schedule.synthesize.views",
     "synthesis.schedule.synthesize.within_budget",
 )

@@ -73,7 +73,7 @@ def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
     wanted = {"bounds", "plan", "recoverable", "schedule", "bound", "simulation", "files", "other"}
     assert belong_somewhere(seconds) and wanted <= set(seconds), done.output
     text = " ".join(done.stdout.split())
-    total, stages = re.search(r"Time: ([\d.]+) s \((.*?)\)\.", text).groups()
+    total, stages = re.search(r"Computation time: ([\d.]+) s \((.*?)\)\.", text).groups()
     shown = [float(stage.split()[-1]) for stage in stages.split(", ")]
     assert sum(shown) == pytest.approx(float(total), abs=0.005 * (len(seconds) + 1))
     short = polaris.run("inspection", tmp_path / "short", overrides=["flight.duration_s=5"])

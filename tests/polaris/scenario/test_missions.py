@@ -475,7 +475,7 @@ def test_legs_of_two_craft_are_refused_before_anything_is_flown(name, tmp_path):
     if "timing" in more:
         for each in document["legs"][1 if name == "a delay in one leg" else 0 :]:
             each["timing"] = more["timing"]
-    with pytest.raises(ScenarioError, match="must have the system|first estimate"):
+    with pytest.raises(ScenarioError, match="must have the system|applies to the first leg only"):
         run(written(document, tmp_path), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

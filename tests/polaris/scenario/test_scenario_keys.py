@@ -138,7 +138,7 @@ def test_the_comparison_sees_a_key_that_is_missing_or_changed():
     for change in ("horizon.step_s", "gone"):
         other = copy.deepcopy(tables)
         if change == "gone":
-            del other["$defs"]["SatelliteObstacle"]["properties"]["facets"]
+            del other["$defs"]["SatelliteObstacleTable"]["properties"]["facets"]
         else:
             other["$defs"]["Horizon"]["properties"]["step_s"]["maximum"] = 1.0
         assert list(differences(of_shape(SCENARIO), of_schema(other, other["$defs"])))

@@ -323,7 +323,7 @@ def test_case_that_was_changed_is_refused(tmp_path):
     fair.write_text(json.dumps({**data, "schedule": digest(schedule)}), encoding="utf-8")
     done = CliRunner().invoke(app, ["replay", str(fair)])
     assert done.exit_code == 0 and "no violation in this case" in done.stdout
-    with pytest.raises(ScenarioError, match="no violation"):
+    with pytest.raises(ScenarioError, match="must come from a search that found a violation"):
         write_case(tmp_path / "none.json", scenario, falsify(schedule, 50))
 
 

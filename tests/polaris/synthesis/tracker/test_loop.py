@@ -588,7 +588,7 @@ def test_a_loop_that_hardly_settles_is_bounded_for_ever_or_refused():
             assert W / rate <= ever <= W / rate * 1.01
         else:
             with pytest.raises(
-                ScenarioError, match=r"^feedback.period_s: got 1.0; must let errors fade within"
+                ScenarioError, match=r"^feedback.period_s: got 1.0; must let errors decay within"
             ):
                 limits.from_rest(np.eye(1))
 
