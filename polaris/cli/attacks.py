@@ -154,7 +154,7 @@ def _show_falsification(name: str, result: Falsification) -> None:
 
     summary = result.summary()
     echo(f"{name}: {summary['runs']} trajectories, {summary['runs_per_s']:.0f} per second")
-    echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
+    echo(f"{'limit':24} {'least flown':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
     for row in summary["limits"]:
         proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"

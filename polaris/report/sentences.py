@@ -83,11 +83,11 @@ def reach(claim: Mapping[str, Any]) -> str:
 def goal(claim: Mapping[str, Any]) -> str:
     """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
-    counts, off = claim["velocity_time_s"], f"within {near} m"
-    off += "" if counts is None else f" (velocity errors count as the distance covered in {counts:.4g} s)"
+    counts, off = claim["velocity_time_s"], f"within {near} m (the tolerance is {claim['tolerance_m']:.4g} m"
+    off += ")" if counts is None else f"; velocity errors count as the distance covered in {counts:.4g} s)"
     alone = "" if drift is None else f": free drift is up to {directed(drift, '.3g', up=True)} m per orbit"
     spent = f"Delta-v until then: at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
     if claim["reached"] is True:
         return f"reached at {claim['by_s']:.6g} s, {off}. S must fly on to stay there{alone}. {spent}"
     missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{missed}: {off} at best; the tolerance is {claim['tolerance_m']:.4g} m. {spent}"
+    return f"{missed}: at best {off}. {spent}"

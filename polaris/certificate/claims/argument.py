@@ -153,11 +153,12 @@ class Argument:
         for k, mode in enumerate(doc.modes):  # a fault is isolated, or a command of U is missing, at any node
             within = flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
-        least = flight.keeps(reached, claimed)
-        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, least margin {least:.3g}"
+        flight.keeps(reached, claimed)
+        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond"
         self.record.holds("recoverable", f"S can take over at {len(reached)} instants, {ahead}")
-        claims = sum(margin > 0 for margin in claimed.values())
-        self.record.holds("margins", f"derived at {claims} instants next to steps under U")
+        claims = [margin for margin in claimed.values() if margin > 0]
+        least = f", at least {min(claims):.3g} of the clearance" if claims else ""
+        self.record.holds("margins", f"derived at {len(claims)} instants next to steps under U{least}")
         if self.code is not None:
             _, tables, precision, _ = read_code(self.code)
             if tables.rows:

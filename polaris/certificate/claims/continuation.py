@@ -179,14 +179,10 @@ class Continuation:
         needs = self.tracker.needs(asked, limits.rows)
         return Recovery.from_limits(self.document, path, limits, needs, self.scheduled)
 
-    def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> float:
-        """Check that every limit is kept to the end from sets at nodes, by a share of its room.
-
-        Returns the least share that was found where a set comes close.
-        """
-        least = self.recovery.check_sets(reached, margins or {})
+    def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> None:
+        """Check that every limit is kept to the end from sets at nodes, by a share of its clearance."""
+        self.recovery.check_sets(reached, margins or {})
         self.recovery.check_far()
-        return least
 
     @cached_property
     def jump(self) -> arb_mat:

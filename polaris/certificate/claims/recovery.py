@@ -72,15 +72,14 @@ class Recovery:
         last = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
         return min(node // doc.q + self.needs.memory.periods // doc.q, last)
 
-    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
+    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> None:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
 
         `reached` are sets of errors at nodes, `margins` shares of the room claimed to be left.
-        A bound from the extents of the set comes first; only where it does not do, the exact support. Returns
-        the least share found where that was needed; 1 if nowhere.
+        A bound from the extents of the set comes first; only where it does not do, the exact support.
         """
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
-        worst, (first, which) = 1.0, self.needs.alike
+        first, which = self.needs.alike
         pairs = zip(self.needs.carried, self.needs.bend, strict=True)
         both = ((rows_of(rows, *first), rows_of(bend, *first)) for rows, bend in pairs)
         each = (spans(rows, sizes) + bend * sizes for rows, bend in both)
@@ -95,10 +94,9 @@ class Recovery:
                     if not needed[which[row]][place] + more[row] <= room - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
-                worst = min(worst, self._check_close(k, reached[k], close, share))
+                self._check_close(k, reached[k], close, share)
             if share > 0:
                 self._check_late(k, reached[k], share)
-        return worst
 
     @cached_property
     def _disturbed(self) -> list[list[float]]:
@@ -131,8 +129,8 @@ class Recovery:
 
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[NodeLimit]], share: float
-    ) -> float:
-        needs, worst, bows = self.needs, 1.0, SetIntersample(self.needs, z)
+    ) -> None:
+        needs, bows = self.needs, SetIntersample(self.needs, z)
         support = z.support(above(*(rows_of(needs.carried[lag], row) for lag, row in close)))
         booked = above(*(rows_of(needs.bend[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):
@@ -146,10 +144,7 @@ class Recovery:
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)}, available {plain(room)}")
-                if target.whole > 0:
-                    worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
                 self._leaves(of, target, need, where)
-        return worst
 
     def check_far(self) -> None:
         """Check the limits beyond the memory of the loop, for every set within the memory's extent."""

@@ -92,8 +92,8 @@ def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
         word = "not proven" if end["reached"] == "not_proven" else "no"
         arrives = (word, f"at best within {within} m; the tolerance is {end['tolerance_m']:.4g} m")
         if end["reached"] is True:
-            there = f"proven, within {within} m of the goal; S must fly on to stay there"
-            arrives = (f"at {_time(end['by_s'])}", there)
+            near = f"proven, within {within} m of the goal (the tolerance is {end['tolerance_m']:.4g} m)"
+            arrives = (f"at {_time(end['by_s'])}", f"{near}; S must fly on to stay there")
         then = "to the goal" if end["reached"] is True else "until it is nearest"
         cost += f"; proven {then}: at most {spent} m/s"
     if "safety" in summary:

@@ -276,11 +276,10 @@ def test_a_tolerance_of_velocities_needs_one_of_lengths():
 
 @pytest.mark.parametrize("drift", [None, 73.7])
 def test_the_line_of_the_goal_says_when_how_near_and_what_holds_it(drift):
-    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "velocity_time_s": 450.0}
-    line = _goal(claim | {"drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3})
-    assert line.startswith(
-        "reached at 1958 s, within 3.9 m (velocity errors count as the distance covered in 450 s"
-    )
+    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "tolerance_m": 4.0}
+    cost = {"velocity_time_s": 450.0, "drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3}
+    line = _goal(claim | cost)
+    assert line.startswith("reached at 1958 s, within 3.9 m (the tolerance is 4 m; velocity errors count as")
     assert "S must fly on to stay there" in line and ("m per orbit" in line) == (drift is not None)
 
 
