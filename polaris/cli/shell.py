@@ -43,7 +43,7 @@ app = typer.Typer(
     name="polaris",
     cls=_Verbs,
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
-    epilog="Exit codes: 0 success; 2 bad input; 3 no safe schedule exists; 4 not certified within the limits"
+    epilog="Exit codes: 0 success; 2 bad input; 3 no safe schedule found; 4 not certified within the limits"
     " of effort; 5 refuted: a counterexample, a bound or certificate that does not hold, or a violated"
     " constraint of an inspection flight; 6 certificate undecided; 7 certificate rests on samples.",
     rich_markup_mode=None,  # markup swallows [m/s] or <scenario>

@@ -53,7 +53,7 @@ class ScenarioError(PolarisError):
         self.given = given
         self.rule = rule
         self.where = where
-        shown = quoted(given)
+        shown = "nothing" if given is None else quoted(given)
         if len(shown) > 120:
             shown = shown[:117] + "..."
         prefix = f"{where}: " if where else ""

@@ -76,7 +76,7 @@ def _margins(picture: PlotData) -> dict[str, Any]:
     series: dict[str, Any] = {"pilot": None, "name": "margin", "bars": True, "text": text}
     series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
     series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}
-    title, limits = "Containment margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
+    title, limits = "Margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
     named = {"key": "margin", "title": title, "unit": "share of clearance"}
     return named | {"limits": limits, "series": [series]}
 

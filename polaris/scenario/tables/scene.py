@@ -157,7 +157,7 @@ class Neural(ScenarioPart):
     `reference_input` (m); of an obstacle `position:NAME`, `velocity:NAME`, or relative to the chaser
     `relative_position:NAME`, `relative_velocity:NAME` (d each)."""
     input_scale: f.Vector | None = unit("-", default=None)
-    """Factor of each input; by default 1."""
+    """Factor of each number of the inputs (`error` has n), in their order; by default 1."""
     output_scale_N: f.PositivePerAxis = unit("N (unit of the input)", "Thrust at an output of 1.")
     precision: Literal["real", "float32", "float64"] = unit("-", default="real")
     """Arithmetic on board. `real`: its rounding is not covered. `float32`, `float64`: any runtime is covered,

@@ -113,7 +113,7 @@ class Policy:
             ("output_scale_N", self.output_scale, outputs),
         ):
             if np.shape(given) != (size,):
-                raise ScenarioError(f"{field}.{name}", np.size(given), f"must have {size} numbers")
+                raise ScenarioError(f"{field}.{name}", np.ravel(given).tolist(), f"must have {size} numbers")
 
     def steepest(self, system: Craft, unsafe: Iterable[object]) -> Array:
         """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""

@@ -342,7 +342,7 @@ def test_titles_of_diagrams_are_not_cut(browser, page, screen, width):
     screen(width, "light")
     open_page(browser, page)
     beyond = dict(browser.execute_script(TITLES))
-    assert any("Containment margin" in title for title in beyond) and max(beyond.values()) <= 1, beyond
+    assert any("Margin of each" in title for title in beyond) and max(beyond.values()) <= 1, beyond
 
 
 NAMES = """const scene = document.getElementById('scene'), frame = scene.getBoundingClientRect();
