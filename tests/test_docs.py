@@ -361,13 +361,18 @@ def test_recipes_name_files_that_exist():
     paths = set(re.findall(r"`((?:polaris|tests|docs|reach|scenarios)/[\w./-]*|[A-Z]+\.md)`", text))
     assert len(paths) > 20
     assert not [path for path in sorted(paths) if not (ROOT / path).exists()]
+    within = re.findall(r"`([A-Za-z_.]+)`\s(?:of|in)\s`([\w/]+\.py)`", text)
+    assert len(within) > 20
+    for name, path in within:  # a method as Class.method
+        source = (ROOT / path).read_text(encoding="utf-8")
+        assert all(re.search(rf"\b{part}\b", source) for part in name.split(".")), (name, path)
 
 
 GUIDES = (
     *("campaigns", "comparison", "error-costs", "falsification", "index", "inspection"),
     *("inspection-assured", "missions", "model-error", "model-error-theory", "monitor-theory"),
     *("online-monitor", "orbits", "reach-tutorial", "report", "tour", "trace-format", "traces"),
-    *("tradeoff", "training", "tutorial"),
+    *("tradeoff", "training", "tutorial", "../CONTRIBUTING"),
 )
 
 
@@ -375,7 +380,7 @@ GUIDES = (
 def test_sentences_paragraphs_and_lines_are_short(name):
     """At most 40 words in a sentence, 25 on average, five sentences in a paragraph, 100 columns in a line."""
     text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
-    text = re.sub(r"^```.*?^```$|<!--.*?-->|^ *[|#][^\n]*$", "", text, flags=re.M | re.S)
+    text = re.sub(r"^ *```.*?^ *```$|<!--.*?-->|^ *[|#][^\n]*$", "", text, flags=re.M | re.S)
     text = re.sub(r"^ *\$\$.*?\$\$[^\n]*$", "", text, flags=re.M | re.S)
     assert max(map(len, text.splitlines())) <= 100
     text = re.sub(r"`[^`]*`|\$[^$]*\$", "x", re.sub(r"\]\([^)]*\)", "]", text)).replace("*", "")

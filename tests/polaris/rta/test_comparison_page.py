@@ -40,19 +40,20 @@ def test_the_page_holds_every_table():
     assert {name: TABLES[name] for name in written} == written, "run: python -m docs.generate.method_docs"
     for name in page.SCENES:
         made = len(rows(TABLES[name]))
-        assert made >= len(METHODS), name
+        assert made >= len(METHODS), (name, "run: python -m benchmarks.comparison --write")
 
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
     swept, defaults = page.read_sweep(SWEEP)
-    assert set(swept) == set(page.SWEPT) and page.RUNS == page.SWEPT_RUNS
+    assert set(swept) == set(page.SWEPT), "run: python -m benchmarks.comparison --write"
+    assert page.RUNS == page.SWEPT_RUNS
     ours = {"safety", "experimental", "schedule", "code", "monitor", "monitor_code", "monitor_declared"}
     rivals = set(METHODS) - ours
-    assert rivals == {
-        key for key, one in METHODS.items() if any(each.name == "buffer" for each in one.options)
-    }
+    buffered = {key for key, one in METHODS.items() if any(each.name == "buffer" for each in one.options)}
+    assert rivals == buffered, "give a rival the option BUFFER, or add a method that needs none to `ours`"
     tuned = {key for key, one in METHODS.items() if one.options}
-    assert {name.partition(".")[0] for name in swept} | {"monitor_declared"} == tuned
+    tried = {name.partition(".")[0] for name in swept} | {"monitor_declared"}
+    assert tried == tuned, "run: python -m benchmarks.comparison --write"
     made = scene("robot")
     for full, values in swept.items():
         assert list(values) == page.VALUES[full]

@@ -1,9 +1,14 @@
 """Every method on the same scenes: what is proven holds under worst cases, and the tests can fail."""
 
+import re
+from pathlib import Path
+from textwrap import dedent
+
 import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
+from polaris.rta.arena import tunable
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method import FILTERED
 from polaris.rta.method_result import measure
@@ -241,3 +246,20 @@ def test_no_limit_is_left_out_however_late_it_is():
         assert np.all(np.minimum(shares.max(axis=1), 1e3) <= share * (1 + 1e-9))
         late += np.count_nonzero(shares.max(axis=1) > near * (1 + 1e-6))
     assert late > 0
+
+
+def test_the_recipe_for_a_method_makes_one():
+    """The class in ``CONTRIBUTING.md`` registers, is tuned and flies; it is taken out again."""
+    text = (Path(__file__).parents[3] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    recipe = re.search(r"^## Add a run-time method$.*?^ *```python\n(.*?)^ *```$", text, re.M | re.S)
+    known = dict(METHODS)
+    try:
+        exec(dedent(recipe[1]), {"__name__": "polaris.rta.methods.early"})
+        assert set(METHODS) - set(known) == {"early"} and "early.share" in tunable()
+        made = scene(**SETTINGS["chosen"])
+        flight = fly(made, METHODS["early"].on(made, share=0.25), Conditions.draw(made, 2, 0))
+        assert np.mean(flight.modes > 0) == pytest.approx(0.25, abs=1 / made.decisions)
+        assert (np.diff(flight.modes) <= 0).all()
+    finally:
+        METHODS.clear()
+        METHODS.update(known)
