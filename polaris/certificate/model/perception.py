@@ -30,13 +30,8 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
         raise Rejected("unsafe_sets", text)
     clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
     moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
-    obstacles, kept = (
-        [
-            _inflated(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
-            for spec in scenario.get(key, ())
-        ]
-        for key, sign in (("obstacles", arb(1)), ("keep_in", arb(-1)))
-    )
+    obstacles = scenario.get("obstacles", ())
+    kept = [_shrunk(spec, radius + moved) for spec in scenario.get("keep_in", ())]
     others = any(spec["kind"] == "satellite" for spec in obstacles)
     if document.satellites != others:
         has, assumed = ("", "nothing") if others else ("no ", "something")
@@ -48,7 +43,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
         if spec["kind"] in KINDS:
             check_states(document, [left.pop(0)], spec, inside=False)
         else:
-            _check_obstacle(document, left.pop(0), spec)
+            _check_obstacle(document, left.pop(0), spec, radius + moved + clock * _speed(spec, clock))
     for spec in kept:
         facets: list[UnsafeSet] = []
         while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
@@ -81,36 +76,38 @@ def _speed(spec: dict[str, Any], clock: arb) -> arb:
     return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
 
 
-def _inflated(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
-    """Return the scenario's entry of a set, its facets moved outwards, or inwards if negative."""
+def _shrunk(spec: dict[str, Any], radius: arb) -> dict[str, Any]:
+    """Return the scenario's entry of a keep-in set, its facets moved inwards by a radius."""
     if radius == 0 or spec["kind"] in KINDS:
         return spec
-    if spec["kind"] == "box":
-        return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
     if spec["kind"] == "polytope":
         lengths = [_length([arb(x) for x in normal]) for normal in spec["normals"]]
         return spec | {
-            "offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]
+            "offsets_m": [b - radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]
         }
-    if spec["kind"] != "cone":
-        return spec | {"radius_m": spec["radius_m"] + radius}
-    inwards = -radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()
+    inwards = radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()
     axis = [arb(x) for x in spec["axis"]]
     length = _length(axis)
     apex = [a + inwards * x / length for a, x in zip(spec["apex_m"], axis, strict=True)]
     cut = spec.get("length_m")
-    return spec | {"apex_m": apex} | ({} if cut is None else {"length_m": cut + radius - inwards})
+    return spec | {"apex_m": apex} | ({} if cut is None else {"length_m": cut - radius - inwards})
 
 
 # -- obstacles --------------------------------------------------------------------------------------
 
 
-def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+def _check_obstacle(
+    document: Document, item: UnsafeSet, spec: dict[str, Any], radius: arb | float = 0.0
+) -> None:
+    """Check that a timed polytope contains an obstacle with a ball of a radius [m] about each of its points.
+
+    The support of that sum is the sum of both supports, so a kind states that of its own shape alone.
+    """
     if item.of_state:
         raise Rejected("unsafe_sets", f"{item.name} is a set of positions, not of states")
     if spec["kind"] == "satellite":
         _check_count(item, _directions(document, spec))
-        Satellite(document, item, spec).check()
+        Satellite(document, item, spec | {"radius_m": spec["radius_m"] + radius}).check()
         return
     d, (facets, support) = len(document.C), RIGID[spec["kind"]]
     v, anchor = (spec.get(key) or [0.0] * d for key in ("velocity_m_s", "center_m"))
@@ -119,7 +116,7 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         raise Rejected("unsafe_sets", f"{item.name} is at rest in the scenario, but moves in the certificate")
     for f, normal in enumerate(item.normals):
         n = [arb(x) for x in normal]
-        extent = support(document, item, spec, f)
+        extent = support(document, item, spec, f) + radius * _length(n)
         base, rate = extent + dot(n, anchor), dot(n, v)
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
         for cell in range(len(item.start)):

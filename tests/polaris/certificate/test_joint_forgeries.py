@@ -18,8 +18,10 @@ from polaris.certificate.files.inputs import _check_initial_set
 from polaris.certificate.files.repeated import _check_reason
 from polaris.certificate.files.structure import number, strict_json
 from polaris.certificate.kernel.verdict import EXIT_CODES, Rejected
-from polaris.certificate.model.perception import _check_obstacle, _row_support
+from polaris.certificate.model.perception import RIGID, _check_obstacle, _row_support
 from polaris.certificate.model.references import check_goal
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.system import LinearSystem
 from tests.polaris.forging import CERTIFICATE, Forger, Lie, make
 
 SCENARIO = "scenario.toml"
@@ -147,6 +149,31 @@ def test_polytopes_are_no_smaller_than_by_rounding(center):
     smaller = [[b - 5e-10 * (center + 2.0) for b in item.start[0]]]
     with pytest.raises(Rejected):
         _check_obstacle(scene, UnsafeSet("far", False, item.normals, smaller, smaller), spec)
+
+
+EXAMPLES = {
+    "box": (BoxObstacle("far", [1.0, 2.0], [2.0, 0.5]), {"half_widths_m": [2.0, 0.5]}),
+    "ball": (BallObstacle("far", [1.0, 2.0], 2.0), {"radius_m": 2.0}),
+    "polytope": (
+        PolytopeObstacle("far", [[3, 4], [-1, 0], [0, -1]], [9, 1, 1]),
+        {"normals": [[3.0, 4.0], [-1.0, 0.0], [0.0, -1.0]], "offsets_m": [9.0, 1.0, 1.0]},
+    ),
+}
+"""An obstacle of every kind that keeps its shape, and what the scenario says of it."""
+
+
+@pytest.mark.parametrize("kind", RIGID)
+def test_an_obstacle_of_any_kind_is_inflated_by_the_radius_of_the_chaser(kind):
+    scene, (obstacle, said) = SimpleNamespace(C=[[1.0, 0.0], [0.0, 1.0]], delta=1.0), EXAMPLES[kind]
+    spec = {"name": "far", "kind": kind} | said
+    spec |= {"center_m": [1.0, 2.0]} if kind != "polytope" else {}
+    system = LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.ones(2), C=np.eye(2))
+    (inflated,) = obstacle.inflated(0.5).timed_polytopes(system, 1.0, 1)
+    ends = [inflated.offsets[:, place].tolist() for place in (0, 1)]
+    item = UnsafeSet("far", False, inflated.normals.tolist(), *ends)
+    _check_obstacle(scene, item, spec, 0.5)
+    with pytest.raises(Rejected, match="far, facet"):
+        _check_obstacle(scene, item, spec, 0.5 + 1e-6)
 
 
 @pytest.mark.parametrize("turn", [5e-10, -2e-12])
