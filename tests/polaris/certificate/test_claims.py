@@ -21,6 +21,7 @@ from polaris.runs.files.arrays import read_arrays, tube_arrays
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
+from polaris.scenario.tables.methods import ScheduleTable
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
 from tests.polaris.certificate.test_forged_runs import NO_CLAIM
@@ -307,6 +308,8 @@ def test_every_key_of_a_scenario_is_checked_or_told_as_not_checked_or_demands_no
     checked = [key for tables in CHECKED.values() for key in listed(tables)]
     every = [*checked, *(key for tables in (*UNCHECKED.values(), NO_DEMAND) for key in listed(tables))]
     assert len(set(every)) == len(every)
+    new = set(paths(SCENARIO)) - set(every)
+    assert not new, f"enter into polaris/certificate/files/demands.py: {sorted(new)}"
     assert set(every) == set(paths(SCENARIO))
     rules = (rule.removeprefix("scenario.toml: ").removesuffix(" *") for rule in NO_CLAIM)
     assert {rule.replace(".*.", ".") for rule in rules} & set(checked) == {"title", "goal.sides"}
@@ -339,6 +342,11 @@ def demanding(tmp_path_factory):
     return Forger(make(DEMANDING, folder), folder)
 
 
+def test_every_limit_on_a_schedule_has_a_tighter_one():
+    """A new one? Enter it into `DEMANDING` and `TIGHTER`."""
+    assert {key for claim in ("schedule", "upkeep") for key in listed(CHECKED[claim])} <= set(TIGHTER)
+
+
 def test_what_is_demanded_and_not_checked_is_printed(demanding):
     verdict = demanding.judge({})
     assert verdict.outcome == "VERIFIED", verdict.text()
@@ -353,9 +361,8 @@ def test_a_folder_that_does_not_keep_what_its_scenario_demands_is_refused(demand
     """The scenario says more, its hash and what other files repeat of it are right."""
     lie, (table, name) = Lie(demanding), key.split(".")
     lie.scenario[table][name] = TIGHTER[key]
-    rules, rule = lie.schedule["rules"], name.removesuffix("_m_s").removesuffix("_steps")
     if table == "schedule":
-        rules[rule] = TIGHTER[key]
+        lie.schedule["rules"][ScheduleTable.python_names()[name]] = TIGHTER[key]
     claims = {claim for claim, tables in CHECKED.items() if key in listed(tables)}
     lie.judge(claims | ({"powered_abort"} if table in ("tank", "abort") else set()))
 

@@ -160,30 +160,32 @@ def test_schema_is_json():
 UNIT = re.compile(r"_(m_s2|rad_s|m_s|deg|rad|steps|kg|N|m|s)$")
 NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
 
+IN_FILES_ONLY = {"StateObstacle", "KeepInStates", "SpeedLimit", "SpeedPolygon", "TurningKeepIn"}
+"""Classes of sets that have no public name."""
 
-@pytest.mark.parametrize(
-    "table, made",
-    [
-        (scene.BoxObstacleTable, polaris.BoxObstacle),
-        (scene.BallObstacleTable, polaris.BallObstacle),
-        (scene.PolytopeObstacleTable, polaris.PolytopeObstacle),
-        (scene.SatelliteObstacleTable, polaris.SatelliteObstacle),
-        (scene.KeepInPolytopeTable, polaris.KeepInPolytope),
-        (scene.KeepInConeTable, polaris.KeepInCone),
-        (goal_tables.EllipticalNMTGoal, polaris.EllipticalNMT),
-        (goal_tables.LinearNMTGoal, polaris.LinearNMT),
-        (goal_tables.StationaryGoal, polaris.StationaryPoint),
-        (goal_tables.BoxGoal, polaris.Box),
-        (scenario_model.ScheduleTable, polaris.SwitchingRules),
-    ],
-)
-def test_python_names_are_those_of_the_file_without_units(table, made):
+UNIONS = scene.Obstacle, scene.KeepIn, goal_tables.Goal
+SETS_AND_GOALS = [table for union in UNIONS for table in get_args(get_args(union)[0])]
+TABLES = [*SETS_AND_GOALS, scenario_model.ScheduleTable]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
+def test_classes_of_tables_have_public_names(table):
+    """A new obstacle, keep-in set or goal is a line in `polaris/__init__.pyi`, and one in `docs/api.md`."""
+    name = table.MAKES.__name__
+    assert (getattr(polaris, name, None) is table.MAKES) == (name not in IN_FILES_ONLY)
+
+
+PUBLIC = [table for table in TABLES if table.MAKES.__name__ not in IN_FILES_ONLY]
+
+
+@pytest.mark.parametrize("table", PUBLIC, ids=lambda table: table.__name__)
+def test_python_names_are_those_of_the_file_without_units(table):
     """As the reference says: one rule, and the exceptions it lists."""
     bare = {UNIT.sub("", key) for key in table.model_fields} - {"kind"}
     if issubclass(table, goal_tables.GoalTable):
         bare -= {"tolerance", "velocity_tolerance"}  # a field of `Problem`
     bare -= {"bound_programs"}  # an argument of `share_bound`
-    taken = set(inspect.signature(made).parameters)
+    taken = set(inspect.signature(table.MAKES).parameters)
     assert {NAMES.get(name, name) for name in bare} <= taken
 
 

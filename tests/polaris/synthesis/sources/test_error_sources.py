@@ -16,6 +16,7 @@ from docs.generate import source_docs
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.files.artefacts import FileClaims
+from polaris.certificate.files.demands import CHECKED, listed
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Record
@@ -482,6 +483,28 @@ def test_the_docs_say_where_every_error_enters():
     assert all(pydoc.locate(place) is not None for place in source_docs.HEAD.values() if place)
     assert {row.table.split(".")[0] for row in source_docs.ROWS} <= set(ScenarioModel.model_fields)
     assert all(f"`{source.__name__}`" in made for source in SOURCES)
+
+
+FORMS = {
+    *(
+        "navigation.state_error",
+        "navigation.phases.state_error",
+        "navigation.measurement.initial.state_error",
+    ),
+    *("navigation.measurement.matrix", "navigation.measurement.error", "thrusters.directions"),
+    *("thrusters.thrust_max_N", "thrusters.allocation", "thrusters.fall_s"),
+}
+"""Keys that declare a source of the table in another form."""
+
+
+def test_the_table_of_sources_names_every_key_of_an_error():
+    """A new key needs a row in `docs/generate/source_docs.py`, or a place in `FORMS` if a row covers it."""
+    texts = [text for row in source_docs.ROWS for text in (row.table, *row.example, *row.beside)]
+    named = set(re.findall(r"\w+", " ".join(texts)))
+    keys = [key for tables in CHECKED.values() for key in listed(tables)]
+    errors = {key for key in keys if key.split(".")[0] in ("navigation", "thrusters", "timing", "faults")}
+    missing = {key for key in errors if key.split(".")[-1] not in named}
+    assert missing == FORMS, sorted(missing ^ FORMS)
 
 
 @pytest.mark.parametrize("row", source_docs.ROWS, ids=lambda row: row.name)
