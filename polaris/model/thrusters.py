@@ -59,7 +59,7 @@ class Thrusters:
         return replace(self, bit=bit, shares=tuple(map(tuple, table.tolist())))
 
     def rounding(self, m: int) -> float:
-        """Multiple of which every input is commanded [N]: twice what `from_errors` was given."""
+        """Return the multiple of which every input is commanded [N], all of `bit` being its rounding."""
         return 2 * float(np.max(self.bit)) / (1 + self.along + self.across * float(np.sqrt(m - 1)))
 
     def raised(self, bit: float) -> "Thrusters":

@@ -53,7 +53,7 @@ class Obstacle(ABC):
         return grown
 
     def _inflated(self, radius: float) -> Self:
-        rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
+        rule = f"must be left out: {type(self).__name__} does not say how it is inflated (_inflated)"
         raise ScenarioError("chaser.radius_m", radius, rule)
 
     def blurred(self, clock: float, moved: float) -> Self:

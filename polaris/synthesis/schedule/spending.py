@@ -34,7 +34,7 @@ class Spell:
     law: Controller
     tube: TubeSegment
     k: int
-    middle: Array  # commanded along the middle of the tube [N], (q, m)
+    middle: Array  # size of what is commanded along the middle of the tube [N], (q, m)
     most: Array  # bound on what is applied on average in every period [N], (q, m)
     commands: Array | None = None  # bound on what is commanded, where the law is affine [N], (q, m)
 
