@@ -135,7 +135,7 @@ def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> lis
     """Return what a run folder says besides, and no check confirms."""
     specs = scenario["experimental"]
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
-    cheapest = f"the unaware plans that {plans} follow are fuel-optimal (start, dynamics, limits and goal are checked)"
+    cheapest = f"unaware plans of {plans} are fuel-optimal (start, dynamics, limits and goal are checked)"
     flown = "statistics of simulated runs in summary.json, which prove nothing"
     bound = "the bound on U's share over all schedules in summary.json"
     asked = "the share proven without black boxes, and attacks on them, in summary.json"

@@ -52,7 +52,7 @@ class Sight(ScenarioPart):
     """Angular error of the line of sight. Range and bearing errors need Hill's frame and `within_m`, and add
     to `position_error_m`."""
     within_m: f.PositivePerAxis | None = unit("m", default=None)
-    """Half-widths of a box about the target in which the bounds hold; smaller ones make bearing errors smaller.
+    """Half-widths of a box about the target in which the bounds hold; bearing errors grow with them.
     The chaser, size included, is kept inside while they apply, and is assumed inside before the start."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
