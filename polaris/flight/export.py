@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from ..certificate.code.answers import selftest
+from ..certificate.code.selftest import selftest
 from ..certificate.code.text import PRECISIONS, PREFIX, Tables, files
 from ..certificate.files.document import Document
 from ..model.errors import ScenarioError

@@ -4,12 +4,11 @@ One call per control period. Whatever arrives, the answer is finite and within t
 good once anything is wrong that the proof rests on.
 """
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite, nan
+from math import inf
 
-from .text import FARTHEST, KEEP, Table, Tables, literal, rounded, template
+from .text import FARTHEST, KEEP, Table, Tables, rounded
 
 STATE, COMMAND, MISSED, CLOCK, LATCHED, REPEATED, ENDED, RANGE, CLIPPED, REFUSED = (1 << i for i in range(10))
 PREDICTED = 1 << 10
@@ -269,73 +268,3 @@ def summed(start: float, row: Sequence[float], values: Sequence[float], precisio
     for a, b in zip(row, values, strict=False):
         start = rounded(start + rounded(a * b, precision), precision)
     return start
-
-
-# -- the self-test program --------------------------------------------------------------------------
-
-LEAST = "(-2147483647 - 1)"  # of 32 bits, as C99 writes it
-ODD = {"NAN": nan, "INFINITY": inf, "-INFINITY": -inf}
-NUMBERS = r", \{(.*?)\}"
-VECTOR = re.compile(
-    rf"\{{([012]), \{{(-?\d+|\(-2147483647 - 1\)), (-?\d+){NUMBERS}(?:{NUMBERS})?{NUMBERS}\}},", re.ASCII
-)
-
-
-def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
-    """Yield each call with the answer that is expected."""
-    flown: FlightStep | OnlineStep = FlightStep(tables, precision)
-    for call in given:
-        if call.start == 1:
-            flown = FlightStep(tables, precision)
-        if call.start == 2:
-            flown = OnlineStep(tables, precision)
-            flown.safe.last = call.period - 1
-        seen = (call.measured,) if tables.seen else ()
-        yield call, flown.step(call.period, call.state, call.controller, call.command, *seen)
-
-
-def selftest(tables: Tables, prefix: str, precision: str, given: Iterable[Call]) -> str:
-    """Return the text of a program that compares the answers to some calls with the expected ones."""
-    rows = []
-    for call, answer in answered(tables, precision, given):
-        state, command, kept, seen = (
-            ", ".join(_number(x, prefix, precision) for x in values)
-            for values in (call.state, call.command, answer.command, call.measured)
-        )
-        state += "}, {" * bool(seen) + seen
-        period = LEAST if call.period == -(2**31) else call.period
-        margin = _number(answer.margin, prefix, precision)
-        rows.append(
-            f"{{{int(call.start)}, {{{period}, {call.controller}, {{{state}}}, {{{command}}}}},\n"
-            f" {{{answer.mode}, {answer.fault}U, {{{kept}}}, {margin}}}}}"
-        )
-    body = "static const vector vectors[] = {\n" + ",\n".join(rows) + "};"
-    text = template("selftest.c").replace("@PREFIX@", prefix).replace("@GUARD@", prefix.upper())
-    return text.replace("@VECTORS@", body)
-
-
-def _number(x: float, prefix: str, precision: str) -> str:
-    x = rounded(x, precision)
-    if isfinite(x):
-        return literal(x, precision)
-    return f"({prefix}_real){'NAN' if x != x else 'INFINITY' if x > 0 else '-INFINITY'}"
-
-
-def calls_of(text: str, prefix: str) -> list[Call]:
-    """Read the calls of a self-test program back; `ValueError` where one cannot be read."""
-
-    def values(given: str) -> tuple[float, ...]:
-        known = (one.removeprefix(f"({prefix}_real)") for one in given.split(", "))
-        return tuple(ODD[one] if one in ODD else float.fromhex(one.rstrip("f")) for one in known)
-
-    return [
-        Call(
-            int(start),
-            -(2**31) if period == LEAST else int(period),
-            values(x),
-            int(who),
-            values(u),
-            values(y) if y else (),
-        )
-        for start, period, who, x, y, u in VECTOR.findall(text)
-    ]

@@ -13,9 +13,9 @@ from ..kernel.balls import column, identity, magnitude, matrix, maxima, plain, r
 from ..kernel.motion import Plant
 from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
-from .answers import calls_of, selftest
 from .observer import OnBoard
 from .rounding import UNIT, command_error, disturbance_taken, row_maxima
+from .selftest import calls_of, selftest
 from .text import FARTHEST, PRECISIONS, PREFIX, Table, Tables, parsed, rounded
 
 BESIDE = re.compile(

@@ -27,10 +27,9 @@ from polaris.certificate.code.answers import (
     REPEATED,
     STATE,
     FlightStep,
-    answered,
-    selftest,
 )
 from polaris.certificate.code.check import check_code, precisions
+from polaris.certificate.code.selftest import answered, selftest
 from polaris.certificate.code.text import PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import PRECISION, column, matrix

@@ -24,11 +24,10 @@ from polaris.certificate.code.answers import (
     REPEATED,
     STATE,
     OnlineStep,
-    answered,
-    selftest,
     summed,
 )
 from polaris.certificate.code.online import remembered
+from polaris.certificate.code.selftest import answered, selftest
 from polaris.certificate.code.text import KEEP, ONLINE_SHAPES, PRECISIONS, files, rounded
 from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import PRECISION, column, matrix
