@@ -121,7 +121,7 @@ def _slices(ax: Any, scene: Scene) -> list[Any]:
         ax.plot(*at.T, "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
     if not seen:
         return []
-    chaser = style.dot("o", look.colour, 2.6, "chaser then", mec=DARK_OLIVE, mew=0.6)
+    chaser = style.dot("o", look.colour, 2.6, "chaser at hand-over", mec=DARK_OLIVE, mew=0.6)
     return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend), *[chaser] * bool(printed)]
 
 

@@ -63,7 +63,7 @@ LOOKS = {  # by role of an item of a scene
     "reference": Look(GREY, "safe reference", "reference", "reference"),
     "tail": Look("#B5B5B5", "reference after T", "reference after T", "reference"),
     "slice": Look(YELLOW, "recoverable set", "recoverable sets", "slice"),
-    "tube": Look(SKY, "reachable now", "reachable tube, by mode", "tube"),
+    "tube": Look(SKY, "reachable now", "reachable tube", "tube"),
     "chief": Look(RED, "chief: keep-out sphere", "chief", "unsafe"),
     "keep": Look(GREY, "keep-in sphere", "", "keep"),
     "sun": Look(ORANGE, "towards the sun", "", "sun"),
