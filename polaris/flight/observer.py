@@ -18,6 +18,7 @@ from .rounding import DIGITS, MORE, UNIT, Exact, exact, held, plant
 FEWEST, LONGEST = 8, 4096  # periods until an error counts as forgotten, at least and at most
 LEFT = 0.01  # share of errors that is left then
 ROUNDS, STEP = 50, 1.1  # most enlargements of bounds by this factor, until they hold with what they cause
+FORGETS = "must be off: rounding is not forgotten by its estimates, with half of S's gain"
 LOWER = 5  # times that bounds which hold are lowered to what they cause
 
 
@@ -180,15 +181,17 @@ def _settled(turned: list[Array], added: Added, first: Array) -> tuple[Array, li
         left = powers(loop, count + kinds - 1)
         apart = [left @ (M - np.linalg.matrix_power(loop, j + 1)) for j, M in enumerate(turned)]
         known = _worst(left, apart, added, first, 0 * first)
-        if count >= LONGEST or np.all(np.abs(left[count:]) @ known <= LEFT * known):
+        if np.all(np.abs(left[count:]) @ known <= LEFT * known):
             break
+        if count >= LONGEST or np.abs(np.linalg.eigvals(loop)).max() >= 1:
+            raise ScenarioError("observer", True, FORGETS)
         count *= 2
     for _ in range(ROUNDS):
         if np.all((more := _worst(left, apart, added, first, known)) <= known):
             break
         known = np.maximum(known, more) * STEP
     else:
-        raise ScenarioError("observer", True, "must be off: rounding is not forgotten by its estimates")
+        raise ScenarioError("observer", True, FORGETS)
     for _ in range(LOWER):
         known = _worst(left, apart, added, first, known)
     return left, apart, known

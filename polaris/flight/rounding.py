@@ -25,9 +25,7 @@ def exact(values: Any) -> Exact:
 def stated_rounding(document: Document, tables: Tables, precision: str) -> float:
     """Bound on what rounding on board changes of any command [N], for states within the range.
 
-    What rounding makes of an observer's estimates is apart.
-
-    Every entry is followed through the step function at its largest over all cells, part by part.
+    What it makes of an observer's estimates is apart. Every entry is followed at its largest, part by part.
     """
     with localcontext() as context:
         context.prec = DIGITS
@@ -51,8 +49,7 @@ def gap_error(document: Document, tables: Tables, precision: str) -> Array:
 def _gaps(document: Document, tables: Tables, precision: str) -> Iterator[tuple[Exact, Exact]]:
     """Rounding of the error at the nodes of a step, and the size of the error, (n,) each, part by part."""
     n, m, u = len(document.A), len(document.u_max), UNIT[precision]
-    handed = u if precision == "float" else Decimal(0)
-    handed = Decimal(0) if tables.seen else handed
+    handed = u if precision == "float" and not tables.seen else Decimal(0)
     reach, path, starts = np.abs(exact(tables.range)), _path(document), exact(tables.waypoints)
     feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
     feeds[: len(tables.feed)] = exact(tables.feed)

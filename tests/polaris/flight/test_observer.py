@@ -32,7 +32,8 @@ from polaris.certificate.kernel.balls import PRECISION, column, matrix
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.model.plants import plant_of
 from polaris.flight.export import export_c, flight_tables
-from polaris.flight.observer import with_observer
+from polaris.flight.observer import observer_rounding, with_observer
+from polaris.flight.rounding import stated_rounding
 from polaris.flight.vectors import calls
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.case import replay, write_case
@@ -306,6 +307,18 @@ def test_a_bound_on_rounding_that_does_not_hold_is_refused(flown, tmp_path, prec
         header.write_text(text.replace(stated, forged))
         with pytest.raises(Rejected, match="^rounding: commands|^rounding: .* is stated, twice"):
             check_code(doc, honest, Record())
+
+
+@pytest.mark.parametrize(("gain", "own", "flow"), [(30.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1e-6, 5e-4, 0.0)])
+def test_errors_that_are_not_forgotten_are_refused_with_the_reason(flown, gain, own, flow):
+    """Errors that grow beyond floating point, or take longer to fade than the checker follows them."""
+    doc = document(flown, "late")
+    doc.A = (flow * np.array(doc.A)).tolist()
+    doc.laws[0] = replace(doc.laws[0], gain=(gain * np.array(doc.laws[0].gain)).tolist())
+    doc.observer["gain"] = (own * np.array(doc.observer["gain"] if flow else np.eye(4))).tolist()
+    tables = with_observer(flight_tables(doc), doc)
+    with pytest.raises(ScenarioError, match="rounding is not forgotten by its estimates"):
+        observer_rounding(doc, tables, "double", stated_rounding(doc, tables, "double"))
 
 
 # -- the checker ------------------------------------------------------------------------------------
