@@ -63,8 +63,8 @@ class OnBoard:
         h, parts = self.plant.h, list[arb_mat]()
         count = ceil(float((self.delay / h).mid()) * (1 - WHOLE))
         for age in range(max(count, 1)):
-            length = h if age + 1 < count else self.delay - age * h
-            pushed = exponential(self.plant.A, length)[1] * self.plant.B
+            left = self.delay - age * h  # may exceed the last period, by a share of `WHOLE`
+            pushed = exponential(self.plant.A, h if left > h else left)[1] * self.plant.B
             parts.append(self.seen * exponential(self.plant.A, age * h)[0] * pushed)
         return parts
 

@@ -396,6 +396,18 @@ def test_code_that_agrees_with_itself_alone_is_refused(flown, tmp_path, change, 
         check_code(doc, tmp_path, Record())
 
 
+@pytest.mark.parametrize(("off", "count"), [(8e-10, 2), (-8e-10, 2), (0.0, 2), (8e-9, 3)])
+def test_a_delay_that_counts_as_whole_periods_has_the_same_tables_in_the_checker(flown, off, count):
+    """Period or delay is a decimal that was cut off, such as of a third of a second."""
+    doc = document(flown, "late")
+    doc.timing["delay"] = 2 * doc.delta / doc.q * (1 + off)
+    tables = with_observer(flight_tables(doc), doc)
+    later = OnBoard(doc, plant_of(doc), tables, "double").later
+    assert len(tables.later) == len(later) == count
+    for given, exact in zip(map(matrix, tables.later), later, strict=True):
+        assert all(abs(x) < 1e-14 for x in (given - exact).entries())
+
+
 def test_verify_confirms_the_code_with_the_run(flown):
     verdict = verify(flown / "late" / "run", flown / "late" / "float")
     assert verdict.outcome == "VERIFIED" and "rounding" in dict(verdict.checked), verdict.text()
