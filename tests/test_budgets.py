@@ -17,7 +17,7 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9230, 8400),
-    ("polaris/certificate",): (12104, 4600),
+    ("polaris/certificate",): (12108, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9384, 5000),
     ("polaris/model", "polaris/simulation"): (9530, 5200),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (9997, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8367, 6400),
     ("polaris/planning",): (2527, 2200),
-    ("polaris", "reach"): (72407, 48000),
+    ("polaris", "reach"): (72411, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
