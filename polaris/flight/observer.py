@@ -167,7 +167,7 @@ def _commands(rounded: _Rounded, gain: Array, first: Array, differing: float) ->
 
 
 Added = list[tuple[Array, Array]]
-"""What an update adds to errors, by its kind: ways in which it enters, and bounds on sizes."""
+"""Errors that an update adds, by its kind: ways in which they enter, and bounds on their sizes."""
 
 
 def _settled(turned: list[Array], added: Added, first: Array) -> tuple[Array, list[Array], Array]:

@@ -56,8 +56,8 @@ class ControllerModel:
     law: Law
     craft: Craft  # the loop under its gain; unused of laws without one
     document: Document
-    told: ObstacleBoxes | None = None
-    """Of the bodies that a network reads."""
+    obstacles: ObstacleBoxes | None = None
+    """Of the obstacles that a network reads."""
 
     @classmethod
     def for_law(cls, law: Law, craft: Craft, document: Document) -> "ControllerModel":
@@ -73,8 +73,8 @@ class ControllerModel:
     @cached_property
     def policy(self) -> Policy:
         """Return the policy of a network."""
-        assert self.told is not None
-        return Policy(self.law, self.plant, self.told)
+        assert self.obstacles is not None
+        return Policy(self.law, self.plant, self.obstacles)
 
     @cached_property
     def feedback_rows(self) -> Directions:

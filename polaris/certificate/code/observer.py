@@ -174,7 +174,7 @@ def _lost(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat
 
 
 Added = list[tuple[arb_mat, arb_mat]]
-"""What an update adds to errors, by its kind: ways in which it enters, and bounds on sizes."""
+"""Errors that an update adds, by its kind: ways in which they enter, and bounds on their sizes."""
 
 
 def _settled(

@@ -99,7 +99,7 @@ class Policy:
 
     law: Law
     plant: Plant
-    told: ObstacleBoxes
+    obstacles: ObstacleBoxes
 
     @cached_property
     def reads(self) -> arb_mat:
@@ -107,7 +107,7 @@ class Policy:
         n, m = self.plant.A.nrows(), self.plant.B.ncols()
         blocks = {"error": -identity(n), "state": identity(n)}
         blocks |= {"time": arb_mat(1, n), "reference_input": arb_mat(m, n)}
-        blocks |= {name: self.told.less(name, identity(n)) for name in self.law.reads if ":" in name}
+        blocks |= {name: self.obstacles.less(name, identity(n)) for name in self.law.reads if ":" in name}
         return diagonal(self.law.input_scale) * above(*(blocks[name] for name in self.law.reads))
 
     @cached_property
@@ -138,10 +138,10 @@ class Policy:
         time = self.plant.h * self.plant.q * k
         parts = {"error": arb_mat(n, 1), "state": base.nodes[i], "time": column([time])}
         parts["reference_input"] = base.u
-        spread = {name: arb_mat(part.nrows(), self.told.width) for name, part in parts.items()}
+        spread = {name: arb_mat(part.nrows(), self.obstacles.width) for name, part in parts.items()}
         for name in (name for name in self.law.reads if ":" in name):
-            middle, spread[name] = self.told.at_node(name, k * self.plant.q + i)
-            parts[name] = middle + self.told.less(name, base.nodes[i])
+            middle, spread[name] = self.obstacles.at_node(name, k * self.plant.q + i)
+            parts[name] = middle + self.obstacles.less(name, base.nodes[i])
         scale = diagonal(self.law.input_scale)
         read, rest = (scale * above(*(table[name] for name in self.law.reads)) for table in (parts, spread))
         return read, rest

@@ -122,3 +122,10 @@ class FlightLibrary:
 def sources(folder):
     """Return the names of the C files of a folder."""
     return sorted(path.name for path in folder.glob("*.c"))
+
+
+def copied(source, target):
+    target.mkdir()
+    for path in source.glob("*.[ch]"):
+        (target / path.name).write_bytes(path.read_bytes())
+    return target

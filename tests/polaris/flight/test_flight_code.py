@@ -43,7 +43,14 @@ from polaris.model.errors import ScenarioError
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.read_schedule import read_schedule
 from polaris.runs.run import run
-from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
+from tests.polaris.flight.evidence import (
+    assert_every_branch_is_taken,
+    assert_no_required_rule_is_broken,
+    assert_self_test_passes,
+    assert_simple,
+    source_of,
+)
+from tests.polaris.flight.library import FlightLibrary, built, copied, read_code, sources, tool
 from tests.polaris.forging import COARSE, make
 from tests.polaris.random_scenarios import random_scenario
 
@@ -74,22 +81,17 @@ def document(flown):
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler, precision):
-    folder = flown / precision
     for level in ("-O0", "-O2"):
-        program = built(folder, compiler, sources(folder), tmp_path / f"test{level}", level)
-        done = subprocess.run([program], capture_output=True, text=True)
-        assert done.returncode == 0 and re.fullmatch(r"\d{3,} vectors, all as expected\n", done.stdout)
+        assert_self_test_passes(flown / precision, compiler, tmp_path / f"test{level}", level)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("machine", ["arm-linux-gnueabihf", "aarch64-linux-gnu"])
 def test_other_machines_give_the_same_bits(flown, tmp_path, machine, precision):
     """32 and 64 bits of ARM, emulated; the self-test compares to the last bit, in single precision too."""
-    folder, emulator = flown / precision, tool(f"qemu-{machine.split('-')[0]}")
-    flags = "-O2", "-static"
-    program = built(folder, f"{machine}-gcc", sources(folder), tmp_path / "test", *flags)
-    done = subprocess.run([emulator, program], capture_output=True, text=True)
-    assert done.returncode == 0 and re.fullmatch(r"\d{3,} vectors, all as expected\n", done.stdout)
+    emulator, flags = [tool(f"qemu-{machine.split('-')[0]}")], ("-O2", "-static")
+    out = tmp_path / "test"
+    assert_self_test_passes(flown / precision, f"{machine}-gcc", out, *flags, emulator=emulator)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -108,46 +110,19 @@ def test_the_c_code_answers_as_python_to_the_last_bit(flown, tmp_path, precision
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_self_test_takes_every_branch(flown, tmp_path, precision):
-    prefix, *_ = read_code(flown / precision)
-    folder = copied(flown / precision, tmp_path / "code")
-    program, gcov = built(folder, "gcc", sources(folder), folder / "test", "--coverage", "-O0"), tool("gcov")
-    subprocess.run([program], cwd=folder, check=True, capture_output=True)
-    done = subprocess.run(
-        [gcov, "-b", f"test-{prefix}.gcda"], cwd=folder, check=True, capture_output=True, text=True
-    )
-    ours = done.stdout.split("File ")[1]
-    assert f"{prefix}.c'" in ours and re.search(r"Taken at least once:100\.00% of \d\d", ours), ours
-
-
-ADVISORY = {"misra-c2012-2.5", "misra-c2012-8.9"}
-"""Rules with a reason in docs/flight-code.md."""
+    assert_every_branch_is_taken(copied(flown / precision, tmp_path / "code"))
 
 
 def test_no_required_rule_of_misra_is_broken(flown):
-    (source,) = [path for path in (flown / "float").glob("*.c") if "selftest" not in path.name]
-    asked = [
-        "--addon=misra",
-        "--std=c99",
-        "-DFLT_EVAL_METHOD=0",
-        "--enable=style,warning,portability",
-        "--template={id}",
-    ]
-    done = subprocess.run([tool("cppcheck"), "-q", *asked, source], capture_output=True, text=True)
-    assert done.returncode == 0 and set(done.stderr.split()) == ADVISORY, done.stderr
+    assert_no_required_rule_is_broken(flown / "float")
 
 
 def test_functions_are_simple_and_the_stack_is_small(flown, tmp_path):
-    """Paths through each function (McCabe), and bytes of all stacks together with one call inside another."""
-    prefix, tables, _ = read_code(flown / "double")
-    source = flown / "double" / f"{prefix}.c"
-    built(flown / "double", "gcc", [source.name], tmp_path / "code.o", "-O1", "-fstack-usage", "-c")
-    used = [line.split("\t") for line in (tmp_path / "code.su").read_text().splitlines()]
-    assert all(kind == "static" for *_, kind in used) and sum(int(size) for _, size, _ in used) <= 400
-    text, (n, m) = source.read_text(), (len(tables.gain[0]), len(tables.limit))
-    assert f"at most {n * n + 2 * n * m} products" in text and "while" not in text and "goto" not in text
-    done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
-    counts = [int(line.split()[0]) for line in done.stdout.splitlines()]
-    assert len(counts) == 8 and max(counts) <= 15
+    _, tables, _ = read_code(flown / "double")
+    n, m = len(tables.gain[0]), len(tables.limit)
+    functions, _ = assert_simple(flown / "double", tmp_path / "code.o", 400)
+    text = source_of(flown / "double").read_text()
+    assert functions == 8 and f"at most {n * n + 2 * n * m} products" in text
 
 
 def test_a_call_that_differs_in_the_last_bit_is_found(flown):
@@ -302,13 +277,6 @@ def test_a_bound_on_rounding_that_does_not_hold_is_refused(flown, document, tmp_
 
 
 # -- the checker ------------------------------------------------------------------------------------
-
-
-def copied(source, target):
-    target.mkdir()
-    for path in source.glob("*.[ch]"):
-        (target / path.name).write_bytes(path.read_bytes())
-    return target
 
 
 def forgeries(folder):

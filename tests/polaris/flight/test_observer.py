@@ -2,7 +2,6 @@
 
 import math
 import re
-import subprocess
 from dataclasses import replace
 
 import flint
@@ -44,8 +43,14 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.on_board import FlightCode, code_of
 from polaris.simulation.simulate import simulate
 from tests.polaris.certificate.test_honest_sources import SOURCES
-from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
-from tests.polaris.flight.test_flight_code import ADVISORY, copied
+from tests.polaris.flight.evidence import (
+    assert_every_branch_is_taken,
+    assert_no_required_rule_is_broken,
+    assert_no_run_time_error,
+    assert_self_test_passes,
+    assert_simple,
+)
+from tests.polaris.flight.library import FlightLibrary, copied, read_code
 from tests.polaris.forging import COARSE, make
 from tests.polaris.tiny import TINY
 from tests.sizes import fewer
@@ -94,10 +99,7 @@ def document(flown, name):
 @pytest.mark.parametrize(("name", "precision"), EACH)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler, name, precision):
-    folder = flown / name / precision
-    program = built(folder, compiler, sources(folder), tmp_path / "test", "-O2")
-    done = subprocess.run([program], capture_output=True, text=True)
-    assert done.returncode == 0 and re.fullmatch(r"\d{3,} vectors, all as expected\n", done.stdout)
+    assert_self_test_passes(flown / name / precision, compiler, tmp_path / "test", "-O2")
 
 
 @pytest.mark.parametrize(("name", "precision"), EACH)
@@ -116,63 +118,18 @@ def test_the_c_code_answers_as_python_to_the_last_bit(flown, tmp_path, name, pre
 
 
 def test_the_self_test_takes_every_branch(flown, tmp_path):
-    prefix, *_ = read_code(flown / "missed" / "double")
-    folder, gcov = copied(flown / "missed" / "double", tmp_path / "code"), tool("gcov")
-    program = built(folder, "gcc", sources(folder), folder / "test", "--coverage", "-O0")
-    subprocess.run([program], cwd=folder, check=True, capture_output=True)
-    asked = [gcov, "-b", f"test-{prefix}.gcda"]
-    done = subprocess.run(asked, cwd=folder, check=True, capture_output=True, text=True)
-    ours = done.stdout.split("File ")[1]
-    assert f"{prefix}.c'" in ours and re.search(r"Taken at least once:100\.00% of \d\d", ours), ours
+    assert_every_branch_is_taken(copied(flown / "missed" / "double", tmp_path / "code"))
 
 
 def test_no_required_rule_of_misra_is_broken_and_functions_are_simple(flown, tmp_path):
-    folder = flown / "late" / "float"
-    prefix, *_ = read_code(folder)
-    built(folder, "gcc", [f"{prefix}.c"], tmp_path / "code.o", "-O1", "-fstack-usage", "-c")
-    used = [line.split("\t") for line in (tmp_path / "code.su").read_text().splitlines()]
-    assert all(kind == "static" for *_, kind in used) and sum(int(size) for _, size, _ in used) <= 500
-    source = folder / f"{prefix}.c"
-    text = source.read_text()
-    assert "while" not in text and "goto" not in text
-    lines = re.sub(r"static const \w+ \w+\[.*?\};", "", text, flags=re.DOTALL).count("\n")
-    assert lines + source.with_suffix(".h").read_text().count("\n") <= 330
-    done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
-    assert max(int(line.split()[0]) for line in done.stdout.splitlines()) <= 15
-    asked = "--addon=misra --std=c99 -DFLT_EVAL_METHOD=0 --enable=style,warning,portability --template={id}"
-    done = subprocess.run([tool("cppcheck"), "-q", *asked.split(), source], capture_output=True, text=True)
-    assert done.returncode == 0 and set(done.stderr.split()) == ADVISORY, done.stderr
-
-
-ANYTHING = """#include "PREFIX.h"
-extern volatile PREFIX_input anything;
-extern volatile int on;
-int main(void)
-{
-    PREFIX_memory memory;
-    PREFIX_output output;
-    PREFIX_start(&memory);
-    while (on != 0) {
-        PREFIX_input input = anything;
-        PREFIX_step(&memory, &input, &output);
-    }
-    return 0;
-}
-"""
+    _, lines = assert_simple(flown / "late" / "float", tmp_path / "code.o", 500)
+    assert lines <= 330
+    assert_no_required_rule_is_broken(flown / "late" / "float")
 
 
 @pytest.mark.parametrize(("name", "precision"), [("missed", "float"), ("late", "double")])
 def test_no_input_makes_a_run_time_error(flown, tmp_path, name, precision):
-    """For any sequence of inputs, finite or not: frama-c's EVA finds no undefined behaviour."""
-    folder = flown / name / precision
-    prefix, *_ = read_code(folder)
-    (tmp_path / "main.c").write_text(ANYTHING.replace("PREFIX", prefix))
-    asked = "-eva -eva-precision 0 -eva-auto-loop-unroll 20 -warn-special-float none"
-    include = f"-cpp-extra-args=-I{folder} -DFLT_EVAL_METHOD=0"
-    given = [*asked.split(), include, tmp_path / "main.c", folder / f"{prefix}.c"]
-    done = subprocess.run([tool("frama-c"), *given], capture_output=True, text=True)
-    summary = done.stdout[done.stdout.index("ANALYSIS SUMMARY") :]
-    assert "0 alarms generated" in summary and "No errors or warnings" in summary, summary
+    assert_no_run_time_error(flown / name / precision, tmp_path, "memory")
 
 
 # -- answers ----------------------------------------------------------------------------------------

@@ -3,8 +3,6 @@
 import json
 import math
 import os
-import re
-import subprocess
 from dataclasses import replace
 
 import flint
@@ -51,13 +49,19 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.on_board import FlightCode
 from polaris.simulation.simulate import simulate
 from tests.polaris.certificate.test_honest_sources import SOURCES
-from tests.polaris.flight.library import FlightLibrary, built, read_code, sources, tool
+from tests.polaris.flight.evidence import (
+    ADVISORY,
+    assert_every_branch_is_taken,
+    assert_no_required_rule_is_broken,
+    assert_no_run_time_error,
+    assert_self_test_passes,
+    assert_simple,
+)
+from tests.polaris.flight.library import FlightLibrary, copied, read_code
 from tests.polaris.forging import QUARTER, make
 from tests.polaris.random_scenarios import random_scenario
 
 FLIGHTS = 95_000 if os.environ.get("POLARIS_CAMPAIGN") else 300
-ADVISORY = {"misra-c2012-2.5", "misra-c2012-8.7", "misra-c2012-8.9"}
-"""Rules with a reason in docs/flight-code.md."""
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +82,7 @@ def monitor(flown):
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler, precision):
-    folder = flown / precision
-    program = built(folder, compiler, sources(folder), tmp_path / "test", "-O2")
-    done = subprocess.run([program], capture_output=True, text=True)
-    assert done.returncode == 0 and re.fullmatch(r"\d{3,} vectors, all as expected\n", done.stdout)
+    assert_self_test_passes(flown / precision, compiler, tmp_path / "test", "-O2")
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -102,63 +103,18 @@ def test_the_c_code_decides_as_python_to_the_last_bit(flown, tmp_path, precision
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_self_test_takes_every_branch(flown, tmp_path, precision):
-    prefix, *_ = read_code(flown / precision)
-    for path in (flown / precision).glob("*.[ch]"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    program = built(tmp_path, "gcc", sources(tmp_path), tmp_path / "test", "--coverage", "-O0")
-    subprocess.run([program], cwd=tmp_path, check=True, capture_output=True)
-    asked = [tool("gcov"), "-b", f"test-{prefix}.gcda"]
-    done = subprocess.run(asked, cwd=tmp_path, check=True, capture_output=True, text=True)
-    ours = done.stdout.split("File ")[1]
-    assert f"{prefix}.c'" in ours and re.search(r"Taken at least once:100\.00% of \d\d\d", ours), ours
+    assert assert_every_branch_is_taken(copied(flown / precision, tmp_path / "code")) >= 100
 
 
 def test_no_required_rule_of_misra_is_broken_and_functions_are_simple(flown, tmp_path):
-    prefix, *_ = read_code(flown / "double")
-    built(flown / "double", "gcc", [f"{prefix}.c"], tmp_path / "code.o", "-O1", "-fstack-usage", "-c")
-    used = [line.split("\t") for line in (tmp_path / "code.su").read_text().splitlines()]
-    assert all(kind == "static" for *_, kind in used) and sum(int(size) for _, size, _ in used) <= 700
-    (source,) = [path for path in (flown / "float").glob("*.c") if "selftest" not in path.name]
-    done = subprocess.run([tool("pmccabe"), source], capture_output=True, text=True, check=True)
-    assert max(int(line.split()[0]) for line in done.stdout.splitlines()) <= 15
-    lines = re.sub(r"static const \w+ \w+\[.*?\};", "", source.read_text(), flags=re.DOTALL).count("\n")
-    assert lines + source.with_suffix(".h").read_text().count("\n") <= 400
-    asked = "--addon=misra --std=c99 -DFLT_EVAL_METHOD=0 --enable=style,warning,portability --template={id}"
-    done = subprocess.run([tool("cppcheck"), "-q", *asked.split(), source], capture_output=True, text=True)
-    assert done.returncode == 0 and set(done.stderr.split()) == ADVISORY, done.stderr
-
-
-ANYTHING = """#include "PREFIX.h"
-extern volatile PREFIX_input anything;
-extern volatile int on;
-int main(void)
-{
-    PREFIX_memory memory;
-    PREFIX_online online;
-    PREFIX_output output;
-    PREFIX_start(&memory);
-    PREFIX_online_start(&online);
-    while (on != 0) {
-        PREFIX_input input = anything;
-        PREFIX_step(&memory, &input, &output);
-        PREFIX_online_step(&online, &input, &output);
-    }
-    return 0;
-}
-"""
+    _, lines = assert_simple(flown / "double", tmp_path / "code.o", 700)
+    assert lines <= 400
+    assert_no_required_rule_is_broken(flown / "float", ADVISORY | {"misra-c2012-8.7"})
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_no_input_makes_a_run_time_error(flown, tmp_path, precision):
-    """For any sequence of inputs, finite or not: frama-c's EVA finds no undefined behaviour."""
-    folder, (prefix, *_) = flown / precision, read_code(flown / precision)
-    (tmp_path / "main.c").write_text(ANYTHING.replace("PREFIX", prefix))
-    asked = "-eva -eva-precision 0 -eva-auto-loop-unroll 20 -warn-special-float none"
-    include = f"-cpp-extra-args=-I{folder} -DFLT_EVAL_METHOD=0"
-    given = [*asked.split(), include, tmp_path / "main.c", folder / f"{prefix}.c"]
-    done = subprocess.run([tool("frama-c"), *given], capture_output=True, text=True)
-    summary = done.stdout[done.stdout.index("ANALYSIS SUMMARY") :]
-    assert "0 alarms generated" in summary and "No errors or warnings" in summary, summary
+    summary = assert_no_run_time_error(flown / precision, tmp_path, "memory", "online")
     assert summary.count("100% coverage") == 2
 
 
