@@ -25,7 +25,7 @@ from .file_keys import CERTIFICATE, REPEATED
 from .structure import Lengths, conform, contents, strict_json
 
 FORMAT = "polaris-certificate"
-VERSION = 5
+VERSION = 6
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step

@@ -257,10 +257,10 @@ def test_a_certificate_that_lists_too_few_files_is_refused(copied):
         read_schedule(copied)
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4, None])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5, None])
 def test_another_version_is_refused_in_a_clear_sentence(version, copied):
     forge(copied, lambda data: data.update(schema_version=version))
-    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 5: run the sc"):
+    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 6: run the sc"):
         read_schedule(copied)
 
 
