@@ -85,11 +85,15 @@ class Cell:
     delta_v: float
     deviation: float
     switches: float = np.nan
-    worth: float = np.nan
+    objective: float = np.nan
 
     def __str__(self) -> str:
         hit = f"**{self.violations} hit**, " if self.violations else ""
-        extra = f"; {self.switches:.1f} switches, worth {self.worth:.4f}" if np.isfinite(self.worth) else ""
+        extra = (
+            f"; {self.switches:.1f} switches, worth {self.objective:.4f}"
+            if np.isfinite(self.objective)
+            else ""
+        )
         return f"{hit}{100 * self.share:.1f} %, {self.delta_v:.4g}, {self.deviation:.4g}{extra}"
 
 
@@ -138,8 +142,8 @@ def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] =
                 cell = Cell(int(m.collided.sum()), share, delta_v, float(one.deviation.mean()))
                 if key == "monitor":
                     switches = float(m.switches.mean())
-                    worth = schedule.worth({0: 1 - share, 1: share}, delta_v, switches)
-                    cell = replace(cell, switches=switches, worth=worth)
+                    objective = schedule.objective({0: 1 - share, 1: share}, delta_v, switches)
+                    cell = replace(cell, switches=switches, objective=objective)
                 out[full][value][name] = cell
                 print(f"  {full} = {label(full, value)} on {name}: {cell}", flush=True)
     return out
@@ -150,9 +154,9 @@ def chosen(values: Mapping[Values, Mapping[str, Cell]]) -> Values:
     scenes = next(iter(values.values()))
     hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
     left = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
-    worth = {value: sum(cell.worth for cell in cells.values()) for value, cells in left.items()}
-    if np.isfinite(max(worth.values())):
-        return max(left, key=worth.__getitem__)
+    objective = {value: sum(cell.objective for cell in cells.values()) for value, cells in left.items()}
+    if np.isfinite(max(objective.values())):
+        return max(left, key=objective.__getitem__)
     best = {name: min(cells[name].deviation for cells in left.values()) for name in scenes}
     cost = {
         value: float(np.mean([cell.deviation / best[name] for name, cell in cells.items()]))
@@ -168,7 +172,7 @@ def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None
     best = chosen({value: {name: cells[name]} for value, cells in values.items()})
     ours, theirs = values[default][name], values[best][name]
     nearer = theirs.deviation < BETTER * ours.deviation
-    better = theirs.worth > ours.worth + DEARER if np.isfinite(ours.worth) else nearer
+    better = theirs.objective > ours.objective + DEARER if np.isfinite(ours.objective) else nearer
     better = better or theirs.violations < ours.violations or theirs.share > ours.share + MORE
     return best if better else None
 
@@ -183,7 +187,11 @@ def sweep_table(swept: Sweep) -> str:
         for value, cells in values.items():
             for name, cell in cells.items():
                 numbers = (f"{cell.share:.3f}", f"{cell.delta_v:.4g}", f"{cell.deviation:.4g}")
-                extra = (f"{cell.switches:.1f}", f"{cell.worth:.4f}") if np.isfinite(cell.worth) else ("", "")
+                extra = (
+                    (f"{cell.switches:.1f}", f"{cell.objective:.4f}")
+                    if np.isfinite(cell.objective)
+                    else ("", "")
+                )
                 mark = "yes" if value == default else "no"
                 rows.writerow((full, label(full, value), mark, name, cell.violations, *numbers, *extra))
     return out.getvalue()

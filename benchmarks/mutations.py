@@ -45,8 +45,8 @@ synthesis/sources/observer.py
 + measures @ self.away
 ! synthesis/tracker/test_loop.py::test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured
 model/estimates/prediction.py
-- (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0)
-+ 0.0 * np.array(timing.pulsed or 0.0)
+- (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
++ 0.0 * np.array(timing.intersample_offset or 0.0)
 ! synthesis/schedule/test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
 model/estimates/prediction.py
 - 2 * timing.jitter / h
@@ -58,8 +58,8 @@ synthesis/tracker/tightening.py
 ! synthesis/tracker/test_loop.py::test_the_remainder_bounds_every_state_that_is_left_at_any_later_node
 # What S recovers from, and where it takes over
 synthesis/safety/continuation.py
-- need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
-+ need += 0 * falls.sum()
+- tightening[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
++ tightening += 0 * falls.sum()
 ! synthesis/tracker/test_margins.py::test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for
 synthesis/safety/continuation.py
 - np.repeat([0, 1, 0], [len(lag)
@@ -78,8 +78,8 @@ synthesis/schedule/spending.py
 + spent.sum(axis=-1)[1].sum()
 ! synthesis/schedule/test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/safety/carried_rows.py
-- self.tracking.settled_need(self.rows) + self._upset[-1]
-+ self.tracking.settled_need(self.rows)
+- self.tracking.settled_tightening(self.rows) + self._upset[-1]
++ self.tracking.settled_tightening(self.rows)
 ! synthesis/schedule/test_powered_abort.py::test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit
 # The checker
 certificate/model/craft/tightening.py
@@ -99,7 +99,7 @@ certificate/claims/continuation.py
 + pass
 ! certificate/test_recovery.py::test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed
 certificate/claims/drift.py
-- column(bow) + column(self.displaced) + bent
+- column(bow) + column(self.state_offset) + bent
 + column(bow) + bent
 ! certificate/test_certificate_math.py::test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft
 certificate/claims/argument.py
@@ -107,7 +107,7 @@ certificate/claims/argument.py
 + []
 ! certificate/test_recovery.py::test_s_takes_over_at_any_node_where_a_fault_is_isolated_late
 certificate/claims/continuation.py
-- parts.append((magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+- parts.append((magnitude(tightenings.rows) * column(self.document.at_nodes)).entries())
 + pass
 ! certificate/test_recovery.py::test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
 certificate/kernel/periods.py
@@ -115,8 +115,8 @@ certificate/kernel/periods.py
 + for push in (*self.constant, *self.pushes)[:1]:
 ! certificate/test_certificate_math.py::test_a_period_counts_every_push_at_its_end_and_on_the_way
 certificate/claims/flights.py
-- [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
-+ list(room)
+- [there - taken for there, taken in zip(node, tightenings, strict=True)] for node in clearance
++ list(node) for node in clearance
 ! certificate/test_certificate_math.py::test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated
 certificate/claims/mean_spending.py
 - box = motion.uneven(*steady, InputSet.in_box(plant.B, list(error[:m])))

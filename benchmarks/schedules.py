@@ -90,9 +90,11 @@ def gains(name: str) -> list[str]:
     lines = []
     for factor in (0.3, 1.0, 3.0, 10.0):
         trial = synthesize(scenario.set("tracking.R", (factor * weights).tolist()))
-        worth = trial.share() - rules.delta_v_price * trial.delta_v[0] / unit
-        worth -= rules.switch_price * trial.switches
-        numbers = f"{trial.share():6.1%} {trial.switches:3d} {trial.delta_v[0]:7.3f} m/s, worth {worth:.4f}"
+        objective = trial.share() - rules.delta_v_price * trial.delta_v[0] / unit
+        objective -= rules.switch_price * trial.switches
+        numbers = (
+            f"{trial.share():6.1%} {trial.switches:3d} {trial.delta_v[0]:7.3f} m/s, worth {objective:.4f}"
+        )
         lines.append(f"{name:11s} R x {factor:4g}  {numbers}")
     return lines
 

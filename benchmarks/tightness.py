@@ -161,9 +161,11 @@ def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
         k, at = divmod(place.period, claims.q)
         nominal = schedule.safety.reference.fine(claims.q)[k, at : at + 2]
         off = (place.undisturbed - nominal) @ place.row
-        needs = (one._needs(place.row[None])[0][k, at : at + 2, 0] - off for one in (kept, claims))
+        tightenings = (
+            one._tightenings(place.row[None])[0][k, at : at + 2, 0] - off for one in (kept, claims)
+        )
         flown = worst(attacker, place, True), worst(attacker, place)
-        yield *flown, *(float(np.max(need / place.booked)) for need in needs)
+        yield *flown, *(float(np.max(tightening / place.booked)) for tightening in tightenings)
 
 
 def spent(schedule: Schedule, seed: int = 0) -> float:

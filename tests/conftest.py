@@ -34,7 +34,7 @@ FIRST = (
     *("error_sources", "docs", "random_scenarios", "black_box", "planning", "closed_loops"),
     *("navigation", "always", "synthesis", "figures", "forged_runs", "tradeoff"),
     *("campaign", "certificate", "model_error", "corruptions", "powered_abort", "transients"),
-    *("arrival", "falsify", "share_bound", "cli", "in_view", "hybrid"),
+    *("arrival", "falsify", "share_bound", "cli", "replan", "hybrid"),
     *("methods", "streams"),
 )
 """Files that take longest: workers begin with them, so that none is left with one when others are done."""

@@ -94,7 +94,7 @@ def craft(tmp_path_factory):
     system, made, rng = problem.system, problem.allocation, np.random.default_rng(0)
     table = {name: np.asarray(getattr(system, name)).tolist() for name in ("A", "B")}
     table["input_max"] = system.u_max.tolist()
-    table["timing"] = {"measured": [0.2] * 3 + [0.004] * 3}
+    table["timing"] = {"measured_error": [0.2] * 3 + [0.004] * 3}
     table["observer"] = {x: getattr(system.observer, x).tolist() for x in ("measures", "noise", "gain")}
     table["allocation"] = {x: getattr(made, x).tolist() for x in ("directions", "limits", "mixes")}
     gain = np.hstack([1e-4 * np.eye(3), 1e-2 * np.eye(3)]) * rng.uniform(0.5, 1, (3, 6))

@@ -17,16 +17,16 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9230, 8400),
-    ("polaris/certificate",): (12108, 4600),
+    ("polaris/certificate",): (12183, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
-    ("polaris/synthesis",): (9384, 5000),
-    ("polaris/model", "polaris/simulation"): (9530, 5200),
-    ("polaris/rta",): (5017, 4300),
+    ("polaris/synthesis",): (9423, 5000),
+    ("polaris/model", "polaris/simulation"): (9540, 5200),
+    ("polaris/rta",): (5027, 4300),
     ("polaris/inspection",): (5440, 4500),
-    ("polaris/scenario", "polaris/runs"): (9997, 7500),
-    ("polaris/report", "polaris/cli", "polaris/traces"): (8367, 6400),
-    ("polaris/planning",): (2527, 2200),
-    ("polaris", "reach"): (72411, 48000),
+    ("polaris/scenario", "polaris/runs"): (10024, 7500),
+    ("polaris/report", "polaris/cli", "polaris/traces"): (8375, 6400),
+    ("polaris/planning",): (2531, 2200),
+    ("polaris", "reach"): (72592, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

@@ -168,7 +168,7 @@ class Shell:
             assert_shown(shown, real, where, block.check != "words")
 
 
-def needs(path):
+def tightenings(path):
     """Skip a page about an optional package that is not there."""
     if path.name == "training.md":
         pytest.importorskip("gymnasium")
@@ -209,7 +209,7 @@ def kept_schedules(monkeypatch):
     ],
 )
 def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
-    needs(path)
+    tightenings(path)
     monkeypatch.chdir(shell.folder)
     monkeypatch.setenv("MPLBACKEND", "agg")
     import matplotlib.pyplot as plt
@@ -247,7 +247,7 @@ def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
 def test_slow_commands_do_what_they_show(path, shell, kept_schedules):
-    needs(path)
+    tightenings(path)
     for block in blocks(path):
         if block.check.startswith("file "):  # slow tests may be the only ones that are run
             shell.write(block)

@@ -148,7 +148,7 @@ class Scene:
         middle, half = (self.upper + self.lower)[per_node] / 2, (self.upper - self.lower)[per_node] / 2
         safe = self.modes[per_node[:-1]] == 0
         residual = residuals(system, flight, mass) / system.w_max
-        noisy = np.array(system.timing.measured or system.navigation)
+        noisy = np.array(system.timing.measured_error or system.navigation)
         seen = np.abs(flight.seen - flight.shown)[:, noisy > 0] / noisy[noisy > 0]
         h = float(flight.times[1])
         return Found(

@@ -63,8 +63,8 @@ class FlightSoftware:
         self.step = float(table[1, 0] - table[0, 0])
         self.laws = {}
         for mode, law in enumerate(gains["controllers"]):
-            states = np.array(law.get("own_states", table[:, 1:7]))
-            inputs = np.array(law.get("own_inputs", table[:, 7:10]))
+            states = np.array(law.get("reference_states", table[:, 1:7]))
+            inputs = np.array(law.get("reference_inputs", table[:, 7:10]))
             self.laws[mode] = np.array(law["gain"]), states, inputs
         self.issued: list[np.ndarray] = []  # one per period; the last `late` are not in effect yet
         thrusters = scenario.get("thrusters", {})
@@ -170,7 +170,7 @@ class CraftSoftware(FlightSoftware):
         self.nozzles = self.directions * self.tops[:, None]
         self.measures, self.gain = np.array(observer["measures"]), np.array(observer["gain"])
         self.settled, self.noise = (
-            np.array(each) for each in (self.system["timing"]["measured"], observer["noise"])
+            np.array(each) for each in (self.system["timing"]["measured_error"], observer["noise"])
         )
         self.faults = [fault["kind"] for fault in self.scenario.get("faults", [])]
         self.case, self.left = 0, np.zeros(len(self.tops))

@@ -105,8 +105,8 @@ ROWS = (
     ),
     Row(
         "Errors that never vary",
-        "thrusters.varies",
-        ('thrusters.varies="never"',),
+        "thrusters.errors_vary",
+        ('thrusters.errors_vary="never"',),
         ("thrusters.magnitude_error=0.05",),
     ),
     Row("Impulse bit, the rest dropped", "thrusters.impulse_bit_N_s", (BIT,)),
@@ -231,8 +231,8 @@ class Declared:
             kind: kind,
             **{name: pickle.dumps(size) for name, part, size in drawn if part.start != part.stop},
             "constants": pickle.dumps([each for each in constants if each is not None and np.any(each)]),
-            "impulses": system.timing.carried,
-            "pulses": system.timing.fired,
+            "impulses": system.timing.carried_impulse,
+            "pulses": system.timing.pulse_thrust,
             "faults": pickle.dumps(system.transients) if system.transients else b"",
         }
 

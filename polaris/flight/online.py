@@ -1,4 +1,4 @@
-"""Tables of the online monitor: recoverable sets as rows that all decisions share, and room per step."""
+"""Tables of the online monitor: recoverable sets as rows that all decisions share, and clearance per step."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from .rounding import UNIT, gap_error
 SHRINKS = 12  # halvings of the errors for which U may fly, until limits beyond the memory are met
 SAME = 1e-15  # largest difference of rows that count as one
 MORE = 1.1  # of what is needed far ahead, where no decision looks: the checker may need more than synthesis
-NEAR = 1e-9  # of rooms, by which they are stored too low: rounding of the synthesis
+NEAR = 1e-9  # of clearances, by which they are stored too low: rounding of the synthesis
 
 
 def with_monitor(tables: Tables, document: Document, schedule: Schedule, precision: str) -> Tables:
@@ -32,7 +32,13 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
         If the scene has what the monitor on board does not model, or its initial set is not recoverable.
     """
     grid = DecisionGrid.from_schedule(schedule)
-    late = document.fired, document.late, document.carried, document.transients, np.any(document.displaced)
+    late = (
+        document.pulse_thrust,
+        document.late,
+        document.carried_impulse,
+        document.transients,
+        np.any(document.state_offset),
+    )
     if document.observer or (document.error_by_step and document.timing.get("delay")) or any(late):
         rule = "must be off with an observer, late phases, pulses, carried impulses, jitter and late faults"
         raise ScenarioError("monitor", True, rule)
@@ -67,7 +73,7 @@ def _size(prospect: Permission, apart: Array) -> float:
     return float(max(np.linalg.norm(each) for each in ends)) + prospect.radius
 
 
-def _needs(prospect: Permission, apart: Array) -> Array:
+def _tightenings(prospect: Permission, apart: Array) -> Array:
     """Return what is booked of every row so many nodes after the decision, shape (lags, r)."""
     recovery, n = prospect.recovery, prospect.grid.system.n
     size, facets = _size(prospect, apart), len(recovery.bow)
@@ -84,10 +90,10 @@ def _lags(prospect: Permission, apart: Array) -> int:
     recovery, grid, n = prospect.recovery, prospect.grid, prospect.grid.system.n
     end = np.abs(prospect.end.M) @ apart + np.abs(prospect.end.offset).max(axis=0)
     carried = prospect.demand.tall[:, :n].reshape(recovery.lags, -1, n)
-    need = np.abs(carried) @ end + _needs(prospect, apart)[1:]
+    tightening = np.abs(carried) @ end + _tightenings(prospect, apart)[1:]
     least = np.minimum.accumulate(recovery.limits[::-1], axis=0)[::-1]
     since = np.arange(recovery.lags) // grid.clearance.q * grid.clearance.q  # all of a step at once
-    met = (need * MORE <= least[since]).all(axis=1)
+    met = (tightening * MORE <= least[since]).all(axis=1)
     beyond = min(recovery.far(node) for node in range(1, grid.last + 1))
     last = int(np.flatnonzero(~met).max(initial=0)) + 1
     return 0 if last >= recovery.lags or _size(prospect, apart) > beyond else last + 1
@@ -118,7 +124,7 @@ def _laid_out(
         loop=(held - force @ gain).tolist(),
         apart=apart.tolist(),
     ).rounded(precision)
-    none, largest = (_needs(prospect, share * apart + off)[:lags] for share in (0, 1))
+    none, largest = (_tightenings(prospect, share * apart + off)[:lags] for share in (0, 1))
     lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, lags, u)
     booked, full = np.full((2, lags, len(rows)), -FREE)
     for lag in range(lags):
@@ -127,8 +133,10 @@ def _laid_out(
     sized = np.maximum(full - booked, 0.0)
     booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
     cells = (grid.last + lags - 2) // q + 1
-    room = _rooms(grid, kind, sign, cells, u, document.horizon == "infinite")
-    return replace(made, booked=booked.tolist(), sized=sized.tolist(), room=room.tolist()).rounded(precision)
+    clearance = _clearances(grid, kind, sign, cells, u, document.horizon == "infinite")
+    return replace(made, booked=booked.tolist(), sized=sized.tolist(), clearance=clearance.tolist()).rounded(
+        precision
+    )
 
 
 def _kinds(rows: Array, facets: int) -> tuple[Array, NDArray[np.intp], Array]:
@@ -148,7 +156,7 @@ def _kinds(rows: Array, facets: int) -> tuple[Array, NDArray[np.intp], Array]:
 def _rounding(
     tables: Tables, exact: tuple[Array, Array, Array, Array], inputs: Array, off: Array, count: int, u: float
 ) -> Array:
-    """Bound on what rounding changes of a value along a row, and of its sum with a need, (count, r)."""
+    """Bound on what rounding changes of a value along a row, and of its sum with a tightening, (count, r)."""
     (held, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
     apart, fed = np.array(tables.apart), np.abs(inputs).max(axis=0)
     given = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))
@@ -173,14 +181,14 @@ def _rounding(
     return np.asarray(1.05 * (np.array(lost) + np.array(sizes) @ wrong[3].T + sums * value) + 8 * u * value)
 
 
-def _rooms(
+def _clearances(
     grid: DecisionGrid, kind: NDArray[np.intp], sign: Array, cells: int, u: float, repeats: bool
 ) -> Array:
-    """Room along every row and against it: at the start of cells, and more by the period, (cells, r, 4)."""
-    (begin, end), q = grid.clearance.limits.room, grid.clearance.q
+    """Clearance along and against each row at the start of cells, its change by period, (cells, r, 4)."""
+    (begin, end), q = grid.clearance.limits.available, grid.clearance.q
     planned, known = grid.clearance.planned, grid.clearance.cells
-    room = np.full((cells, kind.max() + 1, 4), 0.0)
-    room[..., ::2] = FREE
+    clearance = np.full((cells, kind.max() + 1, 4), 0.0)
+    clearance[..., ::2] = FREE
     for cell in range(cells):
         if cell >= known and not (repeats and known > planned):
             break
@@ -196,5 +204,5 @@ def _rooms(
                 slope = (along[-1] - along[0]) / max(places[-1] - places[0], 1)
                 large = np.abs(along).max() + np.abs(slope) * q
                 first = (along - slope * places).min() - (NEAR + 8 * u) * large
-                room[cell, j, side : side + 2] = first, slope
-    return room
+                clearance[cell, j, side : side + 2] = first, slope
+    return clearance

@@ -85,7 +85,7 @@ class Craft(LinearSystem):
     @property
     def measured(self) -> Array:
         """Bounds on the errors of measured states, those of the estimate where no others are known, (n,)."""
-        return np.array(self.timing.measured or self.navigation)
+        return np.array(self.timing.measured_error or self.navigation)
 
     @property
     def proportional(self) -> bool:
@@ -100,21 +100,21 @@ class Craft(LinearSystem):
     @property
     def state_offset(self) -> Array:
         """State offset: bounds on the distance of the true state from the modelled one (`Timing`), (n,)."""
-        return np.array(self.timing.displaced or np.zeros(self.n))
+        return np.array(self.timing.state_offset or np.zeros(self.n))
 
     @property
     def state_offset_at_nodes(self) -> Array:
         """State offset at nodes, where pulses displace nothing, shape (n,)."""
-        return np.asarray(self.state_offset - np.array(self.timing.pulsed or 0.0))
+        return np.asarray(self.state_offset - np.array(self.timing.intersample_offset or 0.0))
 
     @cached_property
     def impulse_rates(self) -> Array:
         """Rates of the states by carried impulses, their errors, and jitter, as generators (n, ...)."""
-        if not self.timing.carried:
+        if not self.timing.carried_impulse:
             return self.shifting
         held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
         wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
-        carried = self.timing.carried * self.A @ np.hstack([held, *wrong])
+        carried = self.timing.carried_impulse * self.A @ np.hstack([held, *wrong])
         return np.hstack([carried, self.shifting])
 
     @property
@@ -123,8 +123,8 @@ class Craft(LinearSystem):
         timing, moved = self.timing, self.timing.jitter + self.timing.edge
         if not moved > 0:
             return np.zeros(self.m)
-        held = self.u_max + (2 * timing.carried / timing.period if timing.carried else 0.0)
-        top = 2 * np.array(timing.fired) if timing.fired else held
+        held = self.u_max + (2 * timing.carried_impulse / timing.period if timing.carried_impulse else 0.0)
+        top = 2 * np.array(timing.pulse_thrust) if timing.pulse_thrust else held
         return np.asarray(moved * (top + self.on_time.error(top)) * (1 + 1e-9))
 
     @property
@@ -142,11 +142,11 @@ class Craft(LinearSystem):
     @cached_property
     def carried_away(self) -> Array:
         """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
-        if not self.timing.carried:
+        if not self.timing.carried_impulse:
             return np.zeros(self.n)
         held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
         away = held.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
-        return np.asarray(away * self.timing.carried * (1 + 1e-9))
+        return np.asarray(away * self.timing.carried_impulse * (1 + 1e-9))
 
     @property
     def without_delay(self) -> Craft:
@@ -234,7 +234,7 @@ class Craft(LinearSystem):
     def carried_impulse(self) -> float:
         """Return what may be left of impulses from before, of all inputs [N s], with its errors."""
         sides = 1 if self.nozzles is None else 2  # each way thrusters of their own
-        return self.longest * self.on_time.made(sides * self.m * self.timing.carried)
+        return self.longest * self.on_time.made(sides * self.m * self.timing.carried_impulse)
 
     @property
     def longest(self) -> float:
@@ -254,12 +254,12 @@ def lead_of(system: Craft, h: float) -> Lead | None:
     A pulse of thrust f that takes the share g of a period leads by at most ``h/2 f g (1 - g)``.
     """
     timing, errors, layout, m = system.timing, system.on_time, system.nozzles, system.m
-    if not timing.placed:
+    if not timing.pulse_place:
         return None
-    fired = np.array(timing.fired)
+    fired = np.array(timing.pulse_thrust)
     if layout is None:
         shares = np.eye(m) + errors.table(m)
-        fixed = shares.sum(axis=1) * timing.carried / h + errors.bit
+        fixed = shares.sum(axis=1) * timing.carried_impulse / h + errors.bit
     else:
         made = layout.allocation
         side = np.max(np.abs(made.directions) / made.lengths[:, None], axis=0)

@@ -63,14 +63,16 @@ class Timing:
     missed: Annotated[int, Key("missed_periods", "-", Annotated[Whole, Field(ge=0, le=1000)])] = 0
     clock: Annotated[float, Key("clock_error_s", "s", NonNegative)] = 0.0
     on_time: Thrusters = Thrusters()  # errors of thrusters without what stands for jitter and pulses
-    measured: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
-    displaced: tuple[float, ...] = ()  # how far jitter, pulses, and what is carried displace states, (n,)
-    fired: tuple[float, ...] = ()  # thrust of the pulses of every input, one a period [N]
-    placed: str = ""  # place of pulses in a period, "start" or "staggered"; empty: centred, or none
+    measured_error: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
+    state_offset: tuple[
+        float, ...
+    ] = ()  # of the true state from the modelled one: jitter, pulses, remainders, (n,)
+    pulse_thrust: tuple[float, ...] = ()  # thrust of the pulses of every input, one a period [N]
+    pulse_place: str = ""  # place of pulses in a period, "start" or "staggered"; empty: centred, or none
     lead: Lead | None = None  # of pulses that are not centred
-    pulsed: tuple[float, ...] = ()  # their part of what is displaced, nothing at nodes, (n,)
+    intersample_offset: tuple[float, ...] = ()  # part of `state_offset` within periods, zero at nodes, (n,)
     edge: float = 0.0  # time in which the thrust of a pulse comes up or goes down, at most [s]
-    carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
+    carried_impulse: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()

@@ -156,8 +156,8 @@ def _goal_program(rows: PlanRows, top: Array, elastic: float) -> GrowingLP:
     lp = GrowingLP(np.r_[np.zeros(2 * N), 1.0], np.zeros(2 * N + 1), top)
     G, g = np.vstack([goal.G, goal.E, -goal.E]), np.r_[goal.g, goal.e, -goal.e]
     a = rows.state_rows(G, rows.problem.K) / rows.length
-    need = (g - G @ rows.free[rows.problem.K]) / rows.length
-    lp.add(np.hstack([a, -a, np.full((len(a), 1), -elastic)]), -np.inf, need)
+    tightening = (g - G @ rows.free[rows.problem.K]) / rows.length
+    lp.add(np.hstack([a, -a, np.full((len(a), 1), -elastic)]), -np.inf, tightening)
     return lp
 
 

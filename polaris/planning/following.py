@@ -73,7 +73,7 @@ class FollowingSearch(PathSearch):
         return path if path is not None and path.short == 0 else None
 
     def improved(self, path: Candidate | None) -> Candidate | None:
-        """Improve the path: choose facets anew where it has most room, whatever the guide, while it pays."""
+        """Improve the path: choose anew the facets with most clearance, whatever the guide, while it pays."""
         if path is None:
             return None
         guide, self.guide = self.guide, None
@@ -82,5 +82,5 @@ class FollowingSearch(PathSearch):
         return path
 
     def pick(self, key: Key, seen: CheckedPath) -> int:
-        """The alternative with most room, on the guide if there is one."""
+        """The alternative with most clearance, on the guide if there is one."""
         return super().pick(key, seen if self.guide is None or key[0] < 0 else self.guide)

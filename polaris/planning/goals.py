@@ -82,7 +82,7 @@ class Inset(Goal):
     """A goal whose inequalities a plan must meet with room to spare; equalities stay as they are."""
 
     goal: Goal
-    room: tuple[Array, ...]  # [m], of the rows of G, then of those of each group
+    clearance: tuple[Array, ...]  # [m], of the rows of G, then of those of each group
 
     @property
     def n(self) -> int:
@@ -93,9 +93,9 @@ class Inset(Goal):
     def conditions(self) -> GoalConditions:
         """The conditions of the goal, inequalities tightened."""
         known = self.goal.conditions
-        groups = zip(known.one_of, self.room[1:], strict=True)
+        groups = zip(known.one_of, self.clearance[1:], strict=True)
         return replace(
-            known, g=known.g - self.room[0], one_of=tuple((N, c + more) for (N, c), more in groups)
+            known, g=known.g - self.clearance[0], one_of=tuple((N, c + more) for (N, c), more in groups)
         )
 
     def describe(self) -> str:
@@ -245,9 +245,11 @@ class EllipticalNMT(HillGoal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        room = self.outer_semi_minor * np.cos(np.pi / self.sides)
-        if self.inner_semi_minor >= room:
-            rule = f"must be below {exact(room)} m (the {self.sides}-sided outer polygon reaches no further)"
+        apothem = self.outer_semi_minor * np.cos(np.pi / self.sides)
+        if self.inner_semi_minor >= apothem:
+            rule = (
+                f"must be below {exact(apothem)} m (the {self.sides}-sided outer polygon reaches no further)"
+            )
             raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
 
     @cached_property

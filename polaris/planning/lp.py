@@ -54,7 +54,7 @@ class GrowingLP:
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)
-        self._room = np.asarray(high - low, dtype=float)
+        self._ranges = np.asarray(high - low, dtype=float)
         self._a, self._least, self._slack = [np.zeros((0, n))], [np.zeros(0)], [np.zeros(0)]
         self.rows = 0
         self.out_of_time = False
@@ -94,7 +94,7 @@ class GrowingLP:
         """Change the bounds of consecutive columns."""
         columns = np.arange(first, first + len(low), dtype=np.int32)
         self.highs.changeColsBounds(len(low), columns, low, high)
-        self._room[columns] = high - low
+        self._ranges[columns] = high - low
 
     def basis(self) -> Any:
         """The simplex basis as it stands, to be given back to `use`."""
@@ -170,12 +170,12 @@ class GrowingLP:
         if lead is None:
             return np.zeros(len(a))
         sign = np.where(np.r_[columns[idle], rows[tight]] == upper, -1.0, 1.0)
-        room = np.minimum(np.r_[self._room[idle], np.concatenate(self._slack)[tight]], FAR)
+        ranges = np.minimum(np.r_[self._ranges[idle], np.concatenate(self._slack)[tight]], FAR)
         gain = np.maximum(np.hstack([a[:, idle] - lead.T @ A[:, idle], lead.T]) * sign, 0.0)
         price = np.r_[np.array(point.col_dual)[idle], np.array(point.row_dual)[tight]] * sign
         rate = np.divide(np.maximum(price, 0.0), gain, out=np.zeros(gain.shape), where=gain > 0)
         order = np.argsort(rate, axis=1)
-        steps = np.take_along_axis(gain * room, order, axis=1)
+        steps = np.take_along_axis(gain * ranges, order, axis=1)
         reached = np.cumsum(steps, axis=1)
         paid = np.clip(lack[:, None] - (reached - steps), 0.0, steps)
         cost = np.sum(paid * np.take_along_axis(rate, order, axis=1), axis=1)

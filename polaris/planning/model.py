@@ -97,24 +97,24 @@ class Model:
             goal = rows.problem.goal.conditions
             floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.goal_length
             least = np.maximum(least, floor[:, None] - options.free)
-        big = options.need + options.slope * search.high - least
-        can = np.all(largest >= options.need + options.slope * search.low - 1e-9, axis=1)
+        big = options.at_least + options.slope * search.high - least
+        can = np.all(largest >= options.at_least + options.slope * search.low - 1e-9, axis=1)
         chosen, k = np.nonzero(can)[0].tolist(), options.at
-        need = options.need + (options.free if k else 0.0)
+        at_least = options.at_least + (options.free if k else 0.0)
         variables = (self.x[k - 1] if k else []) + self._inputs(k) + [self.s]
         binaries = []
         for j in chosen:
             parts = [options.g[j] @ self.back] if k else []
             parts += [options.h[j], -options.h[j]] if k < self.K else []
-            a = np.hstack([*parts, np.full((len(need[j]), 1), -options.slope)])
+            a = np.hstack([*parts, np.full((len(at_least[j]), 1), -options.slope)])
             if len(chosen) == 1:
                 self.z[key, j] = None
-                self._add(variables, a, ge, need[j])
+                self._add(variables, a, ge, at_least[j])
                 continue
             z = self.z[key, j] = self.lp.add_variable(f"z{key[0] + 1}_{key[1]}_{j}", cat="Binary")
             binaries.append(z)
             M, open_ = big[j][:, None], big[j] > 0
-            self._add([*variables, z], np.hstack([a, -M])[open_], ge, (need[j] - big[j])[open_])
+            self._add([*variables, z], np.hstack([a, -M])[open_], ge, (at_least[j] - big[j])[open_])
         if binaries:
             self.lp += self.pulp.lpSum(binaries) == 1
         return bool(chosen)

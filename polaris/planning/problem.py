@@ -25,7 +25,7 @@ SOLVERS = {
     "gurobi": "mixed-integer program by Gurobi",
 }
 """Solvers that decide the separating facets, and their names in summaries."""
-IN_VIEW = "in_view"
+REPLAN = "replan"
 """Status of a plan that follows an experimental controller: certified, but the cheapest of nothing."""
 KNOWN = "known"  # status of a plan that was found before, and is only read
 
@@ -202,7 +202,7 @@ class Plan:
         Clearance [m] beyond `margins` per unsafe set and cell.
     wanted : ndarray, shape (n_o, K)
         Extra clearance [m] asked for per unsafe set and cell: `extra_margin`, or less where the start
-        and the goal do not leave room for it.
+        and the goal do not allow it.
     delta_v : float
         Velocity change [m/s].
     status : str

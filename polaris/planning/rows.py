@@ -34,7 +34,7 @@ class Disjunction:
     """
 
     a: Array
-    need: Array
+    at_least: Array
     slope: float
     at: int
     g: Array
@@ -117,7 +117,9 @@ class PlanRows:
         if i < 0:
             return known
         slope = float(self.extra[i][k, 0]) / self.length
-        return replace(known, need=known.need + self._allowance(i, [k])[0].T / self.length, slope=slope)
+        return replace(
+            known, at_least=known.at_least + self._allowance(i, [k])[0].T / self.length, slope=slope
+        )
 
     def _allowance(self, i: int, cells: Any) -> Array:
         """Length [m] booked on the rows of some cells of unsafe set i, shape (cells, R, F).
@@ -137,13 +139,13 @@ class PlanRows:
         P, Q, share = self.control_points
         cells = self.problem.cells
         points = np.einsum("rin,kn->kri", P, path.chi[:cells]) + np.einsum("rim,km->kri", Q, path.nu[:cells])
-        rooms = []
+        clearances = []
         for i, normals in enumerate(self._normals):
             b = self._offsets[i]
             offset = b[:, 0, None] * (1 - share[:, None]) + b[:, 1, None] * share[:, None]
-            need = offset + self._required[i][:, None] + self._allowance(i, np.arange(cells))
-            rooms.append(np.min(points @ normals.T - need, axis=1))
-        return tuple(rooms)
+            at_least = offset + self._required[i][:, None] + self._allowance(i, np.arange(cells))
+            clearances.append(np.min(points @ normals.T - at_least, axis=1))
+        return tuple(clearances)
 
     def _options(self, key: Key) -> Disjunction:
         problem, (i, k) = self.problem, key

@@ -63,8 +63,8 @@ class PathSearch:
         self.lp = GrowingLP(np.zeros(len(high)), np.zeros(len(high)), high)
         goal, last = rows.problem.goal.conditions, rows.free[K]
         for g, rhs, top in ((goal.E, goal.e, 0.0), (-goal.G, -goal.g, np.inf)):
-            need = (rhs - g @ last) / unit
-            self.lp.add(self._wide(rows.state_rows(g, K) / unit, 0.0, 0.0), need, need + top)
+            at_least = (rhs - g @ last) / unit
+            self.lp.add(self._wide(rows.state_rows(g, K) / unit, 0.0, 0.0), at_least, at_least + top)
         self.base = self.lp.rows
         self.solves = 0
         self.set_prices(0.0, 0.0)
@@ -112,8 +112,8 @@ class PathSearch:
             options = [self.rows.options(key) for key, _ in parts]
             chosen = zip(options, parts, strict=True)
             rows = [self._wide(o.a[j], o.slope, float(i >= 0)) for o, ((i, _), j) in chosen]
-            need = [o.need[j] for o, (_, j) in zip(options, parts, strict=True)]
-            self.lp.add(np.vstack(rows), np.concatenate(need), np.inf)
+            at_least = [o.at_least[j] for o, (_, j) in zip(options, parts, strict=True)]
+            self.lp.add(np.vstack(rows), np.concatenate(at_least), np.inf)
 
     def _wide(self, a: Array, slope: float, elastic: float) -> Array:
         N, wide = self.rows.N, np.zeros((*a.shape[:-1], 2 * self.rows.N + 2 + self.more))
@@ -130,7 +130,7 @@ class PathSearch:
         a, lack, sizes = [], [], []
         for key in keys:
             o, elastic = self.rows.options(key), float(key[0] >= 0)
-            short = o.need - o.a @ path.z + o.slope * path.level - elastic * path.short / self.rows.length
+            short = o.at_least - o.a @ path.z + o.slope * path.level - elastic * path.short / self.rows.length
             worst = np.argmax(short, axis=1)
             each = np.arange(len(worst))
             a.append(self._wide(o.a[each, worst], o.slope, elastic))
@@ -160,9 +160,9 @@ class PathSearch:
             out |= {(i, k): -float(gap[k]) for k in short if (i, k) not in path.choice}
         goal, last = self.rows.problem.goal.conditions, seen.states[-1]
         for group, (N, c) in enumerate(goal.one_of):
-            room = float(np.max(N @ last - c))
-            if room < -GOAL_SLACK * goal.scale and (-1, group) not in path.choice:
-                out[-1, group] = -room
+            clearance = float(np.max(N @ last - c))
+            if clearance < -GOAL_SLACK * goal.scale and (-1, group) not in path.choice:
+                out[-1, group] = -clearance
         return out
 
     def confirmed(self, path: Candidate, seen: CheckedPath) -> bool:
@@ -180,7 +180,7 @@ class PathSearch:
     def dive(self, start: Mapping[Key, int], rounds: int = 12) -> Candidate | None:
         """Add cells as they are found lacking until none is; None if it does not settle.
 
-        Each gets the facet beyond which the path has most room, or least to make up for.
+        Each gets the facet beyond which the path has most clearance, or least to make up for.
         """
         choice = dict(start)
         for _ in range(rounds):
@@ -195,14 +195,14 @@ class PathSearch:
         return None
 
     def pick(self, key: Key, seen: CheckedPath) -> int:
-        """The alternative with most room."""
+        """The alternative with most clearance."""
         if key[0] < 0:
             N, c = self.rows.problem.goal.conditions.one_of[key[1]]
             return int(np.argmax(N @ seen.states[-1] - c))
         return int(np.argmax(seen.surplus[key[0]][key[1]]))
 
     def improve(self, path: Candidate, rounds: int = 6) -> Candidate:
-        """Re-choose facets where the path has most room, and solve again, while it pays."""
+        """Re-choose facets where the path has most clearance, and solve again, while it pays."""
         for _ in range(rounds):
             seen = self.look(path)
             better = self.dive({key: self.pick(key, seen) for key in path.choice}, rounds=4)
@@ -230,7 +230,7 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
         for i in bodies:
             extras[i][: problem.K] = 1.0
         # the first cell starts at a known place, which bounds the distance whatever the plan
-        reach = [max(float(np.max(surplus[i][0])), _room(search, i, 0, np.inf)) for i in bodies]
+        reach = [max(float(np.max(surplus[i][0])), _clearance(search, i, 0, np.inf)) for i in bodies]
         cap = max(min(reach, default=0.0), 0.0)
         return min(cap, want) if want > 0 else cap
     wanted = want if problem.objective == "margin_then_fuel" else 0.0
@@ -241,16 +241,16 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
             for k in cells:
                 if np.max(surplus[i][k]) >= want:
                     break
-                room = _room(search, i, k, want)
-                if room < 0:
+                clearance = _clearance(search, i, k, want)
+                if clearance < 0:
                     return None
-                extra[k] = min(extra[k, 0], room)
-                if room >= want:
+                extra[k] = min(extra[k, 0], clearance)
+                if clearance >= want:
                     break
     return 1.0 if wanted > 0 and bodies else 0.0
 
 
-def _room(search: PathSearch, i: int, k: int, want: float) -> float:
+def _clearance(search: PathSearch, i: int, k: int, want: float) -> float:
     """Largest extra clearance [m] any path to the goal can have in one cell, at most `want`."""
     best, extra = -np.inf, search.rows.extra[i]
     old, extra[k] = extra[k, 0], 1.0

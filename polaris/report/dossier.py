@@ -197,10 +197,10 @@ class Dossier:
         """Return the lines page by page; a heading stays with what follows it."""
         pages: list[list[Line]] = [[]]
         for line in self.lines():
-            room = LINES - len(pages[-1]) - 3 * line.with_next
-            if room <= 0 and len(pages) < MOST_PAGES - self.figures:
+            lines_left = LINES - len(pages[-1]) - 3 * line.with_next
+            if lines_left <= 0 and len(pages) < MOST_PAGES - self.figures:
                 pages.append([])
-            elif room <= 0:
+            elif lines_left <= 0:
                 pages[-1][-1] = Line("The rest is in summary.json, of a mission in those of its legs.", True)
                 break
             pages[-1].append(line)

@@ -25,7 +25,7 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     if "proven_share" in details:
         text = "of the time, proven for any thrust within the limits in place of the black boxes"
         rows.append(("U without samples", f"{details['proven_share']:.1%} {text}"))
-        rows.append(("Attacks on black boxes", _worst(details["worst_found"])))
+        rows.append(("Attacks on black boxes", _worst(details["worst_flight"])))
     if (left_out := summary.get("model_error")) is not None:
         bound = directed(left_out["bound_m_s2"], ".3g", up=True)
         within = "within" if left_out["covered"] else "MORE THAN"
@@ -47,7 +47,7 @@ def _planned(plan: Mapping[str, Any]) -> str:
     gap = "" if plan["gap"] is None else f", optimality gap {plan['gap']:.2g}"
     ended = {
         "optimal": "optimal plan",
-        "in_view": "planned along U's path",
+        "replan": "planned along U's path",
         "effort_limit": f"plan cut off at the planner's effort limit{gap}",
         "time_limit": f"plan cut off by planner.time_limit_s{gap}",
     }[plan["status"]]
@@ -73,8 +73,8 @@ def reach(claim: Mapping[str, Any]) -> str:
         "one_period": f"until {claim['until_s'] or 0:.6g} s (end of the schedule, then one period under S)",
         "none": "until the end of the schedule only",
     }[claim["horizon"]]
-    if "statement" in claim:
-        said = claim["statement"]
+    if "sampled_bound" in claim:
+        said = claim["sampled_bound"]
         chance = directed(said["probability"], ".2g", up=True)
         text += f" except with probability {chance} per flight, at confidence {said['confidence']:g}"
     return text

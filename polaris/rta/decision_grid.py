@@ -45,7 +45,7 @@ class DecisionGrid:
     tracking : Tracking
         S, its faults as late as decisions meet them.
     clearance : Clearance
-        Room around the reference.
+        Clearance around the reference.
     nodes, delay : int
         Nodes per decision, and per latency.
     """
@@ -201,11 +201,11 @@ class DecisionGrid:
         offsets = [_at_nodes(arcs) for arcs in fine]
         return rows, np.hstack([none, *offsets]), first.astype(np.intp)
 
-    def nearest(self, room: Array) -> Array:
+    def nearest(self, clearance: Array) -> Array:
         """Distance to the nearest unsafe set, by its farthest facet, from those to all facets (..., F)."""
         if not self.unsafe:
-            return np.full(room.shape[:-1], np.inf)
-        return np.asarray(np.maximum.reduceat(room, self.facets[2], axis=-1).min(axis=-1))
+            return np.full(clearance.shape[:-1], np.inf)
+        return np.asarray(np.maximum.reduceat(clearance, self.facets[2], axis=-1).min(axis=-1))
 
     def command(self, mode: int, node: int, x: Array) -> Array:
         """Command of a controller at a node, before clipping, shape (..., m)."""

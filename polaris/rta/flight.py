@@ -32,7 +32,7 @@ class Conditions:
     w: Array
     errors: Array
     seed: int
-    failing: FaultTimes | None = None
+    faults: FaultTimes | None = None
 
     @classmethod
     def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> "Conditions":
@@ -60,11 +60,13 @@ class Conditions:
                     x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        wrong = grid.half_widths - grid.system.state_offset_at_nodes * bool(grid.system.timing.carried)
+        wrong = grid.half_widths - grid.system.state_offset_at_nodes * bool(
+            grid.system.timing.carried_impulse
+        )
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
         rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
-        failing = in_every_second(grid.schedule, 1, rows, grid.decisions * grid.nodes, runs, rng)
-        return cls(x0, np.concatenate(parts, axis=1), errors, seed, failing)
+        faults = in_every_second(grid.schedule, 1, rows, grid.decisions * grid.nodes, runs, rng)
+        return cls(x0, np.concatenate(parts, axis=1), errors, seed, faults)
 
     @classmethod
     def undisturbed(cls, grid: DecisionGrid) -> "Conditions":
@@ -76,8 +78,8 @@ class Conditions:
     def only(self, run: int) -> "Conditions":
         """Return the conditions of one run."""
         one = slice(run, run + 1)
-        failing = None if self.failing is None else self.failing.pick(np.array([run]))
-        return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed, failing)
+        faults = None if self.faults is None else self.faults.pick(np.array([run]))
+        return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed, faults)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +117,8 @@ def fly(
     seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
     flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
     preferred = min(1, len(grid.controllers) - 1)
-    failing = conditions.failing
-    engine.failing = failing and replace(failing.pick(np.arange(R)), latched=False)
+    faults = conditions.faults
+    engine.faults = faults and replace(faults.pick(np.arange(R)), latched=False)
     method.start(R)
     engine.code = method.code
     engine.begin(R)
@@ -133,13 +135,13 @@ def fly(
         for i in range(c + 1):
             if i == delay:
                 flying, u = choice.mode, u if choice.u is None else choice.u
-                if failing is not None and method.delayed:
-                    flying = np.where(failing.relieved(k * c, k * c + delay), 0, flying)
+                if faults is not None and method.delayed:
+                    flying = np.where(faults.relieved(k * c, k * c + delay), 0, flying)
             if i == c:
                 break
             node = k * c + i
-            if failing is not None and not method.delayed and method.proven:  # to the end
-                flying = np.where(failing.by_s(node), 0, flying)
+            if faults is not None and not method.delayed and method.proven:  # to the end
+                flying = np.where(faults.by_s(node), 0, flying)
             desired = engine.desired(preferred, node, x, conditions.w[node]) if i else wanted
             x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
             states[node + 1], modes[node] = x, flying if engine.code is None else engine.code.modes
@@ -200,15 +202,15 @@ class Engine(Integrator):
         for mode in present.tolist():
             self.rows = chosen = flying == mode
             left, self.left = self.left, None if self.left is None else self.left[chosen]
-            if (failing := self.failing) is not None:
-                self.failing = replace(failing.pick(chosen), gap=failing.gap[chosen])
+            if (faults := self.faults) is not None:
+                self.faults = replace(faults.pick(chosen), gap=faults.gap[chosen])
             parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
             for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
             if left is not None:
                 left[chosen], self.left = self.left, left
-            if failing is not None and self.failing is not None:
-                failing.gap[chosen], self.failing = self.failing.gap, failing
+            if faults is not None and self.faults is not None:
+                faults.gap[chosen], self.faults = self.faults.gap, faults
         self.rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
@@ -224,7 +226,7 @@ class Engine(Integrator):
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
         self.start(node)
         after = x @ Ad.T + applied @ Bd.T + pushed + self.bow(0)
-        if self.failing is not None:
+        if self.faults is not None:
             eta = 0.0 if self.eta is None else self.eta[0]
-            self.failing.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)
+            self.faults.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)
         return after, np.clip(u, -limit, limit), demand, spent

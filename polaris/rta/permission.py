@@ -104,9 +104,9 @@ class Permission:
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
         known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
         self.commands = n * (1 + len(stages))
-        self.room = np.zeros(0)  # of the commands
+        self.clearance = np.zeros(0)  # of the commands
         if leg.law is not None:
-            matrix, offset, self.room = _commands(grid, leg, leg.law, stages[grid.delay :])
+            matrix, offset, self.clearance = _commands(grid, leg, leg.law, stages[grid.delay :])
             blocks.append(matrix)
             known.append(offset)
         self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
@@ -117,7 +117,7 @@ class Permission:
         self._near_rows = np.ascontiguousarray(self.demand.tall[:near].T)
         self._far_rows = np.ascontiguousarray(self.demand.tall[near:].T)
         self._norms = [(i, i + n) for i in range(n, self.commands, n)]
-        self._rooms = self.room.tolist()
+        self._clearances = self.clearance.tolist()
         self._beyond = recovery.far_shares.tolist()
 
     def _lay_out_inner(self, inner: list[PredictedError]) -> None:
@@ -136,15 +136,17 @@ class Permission:
         self.inner_limits = limits[nodes].reshape(len(starts), -1)
 
     def inner_share(self, k: int, e: Array, size: Array, moved: Array | float = 0.0) -> Array:
-        """Share of the room that facets before the end need, by size a bound on every ``norm(W e)``; (...).
+        """Share of the clearance used by facets before the end, `size` bounding every ``norm(W e)``; (...).
 
         What `moved` (..., facets) is added to their rows by what the legs leave out.
         """
-        need = e @ self.inner_rows + moved + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
-        return np.asarray((need * self.inner_limits[k]).max(axis=-1, initial=0.0))
+        tightening = (
+            e @ self.inner_rows + moved + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
+        )
+        return np.asarray((tightening * self.inner_limits[k]).max(axis=-1, initial=0.0))
 
     def share(self, k: int, e: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Share of the room needed if U flies on from errors (R, n) as measured at decision k, shape (R,).
+        """Share of the clearance used if U flies on from measured errors (R, n) at decision k, shape (R,).
 
         Also whether the law of its leg holds, its command being not clipped.
         """
@@ -157,7 +159,7 @@ class Permission:
         share = self.recovery.share(end, moved[:, :n], size, self.demand)
         if self.inner:
             share = np.maximum(share, self.inner_share(k, e, size))
-        return share, (np.abs(moved[:, self.commands :]) <= self.room).all(axis=-1)
+        return share, (np.abs(moved[:, self.commands :]) <= self.clearance).all(axis=-1)
 
     def size(self, k: int, e: Array) -> Array:
         """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (R,)."""
@@ -180,8 +182,8 @@ class Permission:
         moved += self.known[k]
         values = moved.tolist()
         size = max([hypot(*values[i:j]) for i, j in self._norms]) + self.radius
-        for value, room in zip(values[self.commands :], self._rooms, strict=True):
-            if not abs(value) <= room:
+        for value, clearance in zip(values[self.commands :], self._clearances, strict=True):
+            if not abs(value) <= clearance:
                 return inf, 0, False
         vector = np.array([*values[:n], size, 1.0])
         share, where = self._worst(vector, self._near_rows, end * r)
@@ -194,14 +196,14 @@ class Permission:
             where = near + row if later > share else where
         share = max(share, later)
         if self.inner:
-            need = np.dot(e, self.inner_rows)
-            need += self.inner_size * size
-            need += self.inner_known[k]
-            need *= self.inner_limits[k]
-            at = int(need.argmax())
-            if need[at] > share:
+            tightening = np.dot(e, self.inner_rows)
+            tightening += self.inner_size * size
+            tightening += self.inner_known[k]
+            tightening *= self.inner_limits[k]
+            at = int(tightening.argmax())
+            if tightening[at] > share:
                 j, row = divmod(at, len(self.recovery.bow))
-                share, where = float(need[at]), row + (j + 1 - self.grid.nodes) * r  # before the end
+                share, where = float(tightening[at]), row + (j + 1 - self.grid.nodes) * r  # before the end
         return share, where, True
 
     def _worst(self, vector: Array, rows: Array, first: int) -> tuple[float, int]:
@@ -209,11 +211,11 @@ class Permission:
         if not rows.shape[1]:
             return 0.0, 0
         limits = slice(first, first + rows.shape[1])
-        need = np.dot(vector, rows)
-        need *= self.recovery.reciprocals[limits]
-        need += self.recovery.taken[limits]
-        where = int(need.argmax())
-        return float(need[where]), where
+        tightening = np.dot(vector, rows)
+        tightening *= self.recovery.reciprocals[limits]
+        tightening += self.recovery.taken[limits]
+        where = int(tightening.argmax())
+        return float(tightening[where]), where
 
     def limit(self, k: int, where: int) -> str:
         """The tightest limit that `share_one` found, and when S would meet it, in words."""
@@ -229,13 +231,13 @@ class Permission:
 def _commands(
     grid: DecisionGrid, leg: ErrorMotion, law: AffineController, stages: list[PredictedError]
 ) -> tuple[Array, Array, Array]:
-    """Commands ``matrix e + known`` at every node, within limits if at most ``room``."""
+    """Commands ``matrix e + known`` at every node, within limits if at most ``clearance``."""
     system, count = grid.system, len(stages[0].offset)
-    matrices, known, room = [], [], []
+    matrices, known, clearance = [], [], []
     steps = np.repeat(law.own.nu[: grid.clearance.planned], grid.clearance.q, axis=0)[:count]
     for j, stage in enumerate(stages[:-1]):
         cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
         matrices.append(-law.gain @ stage.M)
         known.append(steps[cells] + (leg.zeta[cells, 0] - stage.offset) @ law.gain.T)
-        room.append(system.u_max * (1 - ROUNDING) - np.abs(law.gain @ stage.G).sum(axis=1))
-    return np.vstack(matrices), np.hstack(known), np.concatenate(room)
+        clearance.append(system.u_max * (1 - ROUNDING) - np.abs(law.gain @ stage.G).sum(axis=1))
+    return np.vstack(matrices), np.hstack(known), np.concatenate(clearance)

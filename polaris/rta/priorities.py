@@ -1,6 +1,6 @@
 """Least violation where no input satisfies all conditions: by rank, in each the largest shortage first.
 
-Each rank's rows come as near to being met as the ranks before it leave room for. No row loses to one of a
+Each rank's rows come as near to being met as the ranks before it allow. No row loses to one of a
 later rank; rows that can be met together with all of their own rank and of the ranks before it are met.
 """
 
@@ -67,22 +67,22 @@ def least_violation(
         length = np.sqrt((G * G).sum(axis=1))
         G /= length[:, None]
         reach = np.abs(G).sum(axis=1)
-        need = np.minimum(bound[kept] / length / size / limit, reach * (1 - SPARE))
+        tightening = np.minimum(bound[kept] / length / size / limit, reach * (1 - SPARE))
         wanted = np.clip(desired / limit, -1e6, 1e6)
-    asks = need > -reach  # the others hold for every admissible input
-    G, need, rank = G[asks], need[asks], rank[kept][asks]
+    asks = tightening > -reach  # the others hold for every admissible input
+    G, tightening, rank = G[asks], tightening[asks], rank[kept][asks]
     # Should rounding leave a later program without a solution, once more without any.
-    settled = _settled(G, need, rank, False) or _settled(G, need, rank, True)
+    settled = _settled(G, tightening, rank, False) or _settled(G, tightening, rank, True)
     if settled is None:
         return None
     feasible, asked = settled
     return np.asarray(_nearest(G, asked, wanted, feasible) * limit)
 
 
-def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
+def _settled(G: Array, tightening: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
     """An input, and what can be asked of each row: its need less its shortage, and less the tolerance."""
-    asked, feasible = need.copy(), np.zeros(G.shape[1])
-    done = np.zeros(len(need), dtype=bool)
+    asked, feasible = tightening.copy(), np.zeros(G.shape[1])
+    done = np.zeros(len(tightening), dtype=bool)
     for level in np.unique(rank):
         left = rank == level
         while left.any():
@@ -93,7 +93,7 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
             feasible, chosen, given = answer.u, left, MET
             if answer.short > MET:
                 given = answer.short + SPARE
-                pull = np.zeros(len(need))
+                pull = np.zeros(len(tightening))
                 pull[rows] = answer.multiplier
                 chosen = left & (pull >= min(SURE, float(pull[left].max())))
             asked[chosen] -= given
@@ -101,24 +101,24 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
     return feasible, asked
 
 
-def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
+def _largest_shortage(G: Array, tightening: Array, free: Flags, exact: bool) -> _Least | None:
     """Least s with ``G u >= need - s`` on free rows, 0 on others; multipliers prove how near solvers are."""
     if not exact:
         for solver in (_by_active_set, _by_vertices):
-            answer = solver(G, need, free)
+            answer = solver(G, tightening, free)
             if answer is None or not np.isfinite(answer[0]).all():
                 continue
-            least = _least(G, need, free, *answer)
-            missed = (need - G @ least.u)[~free].max(initial=0.0)
-            if missed <= EXACT and least.short - _proved(G, need, least.multiplier) <= GAP:
+            least = _least(G, tightening, free, *answer)
+            missed = (tightening - G @ least.u)[~free].max(initial=0.0)
+            if missed <= EXACT and least.short - _proved(G, tightening, least.multiplier) <= GAP:
                 return least
-    vertex = lowest(G, need, free)
-    return None if vertex is None else _least(G, need, free, *vertex)
+    vertex = lowest(G, tightening, free)
+    return None if vertex is None else _least(G, tightening, free, *vertex)
 
 
-def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
+def _by_active_set(G: Array, tightening: Array, free: Flags) -> tuple[Array, Array] | None:
     M, v = G.shape
-    lower = np.concatenate([np.full(v, -1.0), [0.0], need])
+    lower = np.concatenate([np.full(v, -1.0), [0.0], tightening])
     upper = np.concatenate([np.full(v, 1.0), np.full(1 + M, 1e30)])
     cost = np.zeros(v + 1)
     cost[-1] = 1.0
@@ -128,21 +128,21 @@ def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | 
     return (x, -info["lam"][v + 1 :]) if flag > 0 else None
 
 
-def _by_vertices(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
-    return lowest(G, need, free, exact=False)
+def _by_vertices(G: Array, tightening: Array, free: Flags) -> tuple[Array, Array] | None:
+    return lowest(G, tightening, free, exact=False)
 
 
-def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:
+def _least(G: Array, tightening: Array, free: Flags, x: Array, multiplier: Array) -> _Least:
     u = np.clip(x[:-1], -1.0, 1.0)
     multiplier = np.maximum(multiplier, 0.0)
     total = float(multiplier[free].sum())
-    multiplier = multiplier / total if total > 0.5 else np.zeros(len(need))  # 1 where s > 0
-    return _Least(u, float((need - G @ u)[free].max(initial=0.0)), multiplier)
+    multiplier = multiplier / total if total > 0.5 else np.zeros(len(tightening))  # 1 where s > 0
+    return _Least(u, float((tightening - G @ u)[free].max(initial=0.0)), multiplier)
 
 
-def _proved(G: Array, need: Array, multiplier: Array) -> float:
+def _proved(G: Array, tightening: Array, multiplier: Array) -> float:
     """Return a lower bound on the largest shortage of all inputs: weak duality, whatever the multipliers."""
-    return max(float(multiplier @ need - np.abs(multiplier @ G).sum()), 0.0)
+    return max(float(multiplier @ tightening - np.abs(multiplier @ G).sum()), 0.0)
 
 
 def _nearest(G: Array, asked: Array, desired: Array, feasible: Array) -> Array:

@@ -25,7 +25,7 @@ from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.feedforward import taken_over
 from .decision_grid import DecisionGrid
 
-NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
+NEVER = 1e200  # reciprocal of a limit that leaves no clearance; times any error it is still a number
 NEAR = 1500  # limits per set that are always worked out; those further ahead are first bounded all at once
 
 
@@ -34,8 +34,8 @@ class SetDemand:
     """Demand of error sets of one shape on every limit.
 
     `tall` (L r, n + 2) is ``[row phi^l, per unit of size, constant]``, applied to ``[e, size, 1]``, size a
-    bound on ``norm(W e)`` over the set. Its first `near` rows are always worked out; the share of the room
-    that the others need is at most ``base + slope size``.
+    bound on ``norm(W e)`` over the set. Its first `near` rows are always worked out; the share of the
+    clearance that the others need is at most ``base + slope size``.
     """
 
     tall: Array
@@ -131,7 +131,7 @@ class Recovery:
         applied = spread + system.thrusters.error(system.u_max)
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
         wrong = system.impulse_rates[
-            :, system.m * bool(system.timing.carried) :
+            :, system.m * bool(system.timing.carried_impulse) :
         ]  # not constant over a period
         bend = bend + np.abs(rate @ system.unknown).sum(axis=1)
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
@@ -149,8 +149,8 @@ class Recovery:
 
     @cached_property
     def limits(self) -> Array:
-        """Least room of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
-        begin, end = self.grid.clearance.limits.room
+        """Least clearance of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
+        begin, end = self.grid.clearance.limits.available
         out = np.full((len(begin) + 1 + self.lags, len(self.rows)), np.inf)
         out[: len(begin)] = begin
         out[1 : len(end) + 1] = np.minimum(out[1 : len(end) + 1], end)
@@ -158,9 +158,9 @@ class Recovery:
 
     @cached_property
     def _jump(self) -> Array:
-        """Tightening of `limits` by the jump into the tail; it counts as a need of the whole room."""
+        """Tightening of `limits` by the jump into the tail; it counts against the whole clearance."""
         out = np.zeros_like(self.limits)
-        out[self.grid.last :] = self.grid.clearance.jump_need(self.rows)
+        out[self.grid.last :] = self.grid.clearance.jump_tightening(self.rows)
         return out
 
     @cached_property
@@ -172,7 +172,7 @@ class Recovery:
 
     @cached_property
     def taken(self) -> Array:
-        """Share of the room that the jump needs, flat as `reciprocals`."""
+        """Share of the clearance that the jump needs, flat as `reciprocals`."""
         return np.asarray(self._jump.reshape(-1) * self.reciprocals)
 
     def window(self, node: int) -> Array:
@@ -195,27 +195,29 @@ class Recovery:
         return SetDemand(np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]])), first * r, *least)
 
     def share(self, node: int, e: Array, size: Array, demand: SetDemand) -> Array:
-        """Share of the available room that sets of errors need at the tightest place; above 1: too much.
+        """Share of the available clearance that sets of errors need at the tightest place; above 1: too much.
 
         About centres e (..., n), with bounds (...) on ``norm(W e)``. Where the bound on the far lags is all
         that matters, the result is that bound: never too small.
         """
         first, vector = node * len(self.rows), extended(e, size)
-        need = self._needs(vector, first, demand, slice(demand.near))
+        tightening = self._tightenings(vector, first, demand, slice(demand.near))
         beyond = self.far_shares[node, :, 0] + np.multiply.outer(size, self.far_shares[node, :, 1])
-        share = np.maximum(need.max(axis=-1), beyond.max(axis=-1))
+        share = np.maximum(tightening.max(axis=-1), beyond.max(axis=-1))
         later = demand.base + demand.slope * size
         if (later > 1).any():
-            later = self._needs(vector, first, demand, slice(demand.near, None)).max(axis=-1, initial=0.0)
+            later = self._tightenings(vector, first, demand, slice(demand.near, None)).max(
+                axis=-1, initial=0.0
+            )
         return np.asarray(np.maximum(share, later))
 
-    def _needs(self, vector: Array, first: int, demand: SetDemand, part: slice) -> Array:
-        """Shares of the room needed at some of a demand's rows; `first`: where its limits begin."""
+    def _tightenings(self, vector: Array, first: int, demand: SetDemand, part: slice) -> Array:
+        """Shares of the clearance needed at some of a demand's rows; `first`: where its limits begin."""
         limits = slice(first, first + len(demand.tall))
-        need = vector @ demand.tall[part].T
-        need *= self.reciprocals[limits][part]
-        need += self.taken[limits][part]
-        return need
+        tightening = vector @ demand.tall[part].T
+        tightening *= self.reciprocals[limits][part]
+        tightening += self.taken[limits][part]
+        return tightening
 
     def far(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
@@ -224,26 +226,26 @@ class Recovery:
 
     @cached_property
     def _far(self) -> tuple[Array, Array, Array]:
-        """`far` at all nodes; shares of the room needed without any error, and per unit of ``norm(W e)``.
+        """`far` at all nodes; shares of the clearance used without any error, and per unit of ``norm(W e)``.
 
         What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
-        ends = self.grid.clearance.limits.room
-        need = np.zeros_like(ends) + self.sets.beside_errors[-1] * (1 + ROUNDING)
+        ends = self.grid.clearance.limits.available
+        tightening = np.zeros_like(ends) + self.sets.beside_errors[-1] * (1 + ROUNDING)
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
-        need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
-        need[1, : self.grid.last, :o] += path
+        tightening[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
+        tightening[1, : self.grid.last, :o] += path
         weight = tracking.per_size(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
-        allowed = np.min((ends - need) / np.maximum(weight, 1e-300), axis=2)
+        allowed = np.min((ends - tightening) / np.maximum(weight, 1e-300), axis=2)
         jump = np.stack([self._jump[: ends.shape[1]], self._jump[1 : ends.shape[1] + 1]])
         possible, whole = allowed > 0, np.maximum(ends + jump, 1 / NEVER)
-        base = np.where(possible, np.max((need + jump) / whole, axis=2), NEVER)
+        base = np.where(possible, np.max((tightening + jump) / whole, axis=2), NEVER)
         steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
         last = self.grid.last if tail else ends.shape[1]
         at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
@@ -254,7 +256,7 @@ class Recovery:
 
     @cached_property
     def far_shares(self) -> Array:
-        """Share of the room beyond the memory: at most the larger of two ``a + b norm(W e)``, (nodes, 2, 2).
+        """Share of the clearance after settling, at most the larger of ``a + b norm(W e)``, (nodes, 2, 2).
 
         The largest of the limits' shares is convex in the norm, and at most 1 at the largest allowed. Below
         that the chord lies above it, beyond that the line of the steepest share.

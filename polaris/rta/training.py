@@ -117,7 +117,7 @@ class TrainingFlights:
         -------
         dict of str to ndarray, shape (R,)
             ``reward``; ``collided`` (at a node, with an unsafe set as perceived); ``ended`` (the plan);
-            ``intervened`` (S flew); ``margin`` of the monitor, if there is one (least share of room left);
+            ``intervened`` (S flew); ``margin`` of the monitor, if there is one (least share left);
             ``distance_m`` (least at the nodes, by the farthest facet of a set); ``delta_v_m_s`` (spent).
         """
         moving = np.ones(self.runs, dtype=bool) if moving is None else moving
@@ -141,20 +141,20 @@ class TrainingFlights:
         u = np.where(finite[:, None], u, 0.0)
         distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         rows, offsets, _ = grid.facets
-        self.engine.left = self._owed[chosen] if grid.system.timing.carried else None
+        self.engine.left = self._owed[chosen] if grid.system.timing.carried_impulse else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
             spent += thrust * self.engine.dt
-            room = x @ rows.T - offsets[node + 1]
-            distance = np.minimum(distance, grid.nearest(room))
+            clearance = x @ rows.T - offsets[node + 1]
+            distance = np.minimum(distance, grid.nearest(clearance))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
         if self.engine.left is not None:
             self._owed[chosen] = self.engine.left
         off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
         near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
-        worth = near - self.effort * spent / (grid.period * grid.system.u_max.sum())
+        value = near - self.effort * spent / (grid.period * grid.system.u_max.sum())
         return columns | {
-            "reward": worth / grid.decisions - (distance < 0),
+            "reward": value / grid.decisions - (distance < 0),
             "collided": np.asarray(distance < 0),
             "ended": np.full(len(chosen), k + 1 == grid.decisions),
             "intervened": np.asarray(mode == 0),

@@ -21,7 +21,9 @@ BLAND = 300  # after so many the steps follow Bland's rule, which cannot cycle
 LEAST = 1e-12  # what counts as zero of the multipliers of a vertex found in floating point
 
 
-def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -> tuple[Array, Array] | None:
+def lowest(
+    G: Array, tightening: Array, free: NDArray[np.bool_], exact: bool = True
+) -> tuple[Array, Array] | None:
     """Solve ``min s`` subject to ``G u + s free >= need``, ``s >= 0``, ``|u_i| <= 1``.
 
     Rows of G (M, v) have length 1, at least one is free. Returned are ``(u, s)`` and what a unit more of each
@@ -32,9 +34,9 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
     A = np.zeros((M + 1 + 2 * v, v + 1))
     A[:M, :v], A[:M, v], A[M, v] = G, free, 1.0
     A[M + 1 :, :v] = np.concatenate([np.eye(v), -np.eye(v)])
-    b = np.concatenate([need, [0.0], np.full(2 * v, -1.0)])
+    b = np.concatenate([tightening, [0.0], np.full(2 * v, -1.0)])
     # The optimum of one row alone has multipliers >= 0: the corner of the box that serves it best.
-    alone = int(np.where(free, need - np.abs(G).sum(axis=1), -np.inf).argmax())
+    alone = int(np.where(free, tightening - np.abs(G).sum(axis=1), -np.inf).argmax())
     first = [*(M + 1 + np.where(G[alone] >= 0, v, 0) + np.arange(v)).tolist(), alone]
     near = _near(A, b, M)
     multipliers = np.zeros(len(b))

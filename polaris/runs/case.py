@@ -33,7 +33,7 @@ from .read_schedule import read_schedule, schedule_folder
 from .schedule import digest
 
 FORMAT = "polaris case"
-VERSION = 3
+VERSION = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def write_case(
         "x0": attack.x0[0],
         "w": _packed(attack.w[:, 0]),
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
-        "failing": None if attack.failing is None else attack.failing.table(),
+        "failing": None if attack.faults is None else attack.faults.table(),
         "abort": found.abort,
     }
     target = Path(path)
@@ -139,13 +139,13 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
             FaultTimes.from_table(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
         asks = None if code is None else code.asks
-        claims = Claims(schedule, bool(data["tail"]), attack.failing is not None, asks)
+        claims = Claims(schedule, bool(data["tail"]), attack.faults is not None, asks)
         flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         flight.code = code and code.require_schedule(schedule)
         runs, known = attack.fly(flight), Failure(**data["violation"])
-        failure = violation(claims, attained(claims, runs, attack.failing))
+        failure = violation(claims, attained(claims, runs, attack.faults))
         if failure is None and known.kind == "velocity change":
             failure, _ = overspent(runs)
         elif failure is None and known.kind == "drift" and whole.passive is not None:

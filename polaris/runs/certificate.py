@@ -43,7 +43,11 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "modes": schedule.modes,
         "slopes": [step.tube.slopes for step in schedule.steps],  # None where nothing clips
         **_weights(schedule),
-        **({} if (profile := safety.tracking.feedback_bound) is None else {"profile": profile}),
+        **(
+            {}
+            if (feedback_bound := safety.tracking.feedback_bound) is None
+            else {"feedback_bound": feedback_bound}
+        ),
         "recoverable": safety.recoverable.kind,
         **_drift(schedule),
         **_powered(schedule),
@@ -123,10 +127,10 @@ def _departure(part: Drift) -> dict[str, Any]:
 
 def _samples(schedule: Schedule) -> dict[str, Any]:
     """Return the statement about samples, and the fitted error sets at the nodes of black boxes' steps."""
-    if schedule.statement is None:
+    if schedule.sampled_bound is None:
         return {}
     fits = [getattr(step.tube, "fit", None) for step in schedule.steps]
-    return {"samples": {**asdict(schedule.statement), "fits": fits}}
+    return {"samples": {**asdict(schedule.sampled_bound), "fits": fits}}
 
 
 def _choices(schedule: Schedule) -> dict[str, Any]:
@@ -134,7 +138,7 @@ def _choices(schedule: Schedule) -> dict[str, Any]:
     tracking, data = schedule.safety.tracking, dict[str, Any]()
     if tracking.feedback_bound is not None:
         data["thrust_share"] = tracking.level
-    if schedule.worth is not None:
-        data["delta_v_unit"] = schedule.worth.unit
+    if schedule.objective is not None:
+        data["delta_v_unit"] = schedule.objective.unit
         data["library"] = [{"inputs": each.safety.plan.nu, "modes": each.modes} for each in schedule.library]
     return {"choices": data} if data else {}

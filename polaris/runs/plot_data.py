@@ -103,7 +103,7 @@ class PlotData:
     reference: Reference  # with its coasting tail
     planned: int  # number K of steps before the tail
     controllers: tuple[str, ...] = ("safety",)  # names, by mode
-    # mode of every step, (K,), and share of the room left, -inf where there is none; empty without a schedule
+    # mode of every step, (K,), and share of the clearance left, -inf if none is; empty without a schedule
     modes: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, dtype=int))
     margins: Array = field(default_factory=lambda: np.zeros(0))
     limits: tuple[str, ...] = ()  # what limits each step

@@ -142,9 +142,9 @@ def _proven(run: RunFolder, document: Document, boxes: Mapping[str, Ask]) -> Sch
     schedule = switching_logic(replace(search, rules=SwitchingRules(), intended=modes))
     if "delta_v_unit" in choices:
         others = _Library(search, schedule, choices.get("library", []))
-        schedule = replace(schedule, library=others, worth=rules.prices(choices["delta_v_unit"]))
-    if document.statement:
-        schedule = replace(schedule, statement=SampledBound(**document.statement))
+        schedule = replace(schedule, library=others, objective=rules.prices(choices["delta_v_unit"]))
+    if document.sampled_bound:
+        schedule = replace(schedule, sampled_bound=SampledBound(**document.sampled_bound))
     schedule = replace(schedule, branches=_branches(run, document))
     demanding = rules.delta_v_max is not None or (problem.abort is not None and problem.abort.required)
     if demanding and not schedule.keeps(rules):
@@ -233,7 +233,7 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     """Return where a document states what follows from its choices, what it states, and what follows."""
     safety, derived = schedule.safety, flown(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
-    profile, cells = safety.tracking.feedback_bound, safety.reference.cells
+    feedback_bound, cells = safety.tracking.feedback_bound, safety.reference.cells
     both = document.unsafe, unsafe
     sets, others = ([(u.name, u.keep_in, u.of_state, u.normals) for u in each] for each in both)
     offsets = [np.stack([each.start, each.end], axis=1)[:cells] for each in document.unsafe]
@@ -248,7 +248,7 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
         ("unsafe_sets", sets, others),
         ("unsafe_sets.offsets", offsets, [each.offsets[:cells] for each in unsafe]),
         ("reference", [document.states, document.inputs], [safety.reference.chi, safety.reference.nu]),
-        ("profile", document.profile, [] if profile is None else profile),
+        ("feedback_bound", document.feedback_bound, [] if feedback_bound is None else feedback_bound),
         ("modes", document.modes, schedule.modes),
         ("horizon", document.horizon, end.horizon),
         ("guarantee", document.guarantee, schedule.guarantee),

@@ -243,7 +243,7 @@ def _boxes(sampled: SampledSchedules | None) -> dict[str, Any]:
             "leave_sets": sampled.adverse,
             "repeats": sampled.repeats,
         }
-    return {"proven_share": sampled.proven.share(), "worst_found": report}
+    return {"proven_share": sampled.proven.share(), "worst_flight": report}
 
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
@@ -255,7 +255,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         "until_s": end.until if np.isfinite(end.until) else None,
         "reason": end.reason,
         "assumptions": list(schedule.assumptions),
-        **({"statement": asdict(schedule.statement)} if schedule.statement else {}),
+        **({"sampled_bound": asdict(schedule.sampled_bound)} if schedule.sampled_bound else {}),
         "goal": {
             "reached": goal.reached,
             "by_s": goal.by,
@@ -268,7 +268,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.to_dict(),
         **({} if schedule.estimate is None else {"estimate": schedule.estimate}),
         **({} if schedule.passive is None else {"abort": schedule.passive.to_dict()}),
-        **({"withheld": late} if late else {}),
+        **({"fault_attribution": late} if late else {}),
         **({} if schedule.powered is None else {"powered_abort": schedule.powered.to_dict()}),
     }
 

@@ -27,7 +27,7 @@ from .tables.filters import FAMILY_NAMES, Alpha, FlightFilter
 
 SCHEDULES_ONLY = (  # tables and keys that inspection scenarios have without a meaning
     *(("thrusters", key) for key in ("directions", "thrust_max_N", "allocation", "pulse", "remainder")),
-    *(("thrusters", key) for key in ("resolution", "rise_s", "fall_s", "varies")),
+    *(("thrusters", key) for key in ("resolution", "rise_s", "fall_s", "errors_vary")),
     *(("timing", key) for key in ("missed_periods", "clock_error_s")),
 )
 

@@ -272,7 +272,7 @@ class ScheduleScenario(Scenario):
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
         steepest = [each.steepest(system, self.obstacles()) for each in networks]
         boxes = any(isinstance(spec, BlackBoxTable) for spec in self.model.experimental)
-        one = system.m if system.timing.placed == "staggered" and system.nozzles is None else 1
+        one = system.m if system.timing.pulse_place == "staggered" and system.nozzles is None else 1
         late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes, one)
         system = replace(system, transients=late)
         return Problem(

@@ -123,8 +123,8 @@ class Predicting(Integrator):
                 off = off + observer.errors(signs, first) - box * signs
                 off = off + self.turned(at, self.seen[self.measured], box * signs, box)
             missing = (self.ages[(self.measured + self.lag) // self.substeps] > 0) & (self.measured > 0)
-            if self.failing is not None:
-                missing |= self.failing.missing(np.full(len(missing), self.measured))
+            if self.faults is not None:
+                missing |= self.faults.missing(np.full(len(missing), self.measured))
             self.heard = np.where(missing[:, None], np.nan, off + self.filtered @ observer.measures.T)
             gain = gains[np.minimum(self.since, len(gains) - 1)]
             update = np.einsum("rnm,rm->rn", gain, off)
@@ -139,9 +139,9 @@ class Predicting(Integrator):
         bound = np.maximum(self.estimate_bounds[step, 0] + self.system.state_offset_at_nodes, 1e-300)
         Ad, Bd, _ = self.discrete
         asked = step - self.lag - ages * self.substeps
-        missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
-        if self.failing is not None:
-            ages = np.where(missing, ages + (asked - self.failing.begins) // self.substeps + 1, ages)
+        missing = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.missing(asked)
+        if self.faults is not None:
+            ages = np.where(missing, ages + (asked - self.faults.begins) // self.substeps + 1, ages)
         if self.system.observer is not None:  # what it has not measured it predicts
             ages = np.zeros(len(x))
         for age in np.unique(ages).astype(int).tolist():

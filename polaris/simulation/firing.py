@@ -29,7 +29,7 @@ class Firing:
     of commands are constant in a flight those of the first step follow (`Thrusters.matrices`). Of N thrusters
     that push along the rows of `ways` (N, m), those of a layout or else one both ways along every input,
     pulses have the thrust `fired` (N,); without any, what is commanded is held. From `begin` on, the rest of
-    an impulse is `left` (R, N) [N s] if it is carried. What fails is `failing`.
+    an impulse is `left` (R, N) [N s] if it is carried. Faults are `faults`.
 
     With jitter and pulses `parts` are (forces (R, .), inputs that a unit of each makes (., m), begin and end
     as shares of the period (R, .)). Forces that are held add to the inputs, pulses are all that is made. A
@@ -42,7 +42,7 @@ class Firing:
     dt: float
     substeps: int
     thrust: Array | None = None
-    failing: FaultTimes | None = None
+    faults: FaultTimes | None = None
     left: Array | None = None
     made: Array  # inputs, what fails apart, (R, m)
     before: Array  # those of the last period
@@ -58,11 +58,13 @@ class Firing:
     def fired(self) -> Array:
         """Return the thrust of pulses, (N,); empty where what is commanded is held."""
         layout, timing = self.system.nozzles, self.system.timing
-        return np.array(timing.fired) if layout is None or not layout.pulsed else layout.allocation.limits
+        return (
+            np.array(timing.pulse_thrust) if layout is None or not layout.pulsed else layout.allocation.limits
+        )
 
     def begin(self, runs: int) -> None:
         """Leave nothing of impulses."""
-        self.left = np.zeros((runs, len(self.ways))) if self.system.timing.carried else None
+        self.left = np.zeros((runs, len(self.ways))) if self.system.timing.carried_impulse else None
         self.parts, self.before = [], np.zeros((runs, self.system.m))
 
     def applied(self, raw: Array, step: int) -> Array:
@@ -71,7 +73,9 @@ class Firing:
         layout, timing, full = self.system.nozzles, self.system.timing, self.system.u_max
         f = commanded if layout is None else thrusts_of(layout.allocation, commanded)
         if self.left is not None:
-            bit, full = (timing.carried, full) if layout is None else (layout.bit, layout.allocation.limits)
+            bit, full = (
+                (timing.carried_impulse, full) if layout is None else (layout.bit, layout.allocation.limits)
+            )
             h = self.dt * self.substeps
             due = f * h + self.left
             whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
@@ -80,7 +84,7 @@ class Firing:
             self.left = due - f * h
         self.asked, made = f, f @ self.ways
         self.made = made if self.thrust is None else made + self._wrong(self.thrust, step, commanded, made)
-        return self.made if self.failing is None else self.made + self.failing.added(made, step)
+        return self.made if self.faults is None else self.made + self.faults.added(made, step)
 
     def _wrong(self, thrust: Array, step: int, commanded: Array, made: Array) -> Array:
         """Return the errors of thrust in a step, by what is commanded and what is made of it, (R, m)."""
@@ -111,7 +115,7 @@ class Firing:
         if not len(self.fired):
             return
         on, kept = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
-        begin = begins(on, self.system.timing.placed) + late
+        begin = begins(on, self.system.timing.pulse_place) + late
         last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:kept]]
         for *_, over in last:  # what is not over yet
             begin = np.maximum(begin, over)

@@ -116,17 +116,17 @@ class Integrator(Firing):
         if self.code is None:
             return u
         seen = self.estimate(step, x[:, : self.system.n])
-        relieved = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.by_s(step)
+        relieved = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.by_s(step)
         whose = np.where(relieved, 0, number)
         return self.code.step(step // self.substeps, seen, whose, u, self.rows, self.heard)
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """Command before clipping, shape (R, m), at the start of step `at` of cell k."""
         controller, step = self.schedule.controllers[number], k * self.steps_per_cell + at
-        if number and self.failing is not None and np.any(by_s := self.failing.by_s(step)):
-            failing, self.failing = self.failing, None
+        if number and self.faults is not None and np.any(by_s := self.faults.by_s(step)):
+            faults, self.faults = self.faults, None
             others = self.command(number, k, at, x)
-            self.failing = failing
+            self.faults = faults
             return np.where(by_s[:, None], self.command(0, k, at, x), others)
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
@@ -181,10 +181,10 @@ class Integrator(Firing):
                 self.estimate_bounds[step], 1e-300
             )  # not as errors
             known = x + (known - x) * (1 - flown)
-        if self.failing is None:
+        if self.faults is None:
             return np.asarray(known)
-        lost = self.failing.on(step) & self.failing.lost
-        return np.where(lost[:, None], x + self.failing.gap, known)
+        lost = self.faults.on(step) & self.faults.lost
+        return np.where(lost[:, None], x + self.faults.gap, known)
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States (R, n) a step later, u being held."""
@@ -208,11 +208,11 @@ class Integrator(Firing):
         for sub in range(self.substeps):
             step = begin + sub
             x = self.move(k, step, x, u, w[sub])
-            if self.failing is not None:
+            if self.faults is not None:
                 at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.discrete
                 wrong = w[sub] @ Dd.T + (u - held) @ Bd.T
                 eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
-                self.failing.predict(at, Ad, wrong, eta)
+                self.faults.predict(at, Ad, wrong, eta)
             spent += self.size(u)
         return x, held, demanded, spent
 
@@ -250,7 +250,7 @@ class Integrator(Firing):
                     self.command(box, k, place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        late = self.failing and self.failing.at_nodes(self.substeps)
+        late = self.faults and self.faults.at_nodes(self.substeps)
         return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies, late)
 
     def _boxes(self) -> dict[int, int]:
@@ -265,7 +265,7 @@ class Integrator(Firing):
         is what `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        parts = self.code, self.thrust, self.left, self.failing, self.system.nozzles, self.system.sights
+        parts = self.code, self.thrust, self.left, self.faults, self.system.nozzles, self.system.sights
         inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None

@@ -55,7 +55,7 @@ class Runs:
         Mode of every step.
     bodies : dict of str to ndarray, shapes (R, N+1, n)
         True states of other satellites where a network was told of them.
-    failing : FaultTimes, optional
+    faults : FaultTimes, optional
         What failed in each run, in nodes.
     """
 
@@ -67,15 +67,15 @@ class Runs:
     delta_v: Array
     modes: NDArray[np.int_]
     bodies: Mapping[str, Array] = field(default_factory=dict)
-    failing: FaultTimes | None = None
+    faults: FaultTimes | None = None
 
     def some(self, chosen: slice | list[int]) -> "Runs":
         """Return some of the runs."""
         parts = ("states", "inputs", "demanded", "delta_v")
         bodies = {name: states[chosen] for name, states in self.bodies.items()}
-        failing = None if self.failing is None else self.failing.pick(chosen)
+        faults = None if self.faults is None else self.faults.pick(chosen)
         kept = {name: getattr(self, name)[chosen] for name in parts}
-        return replace(self, bodies=bodies, failing=failing, **kept)
+        return replace(self, bodies=bodies, faults=faults, **kept)
 
     @property
     def positions(self) -> Array:
@@ -86,7 +86,7 @@ class Runs:
     def flown(self) -> NDArray[np.int_]:
         """Return the mode over the period after every node, S because of a fault included, (R, N)."""
         modes = np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
-        planned, late = np.broadcast_to(modes, self.demanded.shape), self.failing
+        planned, late = np.broadcast_to(modes, self.demanded.shape), self.faults
         by_s = False if late is None else late.by_s(np.arange(planned.shape[1])[:, None]).T
         return np.where(by_s, 0, planned)
 
@@ -157,7 +157,7 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         collided |= (signed_distances(limits, times[:-1] + share * h, within, system) <= 0).any(axis=(0, 2))
     collided |= (signed_distances(limits, times[-1:], x[:, -1:], system) <= 0).any(axis=(0, 2))
     who = runs.flown
-    modes = who[:, ::q] if runs.failing is None else who
+    modes = who[:, ::q] if runs.faults is None else who
     return Metrics(
         controller=controller,
         names=tuple(obstacle.name for obstacle in obstacles),

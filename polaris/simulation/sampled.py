@@ -82,7 +82,9 @@ def outside(runs: Runs) -> NDArray[np.float64]:
     schedule, worst = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
     system = schedule.safety.problem.system
-    moved = system.state_offset_at_nodes * bool(system.timing.carried)  # bands are about errors without that
+    moved = system.state_offset_at_nodes * bool(
+        system.timing.carried_impulse
+    )  # bands are about errors without that
     arcs = schedule.safety.reference.fine(q)
     for step in schedule.steps:
         if isinstance(step.tube, FittedSegment):
@@ -191,7 +193,7 @@ def synthesize_sampled(
         bound = at_most(left, flights, doubt)
         if bound <= probability:
             said = SampledBound(bound, confidence, flights, left, seed, attempt + 1)
-            schedule = replace(schedule, statement=said)
+            schedule = replace(schedule, sampled_bound=said)
             hostile = simulate(schedule, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
             repeats = _repeats(begun, seed + MOST * (attempt + 1))

@@ -21,7 +21,7 @@ from .placement import PlacedParts, UnsafePart, place
 from .settings import Velocity, between, doubtful, find_dims, find_velocity, interpolate, stamped_by_simulator
 from .settings import restamp as restamped
 
-LIMIT = "limit on states"  # kind of a limit on the whole state, to which a trace has the room
+LIMIT = "limit on states"  # kind of a limit on the whole state, to which a trace has the clearance
 
 
 def weights(t: Array) -> Array:

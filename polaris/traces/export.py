@@ -73,8 +73,8 @@ def to_trace(
     limits = [one for one in obstacles if isinstance(one, StateLimit)]
     agent = _agent(name, system, np.asarray(times, dtype=float), states, modes, running_times)
     if limits:
-        rooms = np.array([one.signed_distance(agent.times, agent.states, system) for one in limits])
-        agent = replace(agent, limits=tuple(one.name for one in limits), margins=rooms)
+        clearances = np.array([one.signed_distance(agent.times, agent.states, system) for one in limits])
+        agent = replace(agent, limits=tuple(one.name for one in limits), margins=clearances)
     unsafe: dict[str, AnySet] = {}
     notes: list[str] = []
     for obstacle in obstacles:
@@ -114,7 +114,10 @@ def _sets(
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
     if isinstance(obstacle, StateLimit):
-        return {}, f"{name}: a limit on the whole state, as the chaser's room to it (1 m/s counts as 100 m)"
+        return (
+            {},
+            f"{name}: limit on the whole state, as the chaser's clearance to it (1 m/s counts as 100 m)",
+        )
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
         true, radii = satellites[name], np.full(len(t), obstacle.radius)
         centre, velocity = obstacle.motion(t, system, true)

@@ -57,7 +57,9 @@ class AgentTrace:
     modes: Modes = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     running_times: Array = field(default_factory=lambda: np.empty(0))  # of each decision [s], shape (R,)
     limits: tuple[str, ...] = ()  # names of limits on the whole state
-    margins: Array = field(default_factory=lambda: np.empty(0))  # room to each [m], (limits, N); inf without
+    margins: Array = field(
+        default_factory=lambda: np.empty(0)
+    )  # clearance to each [m], (limits, N); inf without
     where: str = field(default="agent", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:

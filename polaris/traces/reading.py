@@ -142,7 +142,7 @@ def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
 
 
 def _margins(where: str, given: Any) -> Array:
-    """Return room to a limit [m] row by row: null, while it does not hold, is inf."""
+    """Return clearance to a limit [m] row by row: null, while it does not hold, is inf."""
     if not isinstance(given, list):
         raise ScenarioError(where, given, "must be a list of numbers [m], null while the limit does not hold")
     held = [i for i, value in enumerate(given) if value is not None]

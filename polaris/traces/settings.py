@@ -85,8 +85,8 @@ def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tup
 def _by_heading(name: str, agent: AgentTrace, d: int, wanted: Heading) -> tuple[Array, str]:
     entries = [*wanted.angles, wanted.speed]
     if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
-        need = ("no --heading", "a --heading", "--heading with pitch")[d - 1]
-        rule = f"must be entries of the {agent.n} states of agents.{name}, from 0; {d} axes need {need}"
+        flags = ("no --heading", "a --heading", "--heading with pitch")[d - 1]
+        rule = f"must be entries of the {agent.n} states of agents.{name}, from 0; {d} axes need {flags}"
         raise ScenarioError("--speed, --heading", entries, rule)
     speed, angles = agent.states[:, [wanted.speed]], agent.states[:, list(wanted.angles)]
     if d == 1:

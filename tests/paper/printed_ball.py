@@ -12,10 +12,10 @@ class PrintedBall(BallSets):
     """One ball for all time, from the smallest room of the unsafe sets alone."""
 
     @property
-    def _room(self):
-        room = self.clearance.limits.room.min(axis=0)
-        room[:, self.clearance.limits.facets :] = np.inf
-        return room
+    def _clearance(self):
+        clearance = self.clearance.limits.available.min(axis=0)
+        clearance[:, self.clearance.limits.facets :] = np.inf
+        return clearance
 
     def _decayed(self, count):
         return np.ones(count)  # max exp(-beta (tau - t)) over tau >= t, by which eq. 12 divides

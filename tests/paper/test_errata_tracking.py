@@ -155,10 +155,10 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
     from polaris.synthesis.safety.carried_rows import error_tube
 
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
-    need = error_tube(plain, theta, SYSTEM.position).need
-    same = error_tube(other, in_mm_per_s @ theta, scaled.position).need
-    count = min(len(need), len(same)) - 1
-    assert np.allclose(need[:count], same[:count], rtol=1e-3)
+    tightening = error_tube(plain, theta, SYSTEM.position).tightening
+    same = error_tube(other, in_mm_per_s @ theta, scaled.position).tightening
+    count = min(len(tightening), len(same)) - 1
+    assert np.allclose(tightening[:count], same[:count], rtol=1e-3)
 
 
 def test_item_7_the_printed_ball_admits_states_from_which_the_thrusters_saturate():

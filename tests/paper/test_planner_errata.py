@@ -112,7 +112,7 @@ def test_note_11_one_big_m_hides_a_violation_of_a_metre():
     task = problem(box((-250, -600, 0), 120, 40), extra_margin=20.0)
     rows = PlanRows(task)
     worst = max(
-        float(np.max(facets.need + rows.extreme(facets.a, budget=1.0))) * rows.length
+        float(np.max(facets.at_least + rows.extreme(facets.a, budget=1.0))) * rows.length
         for k in range(40)
         for facets in [rows.options((0, k))]
     )

@@ -70,19 +70,21 @@ def _choices(honest):
 
 
 def _profile(honest):
-    profile = honest.certificate["profile"]
+    feedback_bound = honest.certificate["feedback_bound"]
     for factor in (0.05, 0.3, 0.6):
         yield (
             f"profile times {factor}",
-            lambda f, by=factor: f.certificate.update(profile=[scaled(row, by) for row in profile]),
+            lambda f, by=factor: f.certificate.update(
+                feedback_bound=[scaled(row, by) for row in feedback_bound]
+            ),
         )
-    low = profile[-1]
-    yield "profile without its begin", lambda f: f.certificate.update(profile=[low])
+    low = feedback_bound[-1]
+    yield "profile without its begin", lambda f: f.certificate.update(feedback_bound=[low])
     yield (
         "profile that ends in nothing",
-        lambda f: f.certificate.update(profile=[*profile[:-1], scaled(low, 1e-3)]),
+        lambda f: f.certificate.update(feedback_bound=[*feedback_bound[:-1], scaled(low, 1e-3)]),
     )
-    yield "profile that grows", lambda f: f.certificate.update(profile=profile[::-1])
+    yield "profile that grows", lambda f: f.certificate.update(feedback_bound=feedback_bound[::-1])
 
 
 def _branches(honest):
@@ -168,7 +170,7 @@ def _claims(honest):
 def _bolder(step):
     """Nearly all of the room is left; the checker derives a margin at both ends of a step, not within it."""
     step["margin"] = 0.999
-    step["need"] = (1 - step["margin"]) * step["room"]
+    step["tightening"] = (1 - step["margin"]) * step["clearance"]
 
 
 def _swap(modes, k):

@@ -113,7 +113,7 @@ class Loop:
         timing, n = self.system.timing, self.system.n
         if self.system.observer is not None:
             return np.zeros(self.system.m)
-        measured = np.array(timing.measured) + self.moved()
+        measured = np.array(timing.measured_error) + self.moved()
         return np.abs(self.gain @ held(self.system.A, np.zeros((n, 1)), timing.delay)[0]) @ measured
 
     def moved(self) -> Array:
@@ -125,7 +125,7 @@ class Loop:
 
     def fire(self, told: Array, rest: Array, off: Array) -> tuple[Array, Array]:
         """Return the inputs that commands (R, m) make in a period, and the impulses that are left (R, m)."""
-        h, bit, errors = self.dt * self.parts, self.system.timing.carried, self.system.thrusters
+        h, bit, errors = self.dt * self.parts, self.system.timing.carried_impulse, self.system.thrusters
         asked = told * h + rest
         made = np.minimum(np.floor(np.abs(asked) / bit) * bit, self.system.u_max * h) * np.sign(asked)
         wrong = errors.part(made / h) + errors.bit - self.system.on_time.bit
@@ -164,11 +164,11 @@ class Loop:
         Dd = held(A, D, self.dt)[1]
         limit, eta = self.system.u_max, np.broadcast_to(attack.eta, (self.N, R, n))
         off, errors = np.broadcast_to(attack.off, (self.N, R, m)), self.system.thrusters
-        sees, need = (
+        sees, tightening = (
             Computer(self, states, eta, attack.w) if self.remembers else None,
             np.zeros((self.N, R, n)),
         )
-        rest, carries = np.zeros((R, m)), bool(self.remembers and self.system.timing.carried)
+        rest, carries = np.zeros((R, m)), bool(self.remembers and self.system.timing.carried_impulse)
         for i in range(self.N):
             k, j = divmod(i, self.per)
             modes[i] = flying = who(i, x)
@@ -182,7 +182,7 @@ class Loop:
             if sees is not None:
                 if j % self.parts == 0:
                     sees.look(i)
-                wrong, need[i] = sees.wrong, sees.wrong - sees.noise
+                wrong, tightening[i] = sees.wrong, sees.wrong - sees.noise
             for number, mine in parts:
                 free = number and number not in self.laws
                 seen = x[mine] + wrong[mine]
@@ -200,7 +200,7 @@ class Loop:
             if sees is not None:
                 sees.note(i, command, u)
             states[i + 1] = x = x @ Ad.T + u @ Bd.T + attack.w[i] @ Dd.T
-        return Flown(states, clipped, modes, need)
+        return Flown(states, clipped, modes, tightening)
 
     def scheduled(self, over: NDArray[np.int_]) -> Who:
         """The schedule, until S takes over at a step of each run's own."""
@@ -287,18 +287,18 @@ class Loop:
                 if k >= len(known):  # on an orbit flown again its own facets count, at their own instants
                     continue
                 f = known[k, u]
-                room = xi @ rows[f] - b[..., f]
-                share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
+                clearance = xi @ rows[f] - b[..., f]
+                share = np.minimum(share, _least(1 - _share(clearance - out[..., f], clearance), taken))
             e = (x - xi)[: self.per : self.parts] + flown.wrong[at][: self.per : self.parts]
-            need = e @ self.gain.T
+            tightening = e @ self.gain.T
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (mode == 0)[:: self.parts]
-            raw = np.abs(self.nu[k] - need)
+            raw = np.abs(self.nu[k] - tightening)
             limit = system.u_max - self.noise(k)
             thrust = np.minimum(thrust, np.where(safe[..., None], limit - raw, np.inf).min(axis=0))
             for sign in (1, -1):
-                room = limit + sign * self.nu[k]
-                free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
+                clearance = limit + sign * self.nu[k]
+                free = 1 - _share(sign * tightening, np.broadcast_to(clearance, tightening.shape)).max(axis=2)
                 share = np.minimum(share, _least(free, taken[: self.per : self.parts]))
         return Outcome(left, thrust / system.u_max, share, printed)
 
@@ -336,7 +336,7 @@ class Computer:
         y = self._state(max(at, 0.0))
         if seen is None:
             timing = self.loop.system.timing
-            error = sign * (np.array(timing.measured) + moved)
+            error = sign * (np.array(timing.measured_error) + moved)
             carried = self._predict(y, at, now)
             self.noise = error @ held(self.A, self.B, self.delay)[0].T
             self.wrong = carried + self.noise - x
@@ -358,7 +358,7 @@ class Computer:
         """Make the first estimate, off by any error within its bound, or another one before the start."""
         seen, system = self.loop.system.observer, self.loop.system
         if self.estimate is None:
-            known = [seen.initial, seen.settled, np.array(system.timing.measured)]
+            known = [seen.initial, seen.settled, np.array(system.timing.measured_error)]
             first = next((each for each in known if each is not None and len(each)), system.navigation)
             self.off = sign * first
         else:
@@ -425,9 +425,9 @@ class Outcome:
     printed: Array
 
 
-def _share(need: Array, room: Array) -> Array:
+def _share(tightening: Array, clearance: Array) -> Array:
     """Need over room; minus infinity where nothing is needed."""
-    return np.where(need > 0, need / np.where(room > 0, room, 1e-300), -np.inf)
+    return np.where(tightening > 0, tightening / np.where(clearance > 0, clearance, 1e-300), -np.inf)
 
 
 def _least(share: Array, taken: NDArray[np.bool_]) -> Array:
@@ -489,8 +489,10 @@ def _note(result: Attacked, seen: Outcome) -> None:
     known = np.isfinite(seen.printed) & (seen.printed >= 0) & np.isfinite(seen.share)
     if np.any(known):
         result.over = max(result.over, float(np.max(seen.printed[known] - seen.share[known])))
-        need = (1 - seen.share[known]) / np.maximum(1 - seen.printed[known], 1e-12)
-        result.tight = max(result.tight, float(np.max(np.where(seen.printed[known] < 1 - 1e-5, need, 0))))
+        tightening = (1 - seen.share[known]) / np.maximum(1 - seen.printed[known], 1e-12)
+        result.tight = max(
+            result.tight, float(np.max(np.where(seen.printed[known] < 1 - 1e-5, tightening, 0)))
+        )
 
 
 def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:

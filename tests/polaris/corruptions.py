@@ -133,7 +133,7 @@ def inner(corrupt):
     for mode in (0, 1):
         yield f"gain {mode} negated", change("controllers", mode, "gain", to=negated), FLIGHT
         yield f"gain {mode} tenfold", change("controllers", mode, "gain", to=tenfold), FLIGHT
-    yield "own reference shifted", change("controllers", 1, "own_states", to=shifted), FLIGHT
+    yield "own reference shifted", change("controllers", 1, "reference_states", to=shifted), FLIGHT
     anything = change("controllers", 1, to=lambda x: {"name": x["name"], "kind": "any_thrust"})
     yield "anything", anything, FLIGHT
     yield "obstacle in kilometres", change("unsafe_sets", 0, "offsets", to=thousandth), SEPARATION
@@ -165,7 +165,11 @@ def against_files(corrupt):
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}
         yield f"name of {mode}", change("controllers", mode, "name", to="other"), {"controllers"}
-    yield "own reference", change("controllers", 1, "own_inputs", 3, 0, to=(0.01).hex()), {"controllers"}
+    yield (
+        "own reference",
+        change("controllers", 1, "reference_inputs", 3, 0, to=(0.01).hex()),
+        {"controllers"},
+    )
     yield "unclipped", change("controllers", 1, "kind", to="affine"), {"controllers"}
     yield "kind of sets", change("recoverable", to="ball"), {"recoverable_sets"}
     yield "other scenario", change("scenario", "name", to="other"), {"system"}

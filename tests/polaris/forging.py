@@ -179,7 +179,7 @@ class Lie:
 
     def own(self, mode, states, inputs):
         """Another reference of its own, everywhere."""
-        for name, rows in (("own_states", states), ("own_inputs", inputs)):
+        for name, rows in (("reference_states", states), ("reference_inputs", inputs)):
             self.certificate["controllers"][mode][name] = [[float(x).hex() for x in row] for row in rows]
 
     def plant(self):
@@ -189,7 +189,7 @@ class Lie:
     def follow(self):
         """(states, inputs) of U's own reference."""
         given = self.gains["controllers"][1]
-        return np.array(given["own_states"]), np.array(given["own_inputs"])
+        return np.array(given["reference_states"]), np.array(given["reference_inputs"])
 
 
 # -- one place at a time ----------------------------------------------------------------------------

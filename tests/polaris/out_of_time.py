@@ -48,13 +48,13 @@ class OutOfTime(Loop):
     def pulses(self):
         """Return the thrust of the pulses of every thruster, (N,); infinite where inputs are held."""
         timing, layout = self.system.timing, self.system.nozzles
-        if not timing.fired:
+        if not timing.pulse_thrust:
             return np.full(len(self.ways), np.inf)
-        return np.array(timing.fired) if layout is None else layout.allocation.limits
+        return np.array(timing.pulse_thrust) if layout is None else layout.allocation.limits
 
     def begin(self, on):
         """Return when pulses that last for some times (R, N) begin after the start of their period [s]."""
-        placed = self.system.timing.placed
+        placed = self.system.timing.pulse_place
         if placed == "start":
             return 0 * on
         return np.cumsum(on, axis=1) - on if placed == "staggered" else (self.h - on) / 2
@@ -69,7 +69,7 @@ class OutOfTime(Loop):
         """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
         timing, layout, limits = self.system.timing, self.system.nozzles, self.system.u_max
         along = self.errors.along
-        bit, carried, fine = self.bit, timing.carried, timing.fine
+        bit, carried, fine = self.bit, timing.carried_impulse, timing.fine
         if layout is not None:
             thrust, limits = self.allocated(thrust), layout.allocation.limits
             carried, bit = layout.bit * layout.carried, layout.bit / self.h * (not layout.carried)
@@ -89,7 +89,7 @@ class OutOfTime(Loop):
     @property
     def bit(self):
         """Multiple to which inputs are rounded [N]; 0 where none is dropped."""
-        return 0.0 if self.system.timing.carried else self.errors.rounding(self.system.m)
+        return 0.0 if self.system.timing.carried_impulse else self.errors.rounding(self.system.m)
 
     def fly(self, attack, who):
         """Fly runs; what is made lasts from one instant to another, per input, whatever the step."""

@@ -270,8 +270,8 @@ def _scene(
         else:
             turn = np.linalg.qr(rng.normal(size=(d, d)))[0] if rng.random() < 0.5 else np.eye(d)
             normals = np.vstack([turn, -turn]) * rng.uniform(0.5, 2)
-            room = np.abs(turn @ way) / 2 + rng.uniform(1.5, 3)
-            offsets = normals @ middle + np.linalg.norm(normals, axis=1) * np.r_[room, room]
+            clearance = np.abs(turn @ way) / 2 + rng.uniform(1.5, 3)
+            offsets = normals @ middle + np.linalg.norm(normals, axis=1) * np.r_[clearance, clearance]
             entry = {"kind": "polytope", "name": "hall", "normals": normals, "offsets_m": offsets}
         keep_in.append(entry)
         if rng.random() < 0.4:

@@ -66,8 +66,8 @@ class Argument:
         self.flights(path, Merging(ORDER, self.n, self.craft.ahead))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
-        if self.document.statement:
-            self.record.holds("samples", check_statement(self.document.statement))
+        if self.document.sampled_bound:
+            self.record.holds("samples", check_statement(self.document.sampled_bound))
             self.record.sampled = True
             boxes = sum(fit is not None for fit in self.document.fits)
             text = f"statistical: {boxes} steps of black boxes rest on samples, the others are proven"
@@ -132,7 +132,7 @@ class Argument:
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.for_cell(doc, self.plant.C, k, doc.facets[k], known) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
-            departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
+            departures = None if parts is None else Departures(self.plant, k, parts, doc.state_offset)
             flown.append(
                 enclose_step(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets)
             )

@@ -73,8 +73,8 @@ class Arrival:
         if reached == (by is None):
             raise Rejected("goal", "by_s must be given exactly where the goal is claimed to be reached")
         rows = WeightedRows.from_goal(spec, self.velocity_time, self.document)
-        needs = Tightening(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
-        self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(needs))
+        tightenings = Tightening(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
+        self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(tightenings))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
             raise Rejected("goal", "velocity_time_s belongs to goals with velocity conditions")
@@ -82,11 +82,11 @@ class Arrival:
             off = rows.seconds * SAME - abs(rows.seconds - seconds)
             reason = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
             require("goal", off, reason)
-        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
+        nodes = [self.node_at(by)] if by is not None else self._likely(rows, tightenings, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                distance = self.distance(rows, needs, node)
+                distance = self.distance(rows, tightenings, node)
                 self.require_bound("distance from the goal", claim["distance_m"], distance)
                 if reached:
                     spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
@@ -116,14 +116,14 @@ class Arrival:
         """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
 
-    def holding(self, needs: Tightening) -> arb:
-        """Return the need of S along rows for ever, without the jump into the tail, with a fault if any."""
-        off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
-        need = sums(needs.settled_need, off, *needs.upset[-1:])
+    def holding(self, tightenings: Tightening) -> arb:
+        """Return S's tightening along rows for ever, without the jump into the tail, with a fault if any."""
+        off = (magnitude(tightenings.rows) * column(self.document.at_nodes)).entries()
+        tightening = sums(tightenings.settled_tightening, off, *tightenings.upset[-1:])
         return largest(
-            sums(need, self.flight.from_thrust(needs, self._first + self._last))
+            sums(tightening, self.flight.from_thrust(tightenings, self._first + self._last))
             if self.flight.scheduled
-            else need
+            else tightening
         )
 
     def tolerated(self, tolerance: float, spec: dict[str, Any], scale: float, settled: arb) -> None:
@@ -152,7 +152,7 @@ class Arrival:
         """Return the last node of the tail."""
         return (self.document.cells - self.document.steps) * self.document.q
 
-    def _likely(self, rows: WeightedRows, needs: Tightening, claim: dict[str, Any]) -> list[int]:
+    def _likely(self, rows: WeightedRows, tightenings: Tightening, claim: dict[str, Any]) -> list[int]:
         """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
         limit, far = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
         while far < self._last and not self.spent + self.correcting(far) > limit:
@@ -161,8 +161,8 @@ class Arrival:
         late = bisect_right(every, limit, key=lambda node: self.spent + self.correcting(node))
 
         def near(node: int) -> float:
-            need = self.flight.need(needs, self.held, self._first + node)
-            return float(rows.distance(sums(rows.over(self.state(node)), need)).mid())
+            tightening = self.flight.tightening(tightenings, self.held, self._first + node)
+            return float(rows.distance(sums(rows.over(self.state(node)), tightening)).mid())
 
         return sorted(every[: max(late, 1)], key=near)[:MOST]
 
@@ -182,12 +182,12 @@ class Arrival:
             self._flown.append(enclose_step(self.pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
-    def error_bounds(self, needs: Tightening, node: int) -> list[arb]:
+    def error_bounds(self, tightenings: Tightening, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
-        least = self.flight.need(needs, self.held, self._first + node)
-        if self.pilot is None or not self.document.profile or node == self._last:
+        least = self.flight.tightening(tightenings, self.held, self._first + node)
+        if self.pilot is None or not self.document.feedback_bound or node == self._last:
             return least
-        pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
+        pairs = zip(least, self._flown_at(tightenings.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
 
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
@@ -204,9 +204,9 @@ class Arrival:
         arcs, at = self.flight.path.arcs, self.document.steps + cell
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
-    def distance(self, rows: WeightedRows, needs: Tightening, node: int) -> arb:
+    def distance(self, rows: WeightedRows, tightenings: Tightening, node: int) -> arb:
         """Return the largest distance of a flight from the goal at a node."""
-        return rows.distance(sums(rows.over(self.state(node)), self.error_bounds(needs, node)))
+        return rows.distance(sums(rows.over(self.state(node)), self.error_bounds(tightenings, node)))
 
     def _drift(self, claimed: float | None, node: int) -> None:
         if claimed is None:
@@ -260,9 +260,11 @@ class Arrival:
         tops = maxima(*map(self.max_commands, range(node - craft.lag - 1, last + 1)))
         return [smallest(pair) for pair in zip(tops, craft.plant.u_max, strict=True)]
 
-    def states(self, needs: Tightening, node: int) -> list[arb]:
+    def states(self, tightenings: Tightening, node: int) -> list[arb]:
         """Bounds along rows of the loop state at a node long after T, from boxes of what S took over."""
-        return self.flight.need(needs, self.boxes, self._first + node, around=True)  # not displaced
+        return self.flight.tightening(
+            tightenings, self.boxes, self._first + node, around=True
+        )  # not displaced
 
     @cached_property
     def boxes(self) -> tuple[HandOver, ...]:

@@ -31,7 +31,7 @@ def prolonged(document: Document, path: Path, memory: Settling) -> tuple[Path, l
     """Return the path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
-    facet will do, and the one with most room is taken.
+    facet will do, and the one with most clearance is taken.
     """
     doc, chosen, arcs = document, list(document.facets), list(path.arcs)
     missing = doc.steps * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
@@ -45,10 +45,10 @@ def prolonged(document: Document, path: Path, memory: Settling) -> tuple[Path, l
 
 
 def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
-    """Return the facet of a set at rest that leaves an arc most room."""
+    """Return the facet of a set at rest that leaves an arc most clearance."""
     rows, offsets = -item.rows(arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
-    room = arc.room(rows, offsets)
-    least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
+    clearance = arc.clearance(rows, offsets)
+    least = [min(float(node[f].mid()) for node in clearance) for f in range(len(offsets))]
     return least.index(max(least))
 
 

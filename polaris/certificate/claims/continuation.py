@@ -16,7 +16,7 @@ from ..model.craft.feedforward import Feedforward
 from ..model.craft.settling import Settling
 from ..model.craft.tightening import Differences, SetIntersample, Tightening
 from ..model.limits import Limits
-from ..model.transients import outage_differences, transient_need
+from ..model.transients import outage_differences, transient_tightening
 from .coasting import prolonged
 from .recovery import Recovery
 
@@ -36,16 +36,18 @@ class Tracker:
         cls, document: Document, craft: Craft, upsets: Sequence[arb_mat], sets: Sequence[Zonotope]
     ) -> "Tracker":
         """Build the tracker from errors within any of the sets."""
-        memory = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.profile)
+        memory = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.feedback_bound)
         return cls(document, craft, memory, upsets)
 
-    def needs(self, of: Any, rows: arb_mat) -> Tightening:
+    def tightenings(self, of: Any, rows: arb_mat) -> Tightening:
         """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
         if of not in self._known:
-            doc, needs = self.document, Tightening(self.craft, self.memory, rows)
+            doc, tightenings = self.document, Tightening(self.craft, self.memory, rows)
             if doc.transients:
-                needs = replace(needs, upset=transient_need(needs, [*self.upsets], self.outages))
-            self._known[of] = needs
+                tightenings = replace(
+                    tightenings, upset=transient_tightening(tightenings, [*self.upsets], self.outages)
+                )
+            self._known[of] = tightenings
         return self._known[of]
 
     @cached_property
@@ -75,18 +77,18 @@ class HandOver:
         """Build the hand-over from any loop state up to a size (N, 1)."""
         return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
 
-    def need(self, needs: Tightening, lag: int, around: bool) -> list[arb]:
+    def tightening(self, tightenings: Tightening, lag: int, around: bool) -> list[arb]:
         """Bound the errors alone along rows after `lag` periods; if `around`, next to that node, too."""
-        key = needs, lag, around
+        key = tightenings, lag, around
         if key not in self._since:
-            if lag > needs.memory.periods:
-                self._since[key] = needs.need_after_settling(self.errors.size())
+            if lag > tightenings.memory.periods:
+                self._since[key] = tightenings.tightening_after_settling(self.errors.size())
             elif around and self.box is not None:
-                self._since[key] = needs.boxed(self.box, lag)
+                self._since[key] = tightenings.boxed(self.box, lag)
             else:
-                bows = self._bows.setdefault(needs, SetIntersample(needs, self.errors))
+                bows = self._bows.setdefault(tightenings, SetIntersample(tightenings, self.errors))
                 more = [bows.next_to(lag)] if around else []
-                self._since[key] = sums(self.errors.support(needs.carried[lag]), *more)
+                self._since[key] = sums(self.errors.support(tightenings.carried[lag]), *more)
         return self._since[key]
 
 
@@ -101,54 +103,57 @@ class Continuation:
     _known: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
     _caused: dict[tuple[Tightening, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
 
-    def need(
-        self, needs: Tightening, handed: tuple[HandOver, ...], node: int, around: bool = False
+    def tightening(
+        self, tightenings: Tightening, handed: tuple[HandOver, ...], node: int, around: bool = False
     ) -> list[arb]:
         """Bound errors along rows at a node and, if `around`, in the periods on both sides of it.
 
         Each of the sets holds all errors that S may have taken over.
         """
-        key = needs, handed, node, around
+        key = tightenings, handed, node, around
         if key not in self._known:
-            last, bounds = needs.memory.periods + 1, []
-            pushed = needs.disturbed if around else needs.at_nodes
+            last, bounds = tightenings.memory.periods + 1, []
+            pushed = tightenings.disturbed if around else tightenings.at_nodes
             for each in handed:
                 lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
-                known = [sums(each.need(needs, lag, around), pushed[lag]) for lag in lags]
+                known = [sums(each.tightening(tightenings, lag, around), pushed[lag]) for lag in lags]
                 bounds.append([x.upper() for x in maxima(*known)])
             parts = [[smallest(x) for x in zip(*bounds, strict=True)]]
             if self.scheduled:
-                parts.append(self.from_thrust(needs, node, around))
+                parts.append(self.from_thrust(tightenings, node, around))
             if not around:  # commands do not answer to what is displaced
-                parts.append((magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+                parts.append((magnitude(tightenings.rows) * column(self.document.at_nodes)).entries())
             if (since := node - self.document.steps * self.document.q) >= 0:
-                parts.append(self._jump.need(needs, min(since, last), around))
+                parts.append(self._jump.tightening(tightenings, min(since, last), around))
             self._known[key] = sums(*parts)
         return self._known[key]
 
-    def from_thrust(self, needs: Tightening, node: int, around: bool = False) -> list[arb]:
+    def from_thrust(self, tightenings: Tightening, node: int, around: bool = False) -> list[arb]:
         """Bound errors by the time of the flight along rows: at a node; in the tail, from it on."""
-        if (key := (needs, around)) not in self._caused:
+        if (key := (tightenings, around)) not in self._caused:
             assert self.scheduled is not None
-            cells, T = self.scheduled.response(needs, around), self.document.steps * self.document.q
+            cells, T = self.scheduled.response(tightenings, around), self.document.steps * self.document.q
             nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
             for at in range(len(nodes) - 2, T - 1, -1):
                 nodes[at] = maxima(nodes[at], nodes[at + 1])
             self._caused[key] = nodes
         return self._caused[key][min(node, len(self._caused[key]) - 1)]
 
-    def commanded(self, needs: Tightening, handed: tuple[HandOver, ...], period: int) -> list[arb]:
+    def commanded(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> list[arb]:
         """Bound S's commands in a period [N]; `needs` are those of `Tracker.commands`."""
         doc, m = self.document, len(self.document.u_max)
-        cell, ends = period // doc.q, [self.need(needs, handed, period + i, around=True) for i in (0, 1)]
+        cell, ends = (
+            period // doc.q,
+            [self.tightening(tightenings, handed, period + i, around=True) for i in (0, 1)],
+        )
         known = zip(doc.inputs[min(cell, doc.cells - 1)], self.tracker.craft.noise_in(doc, cell), strict=True)
         tops = [largest([end[i] for end in ends for i in (axis, m + axis)]) for axis in range(m)]
         return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, known, strict=True)]
 
-    def spent(self, needs: Tightening, handed: tuple[HandOver, ...], period: int) -> arb:
+    def spent(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> arb:
         """Bound on what S spends in a period [N s]."""
         plant = self.tracker.craft.plant
-        pairs = zip(plant.u_max, self.commanded(needs, handed, period), strict=True)
+        pairs = zip(plant.u_max, self.commanded(tightenings, handed, period), strict=True)
         return plant.spent([smallest(pair) for pair in pairs])
 
     @cached_property
@@ -165,7 +170,7 @@ class Continuation:
     def scheduled(self) -> Feedforward | None:
         """Errors by the time of the flight, if there are any."""
         by_step = self.document.error_by_step and self.tracker.craft.base is not None
-        if not (self.document.profile or by_step):
+        if not (self.document.feedback_bound or by_step):
             return None
         return Feedforward(self.document, self.tracker.craft, self.tracker.memory, self.further[0])
 
@@ -176,8 +181,8 @@ class Continuation:
         chosen = [*chosen, *self.facets]
         limits = Limits.for_path(self.document, path, self.tracker.craft, chosen)
         asked = frozenset(pair for row in chosen for pair in enumerate(row))
-        needs = self.tracker.needs(asked, limits.rows)
-        return Recovery.from_limits(self.document, path, limits, needs, self.scheduled)
+        tightenings = self.tracker.tightenings(asked, limits.rows)
+        return Recovery.from_limits(self.document, path, limits, tightenings, self.scheduled)
 
     def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> None:
         """Check that every limit is kept to the end from sets at nodes, by a share of its clearance."""

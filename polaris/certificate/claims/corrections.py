@@ -65,23 +65,23 @@ class Corrections:
         )
 
     @cached_property
-    def _needs(self) -> Tightening:
+    def _tightenings(self) -> Tightening:
         """Needs of commands."""
         return Tightening(self.tracker.craft, self.tracker.memory, self.tracker.craft.commands)
 
     @cached_property
     def _summed(self) -> arb_mat:
         """Sums over the settling horizon of the sizes of commands by a unit of each loop state, (m, N)."""
-        first, *others = map(magnitude, self._needs.carried[: self.tracker.memory.periods])
+        first, *others = map(magnitude, self._tightenings.carried[: self.tracker.memory.periods])
         return sum(others, first)
 
     @cached_property
     def _by_error(self) -> arb_mat:
         """Sum of the answers to a unit error of thrusters in one period, see `Plant.entering`, (m, k)."""
-        craft, needs, columns = self.tracker.craft, self._needs, list[arb_mat]()
+        craft, tightenings, columns = self.tracker.craft, self._tightenings, list[arb_mat]()
         for unit in identity(craft.plant.entering.ncols()).tolist():
             box = craft.thrust_gains(identity(craft.F.nrows())) * column(unit)
-            columns.append(column(sums(needs.thrust.always(unit), needs.tail_bound(box))))
+            columns.append(column(sums(tightenings.thrust.always(unit), tightenings.tail_bound(box))))
         return beside(*columns)
 
     @cached_property
@@ -101,7 +101,7 @@ class Corrections:
     def _later(self, size: arb_mat, count: int) -> list[arb]:
         """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
         more = max(count - self.tracker.memory.periods, 0)
-        return [x * more for x in self._needs.need_after_settling(size)]
+        return [x * more for x in self._tightenings.tightening_after_settling(size)]
 
     def planned(self, inputs: Sequence[Sequence[float]], q: int) -> arb:
         """Bound the thrust of inputs of a path, and of corrections of their errors [N].
@@ -120,7 +120,7 @@ class Corrections:
     def _near(self) -> tuple[arb_mat, arb_mat]:
         """Answers in the first part of the settling horizon, and sums of the sizes of the rest."""
         carried, count = (
-            self._needs.carried[: self.tracker.memory.periods],
+            self._tightenings.carried[: self.tracker.memory.periods],
             self.tracker.memory.periods // NEAR,
         )
         first, *others = map(magnitude, carried[count:])
@@ -150,8 +150,8 @@ class Corrections:
         Until then every command answers to no more than what it has moved by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
         """
-        needs, plant, spent = self._needs, self.tracker.craft.plant, [arb(0)]
-        carried = needs.carried[: self.tracker.memory.periods]
+        tightenings, plant, spent = self._tightenings, self.tracker.craft.plant, [arb(0)]
+        carried = tightenings.carried[: self.tracker.memory.periods]
         for fault, flights, wrong in self._faults():
             each = [difference_along(rows, flights) for rows in carried]
             size = column(difference_along(identity(carried[0].ncols()), flights))

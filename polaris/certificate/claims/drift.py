@@ -45,7 +45,7 @@ class Departures:
     plant: Plant
     k: int
     groups: list[Departure]
-    displaced: list[float]  # how far jitter may displace every state
+    state_offset: list[float]  # how far jitter may displace every state
 
     @cached_property
     def _group(self) -> list[int]:
@@ -85,7 +85,8 @@ class Departures:
         apart = moved.translate(last - first).size()
         bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
         beyond = (
-            magnitude(inverse * self._back[i]) * (self._over * (column(bow) + column(self.displaced) + bent))
+            magnitude(inverse * self._back[i])
+            * (self._over * (column(bow) + column(self.state_offset) + bent))
         ).entries()
         for z, back in zip(ends, self._back[i : i + 2], strict=True):
             M = inverse * back
@@ -156,20 +157,20 @@ class Drifts:
     def check(self, least: float | None) -> str:
         """Check that every drift that the certificate calls clear is; return what was confirmed."""
         doc, drift = self.document, self._claim
-        rooms = [
-            room
+        clearances = [
+            clearance
             for k, groups in enumerate(drift.steps)
             for group in groups or ()
-            for room in self._clear(k, group)
+            for clearance in self._clear(k, group)
         ]
-        if least is not None and rooms:
+        if least is not None and clearances:
             text = f"the drift keeps {least:.6g} m"
-            require("passive", smallest(rooms) - arb(least) * (1 - SLACK), text)
+            require("passive", smallest(clearances) - arb(least) * (1 - SLACK), text)
         count = sum(groups is not None for groups in drift.steps)
         return f"the drift from {count} of {doc.steps} steps stays clear for {drift.horizon:.6g} s"
 
     def _clear(self, k: int, group: Departure) -> list[arb]:
-        """Room that the drift from one group of periods of step k leaves, of every unsafe set the least."""
+        """Least clearance of the drift from one group of periods of step k to every unsafe set."""
         count, least = len(self._powers) - 1, []
         sets = beside(column(group.center), matrix(group.axes).transpose())
         states = [power * sets for power in self._powers]
@@ -183,14 +184,14 @@ class Drifts:
             if sum(length for length, _ in runs) != count or any(f not in known for _, f in runs):
                 raise Rejected("passive", f"step {k} must name a facet in {count} parts")
             chosen = [facet for length, facet in runs for _ in range(length)]
-            least.append(smallest(self._rooms(k, o, chosen, states, sizes)))
+            least.append(smallest(self._clearances(k, o, chosen, states, sizes)))
         return least
 
-    def _rooms(
+    def _clearances(
         self, k: int, o: int, chosen: list[int], states: list[arb_mat], sizes: list[arb_mat]
     ) -> list[arb]:
         """Room beyond one facet of one unsafe set in every part."""
-        p, item, rooms = self._claim.parts, self.document.unsafe[o], []
+        p, item, clearances = self._claim.parts, self.document.unsafe[o], []
         for j, facet in enumerate(chosen):
             row, bend, pushed = self._bookings(o, facet)
             cell, place = divmod(j, p)
@@ -199,8 +200,8 @@ class Drifts:
             for at in (0, 1):
                 middle, *spread = (row * states[j + at]).entries()
                 offset = first + (last - first) * arb(place + at) / p
-                room = -offset - middle - sum(map(abs, spread), more)
-                where = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(room)} m"
-                require("passive", room, where)
-                rooms.append(room)
-        return rooms
+                clearance = -offset - middle - sum(map(abs, spread), more)
+                where = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(clearance)} m"
+                require("passive", clearance, where)
+                clearances.append(clearance)
+        return clearances

@@ -195,13 +195,15 @@ def enclose_step(
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
     base, craft = pilot.base(k, path), pilot.craft
-    room, (unit, whole) = list[list[arb]](), craft.intersample(craft.unit)
+    clearance, (unit, whole) = list[list[arb]](), craft.intersample(craft.unit)
     bows = base.bows(unit.rows) if departures is not None else []
     if barrier is not None:
-        rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
+        rows, clearance = barrier.rows.M, base.clearance(barrier.rows.M, barrier.offsets)
         weights = magnitude(craft.whole(rows))
-        needs = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
-        room = [[there - taken for there, taken in zip(node, needs, strict=True)] for node in room]
+        tightenings = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
+        clearance = [
+            [there - taken for there, taken in zip(node, tightenings, strict=True)] for node in clearance
+        ]
     z = start.translate(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
         z = merging.at_start(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
@@ -221,7 +223,7 @@ def enclose_step(
             where = f"step {k}, part {i}, under {pilot.law.name}"
             along, rows_of = craft.intersample(barrier.rows)
             for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
-                _separate(barrier, rows_of, x, more, room[place], where)
+                _separate(barrier, rows_of, x, more, clearance[place], where)
         z = merging.within(period.next_set(end))
         nodes.append(z.translate(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
     leave = z.translate(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
@@ -229,16 +231,20 @@ def enclose_step(
 
 
 def _separate(
-    barrier: Barrier, rows: Directions, z: Zonotope, more: list[arb], room: list[arb], where: str
+    barrier: Barrier, rows: Directions, z: Zonotope, more: list[arb], clearance: list[arb], where: str
 ) -> None:
-    """Check that a set, and more along each facet, is within the room there."""
+    """Check that a set, and more along each facet, is within the clearance there."""
     along = z.through(rows)
-    needs = sums(along.c.entries(), along.widths, more)
-    if not all(need <= there for need, there in zip(needs, room, strict=True)):
-        needs = sums(along.c.entries(), z.spread(rows.M), more)  # to the last digits
-    for name, need, there in zip(barrier.names, needs, room, strict=True):
-        if not need <= there:
-            require("separation", there - need, f"{where}: {name}, needs {plain(need)} of {plain(there)} m")
+    tightenings = sums(along.c.entries(), along.widths, more)
+    if not all(tightening <= there for tightening, there in zip(tightenings, clearance, strict=True)):
+        tightenings = sums(along.c.entries(), z.spread(rows.M), more)  # to the last digits
+    for name, tightening, there in zip(barrier.names, tightenings, clearance, strict=True):
+        if not tightening <= there:
+            require(
+                "separation",
+                there - tightening,
+                f"{where}: {name}, needs {plain(tightening)} of {plain(there)} m",
+            )
 
 
 def _clipped(

@@ -78,8 +78,8 @@ def _linear_rows(document: Document, spec: dict[str, Any]) -> GoalRows:
     amplitude, along = spec["amplitude_max_m"], spec.get("along_track_m", 0.0)
     rows = [*_within(6, {0: 1}, 0), *_within(6, {1: 1}, along)]
     rows += [*_within(6, {3: per}, 0), *_within(6, {4: per}, 0)]
-    room = arb(amplitude) * (arb.pi() / sides).cos()
-    rows += [_row(6, {2: c, 5: s * per}, room) for c, s in _angles(sides)]
+    clearance = arb(amplitude) * (arb.pi() / sides).cos()
+    rows += [_row(6, {2: c, 5: s * per}, clearance) for c, s in _angles(sides)]
     return GoalRows(rows, [], max(amplitude, abs(along), 1.0))
 
 

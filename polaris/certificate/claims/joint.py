@@ -37,7 +37,7 @@ class _Check:
         return (doc.cells - doc.steps) * doc.q
 
     @cached_property
-    def needs(self) -> Tightening:
+    def tightenings(self) -> Tightening:
         one, tracker = identity(len(self.joint.center)), self.arrival.flight.tracker
         return Tightening(tracker.craft, tracker.memory, above(one, -one))
 
@@ -48,19 +48,19 @@ class _Check:
         known = doc.known_to(doc.steps) or [0.0] * len(doc.A)
         return [arb(x) + y for x, y in zip(known, doc.at_nodes, strict=True)] * 2
 
-    def inside(self, node: int, need: list[arb], where: str) -> None:
+    def inside(self, node: int, tightening: list[arb], where: str) -> None:
         """Refuse a node at which states need more along a row than the start set leaves."""
         n, spec = len(self.joint.center), self.joint
-        along = (self.needs.rows * self.arrival.state(node)).entries()
+        along = (self.tightenings.rows * self.arrival.state(node)).entries()
         if spec.assured:
-            need = sums(need, [2 * x for x in self.off])
-        for i, (at, needed) in enumerate(zip(along, need, strict=True)):
+            tightening = sums(tightening, [2 * x for x in self.off])
+        for i, (at, needed) in enumerate(zip(along, tightening, strict=True)):
             sign = 1 if i < n else -1
-            room = sign * arb(spec.center[i % n]) + spec.half_widths[i % n] - at
+            clearance = sign * arb(spec.center[i % n]) + spec.half_widths[i % n] - at
             subject = "estimates" if spec.assured else "states"
             require(
                 "joint",
-                room - needed,
+                clearance - needed,
                 f"{subject} {where}, coordinate {i % n}: beyond the next leg's start set",
             )
 
@@ -75,12 +75,14 @@ class _Check:
                 raise Rejected("joint", f"nodes {first} to {final} are not in the tail")
         for first, final in spec.first:
             for node in range(first, final + 1):
-                self.inside(node, self.arrival.error_bounds(self.needs, node), f"{node} periods after T")
+                self.inside(
+                    node, self.arrival.error_bounds(self.tightenings, node), f"{node} periods after T"
+                )
         if spec.later:
             if doc.horizon != "infinite":
                 raise Rejected("joint", "GO in later revolutions needs safety for all time")
             begin = doc.steps * doc.q + max(self.last, flight.tracker.memory.periods + 2) + 1
-            settled = sums(flight.need(self.needs, self.arrival.held, begin), self.bent * 2)
+            settled = sums(flight.tightening(self.tightenings, self.arrival.held, begin), self.bent * 2)
             for first, final in spec.later:
                 for node in range(first, final + 1):
                     self.inside(node, settled, f"in later turns, {node} periods after one begins")

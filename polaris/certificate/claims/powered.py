@@ -109,9 +109,9 @@ class BranchMotion:
         assert spec is not None
         arrival = Arrival(self.flight, (), arb(0))
         rows = WeightedRows.from_goal(spec, arrival.velocity_time, doc)
-        needs = self.flight.tracker.needs(("orbit", doc.steps), rows.rows)
-        arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(needs))
-        return rows, needs
+        tightenings = self.flight.tracker.tightenings(("orbit", doc.steps), rows.rows)
+        arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(tightenings))
+        return rows, tightenings
 
     def arrives(self, taken: Takeover) -> None:
         """Check that the orbit, if it is known, is reached when it is claimed to be."""
@@ -145,10 +145,10 @@ class BranchMotion:
         The lesser of the sum of its periods' bounds and of that of all periods at once.
         """
         doc, tracker = self.flight.document, self.flight.tracker
-        plant, needs = tracker.craft.plant, tracker.needs("commands", tracker.commands)
+        plant, tightenings = tracker.craft.plant, tracker.tightenings("commands", tracker.commands)
         together, unasked = self._together(taken, cell), [arb(0)]
         periods = range(taken.k * doc.q, cell * doc.q)
-        total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), arb(0))
+        total = sum((self.flight.spent(tightenings, (taken.handed,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [

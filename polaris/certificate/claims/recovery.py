@@ -18,7 +18,7 @@ from ..model.craft.tightening import SetIntersample, Tightening
 from ..model.limits import Limits, NodeLimit, levels_of
 
 TOLD_SLACK = 1e-2
-"""Exactness of told figures, as a share of the room or of themselves; demands have no such slack."""
+"""Exactness of told figures, as a share of the clearance or of themselves; demands have no such slack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +27,24 @@ class Recovery:
 
     document: Document
     limits: Limits
-    needs: Tightening
+    tightenings: Tightening
     levels: list[list[NodeLimit]] = field(default_factory=list)
     """What feedback may command l periods after a hand-over; the last ones hold from then on."""
 
     @classmethod
     def from_limits(
-        cls, document: Document, path: Path, limits: Limits, needs: Tightening, scheduled: Feedforward | None
+        cls,
+        document: Document,
+        path: Path,
+        limits: Limits,
+        tightenings: Tightening,
+        scheduled: Feedforward | None,
     ) -> "Recovery":
         """Build it of limits around a path, less the jump and the errors by the time of the flight."""
-        limits = limits.less_jump(needs, path)
+        limits = limits.less_jump(tightenings, path)
         if scheduled is not None:
-            limits = limits.less(scheduled.response(needs))
-        return cls(document, limits, needs, levels_of(document, needs, path))
+            limits = limits.less(scheduled.response(tightenings))
+        return cls(document, limits, tightenings, levels_of(document, tightenings, path))
 
     @property
     def nodes(self) -> int:
@@ -52,16 +57,16 @@ class Recovery:
 
     def lags(self, node: int) -> int:
         """Number of periods after a node that are looked at one by one."""
-        return min(self.needs.memory.periods, self.nodes - node)
+        return min(self.tightenings.memory.periods, self.nodes - node)
 
     @cached_property
     def _least(self) -> list[dict[int, NodeLimit]]:
-        """Return for each cell the limits of least room, by row, of those of that cell and all later ones."""
+        """Return for each cell the limits of least clearance, by row, in that cell and all later ones."""
         by_cell: list[dict[int, NodeLimit]] = [{}]
         for nodes in reversed(self.limits.targets[: self.document.cells]):
             least = dict(by_cell[-1])
             for target in (target for met in nodes for target in met):
-                if target.row not in least or not least[target.row].room <= target.room:
+                if target.row not in least or not least[target.row].clearance <= target.clearance:
                     least[target.row] = target
             by_cell.append(least)
         return by_cell[::-1]
@@ -70,17 +75,17 @@ class Recovery:
         """First cell whose limits lie beyond the memory, seen from a node."""
         doc = self.document
         last = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
-        return min(node // doc.q + self.needs.memory.periods // doc.q, last)
+        return min(node // doc.q + self.tightenings.memory.periods // doc.q, last)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> None:
-        """Check that each set is recoverable, and inside by the share of the room that is claimed.
+        """Check that each set is recoverable, and inside by the share of the clearance that is claimed.
 
-        `reached` are sets of errors at nodes, `margins` shares of the room claimed to be left.
+        `reached` are sets of errors at nodes, `margins` shares of the clearance claimed to be left.
         A bound from the extents of the set comes first; only where it does not do, the exact support.
         """
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
-        first, which = self.needs.alike
-        pairs = zip(self.needs.carried, self.needs.bend, strict=True)
+        first, which = self.tightenings.alike
+        pairs = zip(self.tightenings.carried, self.tightenings.bend, strict=True)
         both = ((rows_of(rows, *first), rows_of(bend, *first)) for rows, bend in pairs)
         each = (spans(rows, sizes) + bend * sizes for rows, bend in both)
         coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in each]
@@ -90,8 +95,8 @@ class Recovery:
             for lag in range(self.lags(k) + 1):
                 of, needed, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
-                    row, room, whole = target.least
-                    if not needed[which[row]][place] + more[row] <= room - of * whole:
+                    row, clearance, whole = target.least
+                    if not needed[which[row]][place] + more[row] <= clearance - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 self._check_close(k, reached[k], close, share)
@@ -100,7 +105,7 @@ class Recovery:
 
     @cached_property
     def _disturbed(self) -> list[list[float]]:
-        return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
+        return [[float(x.abs_upper()) for x in each] for each in self.tightenings.disturbed]
 
     def _all(self, node: int, lag: int) -> list[NodeLimit]:
         """Limits that a set at a node must keep to some periods later."""
@@ -113,48 +118,54 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """Check that the share claimed at a set is left of all limits beyond the memory, too."""
-        late = self.needs.need_after_settling(z.size())
+        late = self.tightenings.tightening_after_settling(z.size())
         for row, target in self._least[self._far_cell(k)].items():
-            need = late[row] + self.needs.disturbed[-1][row]
+            tightening = late[row] + self.tightenings.disturbed[-1][row]
             where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
-            self._leaves(share, target, need, where)
+            self._leaves(share, target, tightening, where)
 
-    def _leaves(self, share: float, target: NodeLimit, need: arb, where: str) -> None:
-        """Check that a need, that of a jump included, leaves a share of the room as it is told."""
-        room, whole = target.room, target.whole
-        if not room - need >= (share - TOLD_SLACK) * whole:
-            left = float(((room - need) / whole).mid()) if room > 0 else 0.0
+    def _leaves(self, share: float, target: NodeLimit, tightening: arb, where: str) -> None:
+        """Check that a tightening, that of a jump included, leaves a share of the clearance as it is told."""
+        clearance, whole = target.clearance, target.whole
+        if not clearance - tightening >= (share - TOLD_SLACK) * whole:
+            left = float(((clearance - tightening) / whole).mid()) if clearance > 0 else 0.0
             text = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
-            raise Rejected("margins", f"{text}: needs {plain(need)}, available {plain(room)}", share - left)
+            raise Rejected(
+                "margins", f"{text}: needs {plain(tightening)}, available {plain(clearance)}", share - left
+            )
 
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[NodeLimit]], share: float
     ) -> None:
-        needs, bows = self.needs, SetIntersample(self.needs, z)
-        support = z.support(above(*(rows_of(needs.carried[lag], row) for lag, row in close)))
-        booked = above(*(rows_of(needs.bend[lag], row) for lag, row in close)) * z.size()
+        tightenings, bows = self.tightenings, SetIntersample(self.tightenings, z)
+        support = z.support(above(*(rows_of(tightenings.carried[lag], row) for lag, row in close)))
+        booked = above(*(rows_of(tightenings.bend[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):
-            disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
+            disturbance, of = tightenings.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
-                need, room = reach + extra + disturbance, target.room
-                if not room - need >= of * target.whole:  # all of it can be had more exactly
-                    at = rows_of(needs.carried[lag], row)
+                tightening, clearance = reach + extra + disturbance, target.clearance
+                if not clearance - tightening >= of * target.whole:  # all of it can be had more exactly
+                    at = rows_of(tightenings.carried[lag], row)
                     reach = sums((at * z.c).entries(), z.spread(at))[0]
-                    need = reach + bows.next_to(lag)[row] + disturbance
+                    tightening = reach + bows.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
-                require("recoverable", room - need, f"{where}: needs {plain(need)}, available {plain(room)}")
-                self._leaves(of, target, need, where)
+                require(
+                    "recoverable",
+                    clearance - tightening,
+                    f"{where}: needs {plain(tightening)}, available {plain(clearance)}",
+                )
+                self._leaves(of, target, tightening, where)
 
     def check_far(self) -> None:
         """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
-        need = sums(self.needs.forgotten, self.needs.disturbed[-1])
+        tightening = sums(self.tightenings.forgotten, self.tightenings.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
                 for t in (*met, *(self.levels[-1] if self.levels else ())):
-                    if need[t.row] <= t.room:
+                    if tightening[t.row] <= t.clearance:
                         continue
                     at = self.time(cell * self.document.q + i)
                     where = f"errors forgotten by the loop, {t.name} at t = {at}"
-                    text = f"{where}: needs {plain(need[t.row])}, available {plain(t.room)}"
-                    require("recoverable", t.room - need[t.row], text)
+                    text = f"{where}: needs {plain(tightening[t.row])}, available {plain(t.clearance)}"
+                    require("recoverable", t.clearance - tightening[t.row], text)

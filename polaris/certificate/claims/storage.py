@@ -76,10 +76,10 @@ def _sizes(M: arb_mat, p: arb_mat) -> list[float]:
     first, sizes = [float(x.mid()) for x in p.entries()], list[float]()
     v = [[cos(i * j + i * i) for i in range(1, len(rows) + 1)] for j in range(1, VECTOR + 1)]
     for _ in range(TURNS):
-        worth = [[sum(map(mul, row, each)) for row in rows] for each in v]
-        worth[0] = [x + y for x, y in zip(worth[0], first, strict=True)]
-        sizes = [hypot(*column_of) + TINY for column_of in zip(*worth, strict=True)]
-        v = [[x / size for x, size in zip(each, sizes, strict=True)] for each in worth]
+        products = [[sum(map(mul, row, each)) for row in rows] for each in v]
+        products[0] = [x + y for x, y in zip(products[0], first, strict=True)]
+        sizes = [hypot(*column_of) + TINY for column_of in zip(*products, strict=True)]
+        v = [[x / size for x, size in zip(each, sizes, strict=True)] for each in products]
     return sizes
 
 

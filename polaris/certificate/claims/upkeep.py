@@ -57,18 +57,18 @@ def check_estimate(arrival: Arrival, stated: FileClaims, flown: Sequence[FlownSt
     both = above(rows, -rows)
     if (claimed := claim["experimental"]) is not None:
         steps = [each for each in flown if each.pilot.law.kind != "safety"]
-        needs = [z.support(both) for each in steps for z in (each.start, *each.nodes, each.end)]
-        checked.append(("while others fly", claimed, maxima(*needs), craft.plant.u_max))
+        tightenings = [z.support(both) for each in steps for z in (each.start, *each.nodes, each.end)]
+        checked.append(("while others fly", claimed, maxima(*tightenings), craft.plant.u_max))
     if (claimed := claim["settled"]) is not None:
         if stated.upkeep is None:
             raise Rejected("goal", "settled estimate errors must be given exactly with an upkeep")
         first, T = arrival.node_at(stated.upkeep["settled_s"]), doc.steps * doc.q
         along, later = Tightening(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
-        needs = [arrival.flight.need(along, arrival.boxes, T + node) for node in later]
-        checked.append(("once S has settled", claimed, maxima(*needs), arrival.tops_before(first)))
-    for when, bounds, need, most_before in checked:
+        tightenings = [arrival.flight.tightening(along, arrival.boxes, T + node) for node in later]
+        checked.append(("once S has settled", claimed, maxima(*tightenings), arrival.tops_before(first)))
+    for when, bounds, tightening, most_before in checked:
         off = absolute(craft.carry) * column(craft.missed(sums(more, craft.lagged(most_before))))
-        error = sums(maxima(need[:n], need[n:]), off.entries())
+        error = sums(maxima(tightening[:n], tightening[n:]), off.entries())
         errors = sums(map(smallest, zip(error, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
         for i, (bound, x) in enumerate(zip(bounds, errors, strict=True)):
             arrival.require_bound(f"error of the estimate of state {i} {when}", bound, x)
@@ -87,8 +87,8 @@ def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | 
     lasting = MeanCommands(craft, plant.thruster_error(tops), seen).lasting()
     if lasting is None:
         return None
-    needs = Tightening(craft, arrival.flight.tracker.memory, lasting.rows)
-    sizes = zip(*(arrival.states(needs, node) for node in later), strict=True)
+    tightenings = Tightening(craft, arrival.flight.tracker.memory, lasting.rows)
+    sizes = zip(*(arrival.states(tightenings, node) for node in later), strict=True)
     once = sum((x * x for x in map(largest, sizes)), arb(0)) / 2
     bits = plant.weighted(list(map(arb, plant.without_delay.bits or [0.0] * len(tops))))
     longest = 1 + 2 * arb(plant.jitter) / plant.h
@@ -103,7 +103,7 @@ def _check(
     rate, once = (part / doc.mass for part in thrust)
     arrival.require_bound("velocity change per second", claim["rate_m_s2"], rate)
     ahead = once * plant.h
-    if doc.fired:  # a pulse ends before its period does
+    if doc.pulse_thrust:  # a pulse ends before its period does
         ahead += plant.spent(tops) / doc.mass
     until = arrival.delta_v_until(arrival.node_at(claim["settled_s"])) + ahead
     arrival.require_bound("velocity change until it is settled", claim["until_settled_m_s"], until)

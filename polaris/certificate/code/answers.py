@@ -215,7 +215,7 @@ class OnlineStep:
     def recoverable(self, node: int, state: Sequence[float], share: float) -> bool:
         """Return True if S can take over at the next node, whatever flies until then.
 
-        A decision for U needs at most a share of the room at every limit; the first that fails ends it.
+        A decision for U needs at most a share of the clearance at every limit; the first that fails ends it.
         """
         tables, precision, q = self.tables, self.precision, len(self.tables.moved)
         gap = self.safe.gap(*divmod(node, q), state)
@@ -227,10 +227,10 @@ class OnlineStep:
             booked = [summed(a, [b], [size], precision) for a, b in zip(*rows, strict=True)]
             cell, part = divmod(node + lag, q)
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
-            if not self._kept(tables.room[cell], part, booked, values, share):
+            if not self._kept(tables.clearance[cell], part, booked, values, share):
                 return False
             if part == 0 and cell > 0:
-                ended = tables.room[cell - 1][: tables.facets]
+                ended = tables.clearance[cell - 1][: tables.facets]
                 if not self._kept(ended, q, booked, values, share):
                     return False
             if lag == 0:
@@ -242,14 +242,14 @@ class OnlineStep:
         return True
 
     def _kept(
-        self, room: Table, part: int, booked: Sequence[float], values: Sequence[float], share: float
+        self, clearance: Table, part: int, booked: Sequence[float], values: Sequence[float], share: float
     ) -> bool:
         precision = self.precision
-        for sides, more, value in zip(room, booked, values, strict=False):
+        for sides, more, value in zip(clearance, booked, values, strict=False):
             for at, by, sign in ((0, 1, 1.0), (2, 3, -1.0)):
                 limit = summed(sides[at], [sides[by]], [part], precision)
-                need = rounded(more + sign * value, precision)
-                if not (need <= limit and need <= rounded(share * limit, precision)):
+                tightening = rounded(more + sign * value, precision)
+                if not (tightening <= limit and tightening <= rounded(share * limit, precision)):
                     return False
         return True
 

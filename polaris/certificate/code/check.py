@@ -171,8 +171,10 @@ def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
 
     Errors are at most of those sizes (N, 1) where S takes over, at any time.
     """
-    needs = flight.tracker.needs("states", identity(len(flight.document.A)))
-    errors = column(sums(needs.need_at_any_time(row_maxima(sizes)), maxima(*needs.disturbed)))
+    tightenings = flight.tracker.tightenings("states", identity(len(flight.document.A)))
+    errors = column(
+        sums(tightenings.tightening_at_any_time(row_maxima(sizes)), maxima(*tightenings.disturbed))
+    )
     reference = row_maxima([node for arc in flight.path.arcs for node in arc.nodes])
     states, seen = reference + errors, flight.document.observer or {"measures": [], "noise": []}
     measured = magnitude(matrix(seen["measures"], states.nrows())) * states + column(seen["noise"])

@@ -5,8 +5,8 @@ static int32_t kept(int32_t cell, int32_t part, int32_t lag, int32_t count,
 {
     int32_t good = 1;
     for (int32_t r = 0; r < count; r++) {
-        const @PREFIX@_real above = room[cell][r][0] + (room[cell][r][1] * (@PREFIX@_real)part);
-        const @PREFIX@_real below = room[cell][r][2] + (room[cell][r][3] * (@PREFIX@_real)part);
+        const @PREFIX@_real above = clearance[cell][r][0] + (clearance[cell][r][1] * (@PREFIX@_real)part);
+        const @PREFIX@_real below = clearance[cell][r][2] + (clearance[cell][r][3] * (@PREFIX@_real)part);
         const @PREFIX@_real more = booked[lag][r] + (sized[lag][r] * size);
         const @PREFIX@_real least = more - values[r];
         const @PREFIX@_real most = more + values[r];

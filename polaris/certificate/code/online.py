@@ -116,11 +116,11 @@ class DecisionBound:
 
         Of both intersample bounds, which are affine in the share, the one that is less at its end counts.
         """
-        craft, needs = self.flight.tracker.craft, self.flight.recovery.needs
-        plant, count = craft.plant, needs.given.nrows() - 2 * craft.plant.B.ncols()
+        craft, tightenings = self.flight.tracker.craft, self.flight.recovery.tightenings
+        plant, count = craft.plant, tightenings.given.nrows() - 2 * craft.plant.B.ncols()
         if not count:
             return [([], [])] * 2
-        rows = part(rows_of(needs.given, *range(count)), plant.A.nrows())
+        rows = part(rows_of(tightenings.given, *range(count)), plant.A.nrows())
         along, whole = craft.intersample(Directions(rows))
         bows = []
         for share in (0, 1):
@@ -139,14 +139,17 @@ class DecisionBound:
         firsts = [sums([both[i][row] for row, i in enumerate(which)], bend) for both in bows]
         return [(sums(first, known[0]), sums(first, last, known[1])) for first in firsts]
 
-    def need(self, lag: int, share: int) -> list[arb]:
+    def tightening(self, lag: int, share: int) -> list[arb]:
         """Need of every row at a node so many after the decision, beside the estimate's error."""
-        craft, needs = self.flight.tracker.craft, self.flight.recovery.needs
+        craft, tightenings = self.flight.tracker.craft, self.flight.recovery.tightenings
         if lag == 0:
             return self.within[share][0]
-        carried = needs.carried[lag - 1]
-        known = widths(carried * craft.free * self.hidden), (needs.bend[lag - 1] * self.end(share)).entries()
-        total = sums(row_sums(carried * self.added), *known, needs.disturbed[lag - 1])
+        carried = tightenings.carried[lag - 1]
+        known = (
+            widths(carried * craft.free * self.hidden),
+            (tightenings.bend[lag - 1] * self.end(share)).entries(),
+        )
+        total = sums(row_sums(carried * self.added), *known, tightenings.disturbed[lag - 1])
         if lag == 1:
             facets = self.within[share][1]
             total = [*maxima(total[: len(facets)], facets), *total[len(facets) :]]
@@ -155,7 +158,7 @@ class DecisionBound:
     @cached_property
     def stored(self) -> list[tuple[int, int, arb_mat]]:
         """Stored row of every limit's row, the side on which it limits, and by how much it is off (1, n)."""
-        given, facets = self.flight.recovery.needs.given, len(self.within[0][0])
+        given, facets = self.flight.recovery.tightenings.given, len(self.within[0][0])
         rows = [matrix([row]) for row in self.tables.rows]
         nearest = list[tuple[int, int, arb_mat]]()
         for i in range(given.nrows()):
@@ -173,7 +176,7 @@ class DecisionBound:
     @cached_property
     def rounding_loss(self) -> list[list[arb]]:
         """Bound on what rounding changes of the value along every row, node by node."""
-        craft, needs, tables = self.flight.tracker.craft, self.flight.recovery.needs, self.tables
+        craft, tightenings, tables = self.flight.tracker.craft, self.flight.recovery.tightenings, self.tables
         n, m, precision = len(tables.apart), len(tables.limit), self.precision
         held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
         free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held_map, craft.F))
@@ -185,9 +188,9 @@ class DecisionBound:
         rounded = first * rounding_factor(n + m, precision) + least(n, n + m, precision)
         off = magnitude(free) * self.off + magnitude(held - free) * apart
         off += magnitude(force - push) * fed + magnitude(push) * wrong + rounded
-        known = needs.memory.powers[: len(tables.booked)]
+        known = tightenings.memory.powers[: len(tables.booked)]
         powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in known]
-        spread = [magnitude(part(carried, n)) for carried in needs.carried[: len(tables.booked)]]
+        spread = [magnitude(part(carried, n)) for carried in tightenings.carried[: len(tables.booked)]]
         each = magnitude(loop) * rounding_factor(n, precision) + magnitude(loop - F)
         stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
         along = above(*(magnitude(row) for row in stored)) * (
@@ -209,30 +212,30 @@ class DecisionBound:
         tables, u = self.tables, UNIT[self.precision]
         for lag, (booked, sized) in enumerate(zip(tables.booked, tables.sized, strict=True)):
             for share in (0, 1):
-                for row, need in enumerate(self.need(lag, share)):
+                for row, tightening in enumerate(self.tightening(lag, share)):
                     base, more = (arb(table[self.stored[row][0]]) for table in (booked, sized))
                     stated = base + more * share - (abs(base) + abs(more)) * (8 * u)
                     where = f"row {row}, {lag} nodes on, errors of share {share}"
-                    spare = stated - need - self.rounding_loss[lag][row]
-                    require(CLAIM, spare, f"{where}: needs {plain(need)}, {plain(stated)} is booked")
+                    spare = stated - tightening - self.rounding_loss[lag][row]
+                    require(CLAIM, spare, f"{where}: needs {plain(tightening)}, {plain(stated)} is booked")
         return f"S can take over wherever U may fly, {len(tables.booked)} nodes ahead and beyond"
 
 
 def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
     """Check the tables of an online monitor against the limits of a flight."""
     doc = flight.document
-    if doc.transients or doc.fired or doc.late or doc.carried or any(doc.displaced):
+    if doc.transients or doc.pulse_thrust or doc.late or doc.carried_impulse or any(doc.state_offset):
         raise Rejected(CLAIM, "the monitor needs thrust without pulses, jitter and faults isolated late")
     flight = _with_largest_errors(flight)
     last = doc.steps * doc.q + len(tables.booked) - 2
     if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
         raise Rejected(CLAIM, f"the tables look {len(tables.booked)} nodes ahead, which is not supported")
-    if len(tables.room) <= last // doc.q:
-        raise Rejected(CLAIM, f"the tables have {len(tables.room)} steps, but use {last // doc.q + 1}")
+    if len(tables.clearance) <= last // doc.q:
+        raise Rejected(CLAIM, f"the tables have {len(tables.clearance)} steps, but use {last // doc.q + 1}")
     decision = DecisionBound(flight, tables, precision)
     check_plausible(flight, [decision.start(1), decision.end(1)])
     confirmed = decision.check()
-    _check_rooms(decision)
+    _check_clearances(decision)
     _check_later(decision)
     return confirmed
 
@@ -273,7 +276,7 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     extra = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
     off = craft.missed(sums(extra, craft.lagged(plant.u_max)))
     error = [nextafter(float(x.upper()), inf) for x in plant.thruster_error(plant.u_max)]
-    doc.profile, doc.error_by_step = [], []
+    doc.feedback_bound, doc.error_by_step = [], []
     plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
     craft = replace(craft, plant=plant, off=off, base=None, _along={})
     memory = replace(tracker.memory, feedback_bound=[], rates=[])
@@ -281,38 +284,42 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
 
 
-def _check_rooms(decision: DecisionBound) -> None:
+def _check_clearances(decision: DecisionBound) -> None:
     """Check that each room, as it is computed, is at most that of the limit."""
     tables, u = decision.tables, UNIT[decision.precision]
-    for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.room)]):
+    for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.clearance)]):
         for place, met in enumerate(nodes):
             for target in met:
                 kind, side, _ = decision.stored[target.row]
-                first, slope = (arb(x) for x in tables.room[cell][kind][side : side + 2])
-                room = first + slope * place + (abs(first) + abs(slope) * place) * (4 * u)
+                first, slope = (arb(x) for x in tables.clearance[cell][kind][side : side + 2])
+                clearance = first + slope * place + (abs(first) + abs(slope) * place) * (4 * u)
                 where = f"{target.name} in step {cell}, period {place}"
-                require(CLAIM, target.room - room, f"{where}: room {plain(room)} of {plain(target.room)}")
+                require(
+                    CLAIM,
+                    target.clearance - clearance,
+                    f"{where}: clearance {plain(clearance)} of {plain(target.clearance)}",
+                )
 
 
 def _check_later(decision: DecisionBound) -> None:
     """Check limits further ahead than a decision looks, for every error with which U may fly."""
     flight = decision.flight
-    doc, recovery, needs = flight.document, flight.recovery, flight.recovery.needs
+    doc, recovery, tightenings = flight.document, flight.recovery, flight.recovery.tightenings
     least_of = [dict[int, NodeLimit]()]
     for nodes in reversed(recovery.limits.targets):
-        rooms = dict(least_of[-1])
+        clearances = dict(least_of[-1])
         for target in (target for met in nodes for target in met):
-            if target.row not in rooms or not rooms[target.row].room <= target.room:
-                rooms[target.row] = target
-        least_of.append(rooms)
+            if target.row not in clearances or not clearances[target.row].clearance <= target.clearance:
+                clearances[target.row] = target
+        least_of.append(clearances)
     least_of.reverse()
     periods, end = flight.tracker.memory.periods, decision.end(1)
     for at in range(len(decision.tables.booked) - 1, periods + 2):
         beyond = at > periods
-        grown = needs.need_after_settling(end) if beyond else needs.boxed(end, at)
-        need = sums(grown, needs.disturbed[at])
+        grown = tightenings.tightening_after_settling(end) if beyond else tightenings.boxed(end, at)
+        tightening = sums(grown, tightenings.disturbed[at])
         cell = periods // doc.q if beyond else at // doc.q
         cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)
         for row, target in least_of[cell].items():
-            where = f"{target.name}, {at} periods after a hand-over: needs {plain(need[row])}"
-            require(CLAIM, target.room - need[row], f"{where} of {plain(target.room)}")
+            where = f"{target.name}, {at} periods after a hand-over: needs {plain(tightening[row])}"
+            require(CLAIM, target.clearance - tightening[row], f"{where} of {plain(target.clearance)}")

@@ -19,10 +19,8 @@ SIZES = "N", "M", "Q", "STEPS", "CELLS", "COVERED"
 ONLINE = "KINDS", "FACETS", "LAGS", "AHEAD"  # sizes of the online monitor's tables
 OBSERVER = "OUTPUTS", "SENT", "UPDATES"  # of the observer's
 CENTRE = 0.5  # share of S's gain about which errors of its commands are bounded, whoever flies
-FREE = 2.0**100  # room that limits nothing
-KEEP = (
-    0.9  # share of the room that U may need where S has flown: a tenth is left, as `Monitor.reentry` has it
-)
+FREE = 2.0**100  # clearance that limits nothing
+KEEP = 0.9  # share of the clearance that U may need where S has flown, as 1 - `Monitor.reentry`
 
 Table = Any  # nested lists of floats
 
@@ -61,8 +59,8 @@ class Tables:
     booked, sized : list, shape (l, r)
         What is booked of a limit so many periods after a decision, rounding included, and what more as the
         error grows from none to the largest.
-    room : list, shape (c, r, 4)
-        Room of every cell ahead along a row and against it: at its start, and more in every period.
+    clearance : list, shape (c, r, 4)
+        Clearance of every cell ahead along a row and against it: at its start, and more in every period.
     seen : list, shape (o, n)
         Of the observer, empty without it, as are all below: what is measured, by the state predicted for now.
     later : list, shape (d, o, m)
@@ -91,7 +89,7 @@ class Tables:
     apart: Table = field(default_factory=list)
     booked: Table = field(default_factory=list)
     sized: Table = field(default_factory=list)
-    room: Table = field(default_factory=list)
+    clearance: Table = field(default_factory=list)
     seen: Table = field(default_factory=list)
     later: Table = field(default_factory=list)
     updates: Table = field(default_factory=list)
@@ -102,7 +100,7 @@ class Tables:
         """Sizes by their names in the templates."""
         counts = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
         sizes = dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
-        online = len(self.rows), self.facets, len(self.booked), len(self.room)
+        online = len(self.rows), self.facets, len(self.booked), len(self.clearance)
         seen = len(self.seen), len(self.later), len(self.updates)
         sizes |= dict(zip(OBSERVER, seen, strict=True)) if self.seen else {}
         return sizes | (dict(zip(ONLINE, online, strict=True)) if self.rows else {})
@@ -130,7 +128,7 @@ ONLINE_SHAPES = {
     "apart": ("N",),
     "booked": ("LAGS", "KINDS"),
     "sized": ("LAGS", "KINDS"),
-    "room": ("AHEAD", "KINDS", "SIDES"),
+    "clearance": ("AHEAD", "KINDS", "SIDES"),
 }
 OBSERVER_SHAPES = {
     "held": ("N", "N"),

@@ -84,8 +84,8 @@ def read_scenario(folder: Path) -> dict[str, Any]:
 class FileClaims:
     """Claims of the other files that the certificate itself does not make."""
 
-    start_margin: float | None = None  # share of the room left to the initial set
-    margins: list[float] = field(default_factory=list)  # of every step, share of the room that it leaves
+    start_margin: float | None = None  # share of the clearance left to the initial set
+    margins: list[float] = field(default_factory=list)  # of every step, share of the clearance that it leaves
     least: float | None = None  # least distance [m] of the drift after all thrust stops
     upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
     estimate: dict[str, Any] | None = None  # how far an observer's estimates may be off
@@ -191,16 +191,16 @@ def check_summary(
     for key, (_, modes) in flown.items():
         _check_flown(document, key, modes, stored[key])
     spent, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
-    worths = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
-    worth = math.fsum(worths[mode] for mode in document.modes) / K
-    worst, bound = synthesis.get("worst_found"), synthesis["share_at_most"]
+    objectives = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
+    objective = math.fsum(objectives[mode] for mode in document.modes) / K
+    worst, bound = synthesis.get("worst_flight"), synthesis["share_at_most"]
     needed = {
         "share_at_most of no less than experimental_share": _raised(bound) >= share(document.modes),
         "share_at_most of no less than proven_share": _raised(bound) >= synthesis.get("proven_share", 0.0),
-        "share_bound.worth of no less than the schedule's": _raised(synthesis["share_bound"]["worth"])
-        >= worth,
-        "worst_found where, and only where, black boxes fly": "worst_found" not in synthesis
-        or (worst is None) == (not document.statement),
+        "share_bound.objective of no less than the schedule's": _raised(synthesis["share_bound"]["objective"])
+        >= objective,
+        "worst_flight where, and only where, black boxes fly": "worst_flight" not in synthesis
+        or (worst is None) == (not document.sampled_bound),
         "violated with a failure": worst is None or worst["violated"] == (worst["failure"] is not None),
         "velocity changes of runs within the claim": document.guarantee != "proved"
         or bool(document.transients)

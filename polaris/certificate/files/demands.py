@@ -19,7 +19,7 @@ CHECKED = {
         "navigation.measurement": "position_error_m velocity_error_m_s matrix error range_error_m"
         " bearing_error_deg constant_share",
         "navigation.measurement.initial": "position_error_m velocity_error_m_s state_error",
-        "thrusters": "varies magnitude_error misalignment_deg mass_error impulse_bit_N_s remainder pulse"
+        "thrusters": "errors_vary magnitude_error misalignment_deg mass_error impulse_bit_N_s remainder pulse"
         " resolution rise_s fall_s directions thrust_max_N allocation",
         "timing": "delay_s jitter_s missed_periods clock_error_s",
         "faults": "kind share isolation_s lasts_s",

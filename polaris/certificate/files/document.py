@@ -25,7 +25,7 @@ from .file_keys import CERTIFICATE, REPEATED
 from .structure import Lengths, conform, contents, strict_json
 
 FORMAT = "polaris-certificate"
-VERSION = 6
+VERSION = 7
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step
@@ -100,15 +100,25 @@ class Document:
         self.error_by_step: Matrix = system.get("error_by_step") or []
         self.observer: dict[str, Any] | None = system.get("observer")
         self.timing: dict[str, Any] = system.get("timing") or {}
-        self.measured: Vector = self.timing.get("measured") or self.estimate
-        self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
-        self.fired: Vector = self.timing.get("fired") or []  # thrust of pulses; empty where inputs are held
-        self.placed: str = self.timing.get("placed", "")  # of pulses; empty where they are centred
+        self.measured_error: Vector = self.timing.get("measured_error") or self.estimate
+        self.state_offset: Vector = self.timing.get("state_offset") or [0.0] * len(self.A)
+        self.pulse_thrust: Vector = (
+            self.timing.get("pulse_thrust") or []
+        )  # thrust of pulses; empty where inputs are held
+        self.pulse_place: str = self.timing.get("pulse_place", "")  # of pulses; empty where they are centred
         self.edge: float = self.timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
-        self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
-        self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
-        self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
-        self.late: bool = self.timing.get("jitter", 0.0) > 0 and not self.fired  # what is made may grow by it
+        self.intersample_offset: Vector = self.timing.get("intersample_offset") or [0.0] * len(
+            self.A
+        )  # between nodes only
+        self.at_nodes: Vector = [
+            x - y for x, y in zip(self.state_offset, self.intersample_offset, strict=True)
+        ]
+        self.carried_impulse: float = self.timing.get(
+            "carried_impulse", 0.0
+        )  # impulse that is left to the next period
+        self.late: bool = (
+            self.timing.get("jitter", 0.0) > 0 and not self.pulse_thrust
+        )  # what is made may grow by it
         self.prompt_bits: Vector = self._each(self.timing.get("bit", self.bits))  # without jitter, pulses
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
@@ -199,9 +209,9 @@ class Document:
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item, len(self.A), len(self.C)) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
-        caused = any(x > 0 for x in self.shares) or self.late or bool(self.placed)
-        self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
-        falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
+        caused = any(x > 0 for x in self.shares) or self.late or bool(self.pulse_place)
+        self.feedback_bound: Matrix = (read.get("feedback_bound") or [self.u_max]) if caused else []
+        falls = pairwise([*self.feedback_bound, [0.0] * len(self.u_max)] if caused else [])
         if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
             raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
         self.recoverable: str = read["recoverable"]
@@ -215,7 +225,7 @@ class Document:
         self.artefacts: dict[str, str] = read["artefacts"]
         samples = dict(read.get("samples") or {})
         self.fits: list[list[Matrix] | None] = samples.pop("fits", [None] * self.steps)
-        self.statement: dict[str, Any] = samples
+        self.sampled_bound: dict[str, Any] = samples
         self.choices: dict[str, Any] = read.get("choices") or {}
         self._check_claims()
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
@@ -228,7 +238,7 @@ class Document:
             of_state=any(item.of_state for item in self.unsafe),
             horizon=self.horizon,
             until=self.claim_end,
-            estimate=self.measured,
+            estimate=self.measured_error,
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
             initial=(self.observer or {}).get("initial") or (),
@@ -236,16 +246,16 @@ class Document:
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=(*self.shares, max(self.prompt_bits)),
             same_shares=self.same_shares,
-            pulses=self.fired,
-            placed=self.placed,
+            pulses=self.pulse_thrust,
+            placed=self.pulse_place,
             edge=self.edge,
             fine=self.timing.get("fine", False),
-            carried=self.carried,
+            carried=self.carried_impulse,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
             layout=(self.allocation or {}).get("kind", ""),
             late=[(each["name"], each["lasts"]) for each in self.transients],
-            sampled=self.statement or None,
+            sampled=self.sampled_bound or None,
             position=self.C,
             networks=[(law.name, law.precision) for law in self.laws if law.kind == "neural"],
         ).sentences()
@@ -270,13 +280,16 @@ class Document:
             if work * self.q * self.modes.count(mode) > MOST_WORK or entries > MOST_ENTRIES:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]
-        if boxes != [fit is not None for fit in self.fits] or any(boxes) != bool(self.statement):
+        if boxes != [fit is not None for fit in self.fits] or any(boxes) != bool(self.sampled_bound):
             raise ValueError("black boxes, and they alone, must have been fitted to samples")
         if self.guarantee != ("statistical" if any(boxes) else "proved"):
             raise Rejected("guarantee", f"{self.guarantee} is claimed; black boxes fly {sum(boxes)} steps")
         if any(row[-1] < 0 for fit in self.fits for node in fit or () for row in node):
             raise ValueError("bands must not be negative")
-        if self.statement and not 0 <= self.statement["outside"] <= self.statement["flights"] <= MOST_FLIGHTS:
+        if (
+            self.sampled_bound
+            and not 0 <= self.sampled_bound["outside"] <= self.sampled_bound["flights"] <= MOST_FLIGHTS
+        ):
             raise ValueError("more flights are outside than there are, or there are too many")
 
 

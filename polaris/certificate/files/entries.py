@@ -49,7 +49,7 @@ def network_of(law: dict[str, Any]) -> dict[str, Any]:
     if width != len(law["output_scale"]) or len(set(law["inputs"])) < len(law["inputs"]):
         raise ValueError(f"inputs or outputs of {law['name']} do not fit")
     scales = {name: law[name] for name in ("input_scale", "output_scale")}
-    more = {"bodies": law.get("bodies", []), "precision": law.get("precision", "real")}
+    more = {"bodies": law.get("obstacles", []), "precision": law.get("precision", "real")}
     return {"reads": law["inputs"], "layers": layers, **more, **scales}
 
 
@@ -107,7 +107,9 @@ class Law:
     @classmethod
     def from_item(cls, law: Any) -> "Law":
         """Build a law from its item."""
-        return cls(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
+        return cls(
+            *map(law.get, ("name", "kind", "gain", "reference_states", "reference_inputs")), **network_of(law)
+        )
 
     @property
     def work(self) -> tuple[int, int]:

@@ -17,7 +17,8 @@ OPTIONAL = AnyOf((REAL, None))
 BOUND = AnyOf((NOT_NEGATIVE, None))  # null for infinity, which bounds nothing
 VECTOR = Items(REAL)
 MATRIX = Items(VECTOR)
-ONE = Int(1, 1)
+RUN_VERSION = 2  # of schedule.json and summary.json
+VERSION_OF_RUN = Int(RUN_VERSION, RUN_VERSION)
 GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
@@ -33,7 +34,7 @@ def grid(sizes: str, item: Shape = HEX) -> Shape:
     return item
 
 
-_OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inputs?": grid("* m")}
+_OWN = {"name": NAME, "gain": grid("m n"), "reference_states?": grid("* n"), "reference_inputs?": grid("* m")}
 
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
@@ -42,13 +43,13 @@ _BITS = AnyOf((AT_LEAST_0, grid("m", AT_LEAST_0)))
 _NETWORK = {
     "name": NAME, "precision?": Text(("float32", "float64")),
     "inputs": Items(Text(pattern=f"{READ}.+"), 1, 100),
-    "bodies?": Items({
+    "obstacles?": Items({
         "name": NAME, **every(AnyOf((grid("d"), None)), "center_m velocity_m_s"),
         "state": AnyOf((grid("n"), None)), "state_half_widths": AnyOf((grid("n", AT_LEAST_0), None)),
         "thrust_accel_max_m_s2": AT_LEAST_0,
     }, 1, 64),
     "input_scale": grid("*"), "output_scale": grid("m", ABOVE_0),
-    "own_states?": grid("* n"), "own_inputs?": grid("* m"),
+    "reference_states?": grid("* n"), "reference_inputs?": grid("* m"),
     "layers": Items(OneOf({
         "affine": {"W": grid("* *"), "b": grid("*")}, **every(_LIMITS, "relu tanh sigmoid clip"),
         "diagonal": {"scale": grid("*"), "b": grid("*")},
@@ -70,9 +71,9 @@ CERTIFICATE = {
         "thrusters?": {**every(AT_LEAST_0, "along across"), "mass?": _PART, "bit": _BITS,
                         "constant?": bool},
         "timing?": {**every(HEX, "delay jitter clock"), "missed": Int(), "bit": _BITS,
-                    **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"),
-                    "placed?": Text(("start", "staggered")),
-                    **every(HEX, "carried? edge?"), "fine?": bool},
+                    **every(grid("n"), "measured_error state_offset intersample_offset?"),
+                    "pulse_thrust?": grid("m"), "pulse_place?": Text(("start", "staggered")),
+                    **every(HEX, "carried_impulse? edge?"), "fine?": bool},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
                       "after?": grid("missed n measured"), "constant?": grid("measured", AT_LEAST_0),
@@ -105,7 +106,7 @@ CERTIFICATE = {
     "modes": grid("K", Int()),
     "slopes": grid("K", AnyOf((None, grid("q m", UP_TO_1)))),
     "weights?": Items(AnyOf((None, Items(ABOVE_0, 1, 10_000))), 1),
-    "profile?": grid("* m"),
+    "feedback_bound?": grid("* m"),
     "recoverable": Text(("polytope", "ball")),
     "horizon": HORIZON,
     "drift?": {
@@ -153,10 +154,10 @@ CLAIMED = {
             "step": Int(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
     },
-    "withheld?": Items({
+    "fault_attribution?": Items({
         "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Items({
             **every(Int(), "step limit_step"), **every(TEXT, "controller limit"),
-            **every(REAL, "t_s limit_time_s need room short"),
+            **every(REAL, "t_s limit_time_s tightening clearance shortfall"),
         }),
     }),
     "powered_abort?": {
@@ -166,14 +167,14 @@ CLAIMED = {
             "step": Int(), "why": AnyOf((TEXT, None)),
         }),
     },
-    "statement?": {
+    "sampled_bound?": {
         **every(SHARE, "probability confidence"), **every(Int(), "flights outside seed attempts"),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""
 
 SCHEDULE = {
-    "schema_version": ONE,
+    "schema_version": VERSION_OF_RUN,
     **every(REAL, "step_s duration_s"),
     "controllers": Items({"mode": Int(), **every(TEXT, "name kind")}),
     "rules": {
@@ -191,7 +192,7 @@ SCHEDULE = {
         **every(Int(), "step mode"),
         **every(REAL, "t_start_s t_end_s"),
         **every(TEXT, "controller limit"),
-        **every(OPTIONAL, "margin limit_time_s need room"),
+        **every(OPTIONAL, "margin limit_time_s tightening clearance"),
     }),
 }
 """``schedule.json``."""
@@ -216,17 +217,17 @@ FLOWN = {
 """Statistics of simulated runs."""
 
 SUMMARY = {
-    "schema_version": ONE,
+    "schema_version": VERSION_OF_RUN,
     **every(TEXT, "scenario title created"),
     **every(FLOWN, "polaris safety"),  # and each experimental controller alone
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
         **every(SHARE, "experimental_share share_at_most proven_share?"),
-        "worst_found?": AnyOf(({
+        "worst_flight?": AnyOf(({
             "runs": Int(1), "failure": AnyOf((TEXT, None)), "least_m": OPTIONAL, "leave_sets": SHARE,
             **every(bool, "violated repeats"),
         }, None)),
-        "share_bound": {"worth": NOT_NEGATIVE, **every(Int(), "programs demands"), "ended": TEXT},
+        "share_bound": {"objective": NOT_NEGATIVE, **every(Int(), "programs demands"), "ended": TEXT},
         "switches": Int(),
         "start_margin": OPTIONAL,
         "planner": Named(object),

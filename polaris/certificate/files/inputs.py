@@ -53,7 +53,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         record.holds("controllers", f"{len(document.laws) - 1} experimental, {text}")
         record.holds("schedule", _check_switching(document, scenario))
         kind = scenario.get("recoverable", {}).get("kind", "polytope")
-        _need("recoverable_sets", "kind", document.recoverable, kind)
+        _tightening("recoverable_sets", "kind", document.recoverable, kind)
         check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
@@ -105,7 +105,7 @@ def _moves(spec: dict[str, Any]) -> bool:
     return spec["kind"] == "satellite" or any(spec.get("velocity_m_s") or ())
 
 
-def _need(claim: str, what: str, stated: Any, given: Any) -> None:
+def _tightening(claim: str, what: str, stated: Any, given: Any) -> None:
     if stated != given:
         raise Rejected(claim, f"{what} is {stated} in the certificate, {given} in the scenario")
 
@@ -137,7 +137,7 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
         chosen = range(3) if hill else spec.get("position_states", range(max(n // 2, 1)))
         position = [[float(i == j) for j in range(n)] for i in chosen]
     for what, (stated, wanted) in {**given, "C": (document.C, position)}.items():
-        _need("system", what, stated, wanted)
+        _tightening("system", what, stated, wanted)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
@@ -158,7 +158,7 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     carried = spec.get("remainder", "dropped") == "carried"
     if layout is None:
         left = spec.get("impulse_bit_N_s", 0.0) * carried
-        _need("system", "impulse that is carried", document.carried, left)
+        _tightening("system", "impulse that is carried", document.carried_impulse, left)
         along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
         turned /= 1 - mass
         share = turned * arb(len(document.u_max) - 1).sqrt()
@@ -167,10 +167,14 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     else:
         bits, least = layout.dropped(bit, period, carried), layout.max_carried(bit * carried)
         wanted = magnitude + (1 - magnitude) * 2 * (turn / 2).sin() ** 2, turned, mass
-        require("system", document.carried - least * (1 - ROUNDED), f"impulses left: {document.carried}")
+        require(
+            "system",
+            document.carried_impulse - least * (1 - ROUNDED),
+            f"impulses left: {document.carried_impulse}",
+        )
     for name, least, value in zip(("along", "across", "of the mass"), wanted, document.shares, strict=True):
         require("system", value - least + least * ROUNDED, f"error of the thrusters {name}: {value}")
-    constant = spec.get("varies", "always") == "never" and document.allocation is None
+    constant = spec.get("errors_vary", "always") == "never" and document.allocation is None
     if document.same_shares != (constant and any(x > 0 for x in document.shares)):
         raise Rejected("system", "errors of the thrusters are not as constant as the scenario says")
     for least, value in zip(bits, document.prompt_bits, strict=True):
@@ -178,18 +182,18 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:
-    _need("initial_set", "centre", document.center, spec["center"])
+    _tightening("initial_set", "centre", document.center, spec["center"])
     if document.mean_motion is not None and math.hypot(*document.center[:3]) > HILL_RANGE:
         raise Rejected("initial_set", f"starts beyond {HILL_RANGE:g} m: Hill's equations hold near it")
     n, generators = len(document.center), document.generators
     if spec["kind"] == "zonotope":
-        _need("initial_set", "generators", generators, spec["generators"])
+        _tightening("initial_set", "generators", generators, spec["generators"])
         return
     if spec["kind"] == "box":
         if any(sum(x != 0 for x in g) > 1 for g in generators):
             raise Rejected("initial_set", "a box has generators along the axes")
         extent = [math.fsum(abs(g[i]) for g in generators) for i in range(n)]
-        _need("initial_set", "half-widths", extent, spec["half_widths"])
+        _tightening("initial_set", "half-widths", extent, spec["half_widths"])
         return
     if any(sorted(row) != [0.0] * (n - 1) + [1.0] for row in document.C):
         raise Rejected("initial_set", "a ball needs a position that is a choice of states")
@@ -221,7 +225,7 @@ def _inner_box(G: arb_mat) -> arb:
 def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
     horizon, period = scenario["horizon"], scenario.get("feedback", {}).get("period_s")
     step = horizon["step_s"]
-    _need("sampling", "step [s]", document.delta, step)
+    _tightening("sampling", "step [s]", document.delta, step)
     _times("number of steps", document.steps, step, horizon["duration_s"])
     if period is not None:  # else whichever the certificate rests on
         _times("periods per step", document.q, period, step)
@@ -238,32 +242,32 @@ def _times(what: str, count: int, part: float, whole: float) -> None:
 
 def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
     specs = scenario["experimental"]
-    _need("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
-    _need("controllers", "name of the safety controller", document.laws[0].name, "safety")
+    _tightening("controllers", "number of experimental controllers", len(document.laws) - 1, len(specs))
+    _tightening("controllers", "name of the safety controller", document.laws[0].name, "safety")
     check_gain(document, document.laws[0], scenario["tracking"])
     for law, spec in zip(document.laws[1:], specs, strict=True):
-        _need("controllers", "name", law.name, spec["name"])
-        _need("controllers", f"kind of {law.name}", law.kind, spec["kind"])
+        _tightening("controllers", "name", law.name, spec["name"])
+        _tightening("controllers", f"kind of {law.name}", law.kind, spec["kind"])
         if law.kind in ("any_thrust", "black_box"):
             continue
         if law.kind == "neural":
             top = spec["output_scale_N"]
-            _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
-            _need("controllers", "bodies", law.bodies, bodies_of(law.reads, scenario))
-            _need("controllers", "precision", law.precision, spec.get("precision", "real"))
+            _tightening("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
+            _tightening("controllers", "bodies", law.bodies, bodies_of(law.reads, scenario))
+            _tightening("controllers", "precision", law.precision, spec.get("precision", "real"))
             ones = [1.0] * len(law.input_scale)
-            _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
+            _tightening("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)
-            _need("controllers", "scale of the outputs", law.output_scale, tops)
+            _tightening("controllers", "scale of the outputs", law.output_scale, tops)
             check_references(document, law, scenario, spec)
             continue
         if spec.get("gain") is not None:
-            _need("controllers", f"gain of {law.name}", law.gain, spec["gain"])
+            _tightening("controllers", f"gain of {law.name}", law.gain, spec["gain"])
         else:
             check_gain(document, law, spec)
         check_references(document, law, scenario, spec)
-    if document.statement:
-        _check_asked(document.statement, scenario)
+    if document.sampled_bound:
+        _check_asked(document.sampled_bound, scenario)
 
 
 def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
@@ -274,7 +278,7 @@ def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
     if not (said["probability"] <= bound and said["confidence"] >= least):
         text = f"{said['probability']:g} with a confidence of {said['confidence']:g}"
         raise Rejected("samples", f"{text} is less than was asked for: {bound:g} with {least:g}")
-    _need("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
+    _tightening("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
 
 
 def _check_switching(document: Document, scenario: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ from .structure import conform, contents, shown, strict_json
 
 STEP_COLUMNS = (
     *("step", "t_start_s", "t_end_s", "mode", "controller", "margin", "limit", "limit_time_s"),
-    *("need", "room"),
+    *("tightening", "clearance"),
 )
 """Header of ``schedule.csv``."""
 
@@ -25,7 +25,7 @@ BEYOND = "limits beyond the loop's memory"  # what limits a step besides unsafe 
 
 LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"  # the law that ``gains.json`` states
 
-MARGIN_ROUNDING = 1e-9  # how far a margin may be off the need and the room that explain it
+MARGIN_ROUNDING = 1e-9  # how far a margin may be off the tightening and the clearance that explain it
 
 _NUMBER = r"-?(?:\d[\d.]*(?:e[+-]?\d+)?|inf|nan)"
 
@@ -105,13 +105,13 @@ def check_schedule(
             "horizon": document.horizon,
             "until_s": document.claim_end,
             "assumptions": [*document.assumptions, ARITHMETIC],
-            **({"statement": document.statement} if document.statement else {}),
+            **({"sampled_bound": document.sampled_bound} if document.sampled_bound else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             **({"estimate": stored["guarantee"].get("estimate")} if document.observer else {}),  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
-            "withheld": check_attribution(
-                document, stored["guarantee"].get("withheld"), limit_names(document)
+            "fault_attribution": check_attribution(
+                document, stored["guarantee"].get("fault_attribution"), limit_names(document)
             ),
             "powered_abort": _powered(document, stored["guarantee"].get("powered_abort")),
         },
@@ -195,21 +195,25 @@ def share(modes: list[int]) -> float:
 
 
 def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
-    """Check that a step's limit is one of the scene, within the flight; need and room give its margin."""
+    """Check that a step's limit is one of the scene, in time, and that its numbers give its margin."""
     if step["limit"] not in limit_names(document):
         raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which does not exist")
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, beyond 0 to {last} s")
-    need, room, margin = step["need"], step["room"], _margin(step)
-    if margin != -math.inf and None in (when, need, room):
-        raise Rejected("margins", f"step {k} has a margin of {margin}, but no time, need and room of a limit")
+    tightening, clearance, margin = step["tightening"], step["clearance"], _margin(step)
+    if margin != -math.inf and None in (when, tightening, clearance):
+        raise Rejected(
+            "margins", f"step {k} has margin {margin}, but no time, tightening and clearance of a limit"
+        )
     if when is not None and when < k * document.delta * (1 - 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, before it begins")
-    if need is not None and room is not None:
-        left = 1 - need / room if room > 0 else -math.inf
+    if tightening is not None and clearance is not None:
+        left = 1 - tightening / clearance if clearance > 0 else -math.inf
         if left != margin and not abs(left - margin) <= MARGIN_ROUNDING * (1 + min(abs(left), abs(margin))):
-            raise Rejected("margins", f"step {k} needs {need} of {room}, which leaves {left}, not {margin}")
+            raise Rejected(
+                "margins", f"step {k} needs {tightening} of {clearance}, which leaves {left}, not {margin}"
+            )
 
 
 def limit_names(document: Document) -> set[str]:

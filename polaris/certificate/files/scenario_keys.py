@@ -99,7 +99,7 @@ SCENARIO = {
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
         "pulse?": Text(("held", "centred", "start", "staggered")), "remainder?": Text(("dropped", "carried")),
         "allocation?": Text(tuple(ALLOCATIONS)), "resolution?": Text(("bit", "continuous")),
-        "varies?": Text(("always", "never")),
+        "errors_vary?": Text(("always", "never")),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Int(0, 1000),
@@ -130,7 +130,7 @@ SCENARIO = {
     },
     "recoverable?": {
         "kind?": Text(("polytope", "ball")),
-        "recourse?": Text(("in_view", "none")),
+        "recourse?": Text(("replan", "none")),
     },
     "goal": OneOf({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),
     "planner?": {

@@ -33,22 +33,22 @@ class Arc:
         bows: list[list[arb]] = (self.plant.open.bend(rows) * magnitude(self.rates)).tolist()
         return bows
 
-    def room(self, rows: arb_mat, offsets: list[tuple[arb, arb]]) -> list[list[arb]]:
+    def clearance(self, rows: arb_mat, offsets: list[tuple[arb, arb]]) -> list[list[arb]]:
         """Room beyond facets, ``[node][facet]``: ``-row x - b(t)`` less the bow next to it.
 
         `rows` are ``-n C``, one per facet; `offsets` b at both ends of the step, linear in between.
         """
         facets = list(zip(self.heights(rows), self.bows(rows), offsets, strict=True))
-        rooms = []
+        clearances = []
         for i in range(self.plant.q + 1):
             s = arb(i) / self.plant.q
-            rooms.append(
+            clearances.append(
                 [
                     -height[i] - (first * (1 - s) + last * s) - largest(bow[max(i - 1, 0) : i + 1])
                     for height, bow, (first, last) in facets
                 ]
             )
-        return rooms
+        return clearances
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from .craft.craft import Craft
 from .craft.feedforward import Along
 from .craft.tightening import Tightening
 
-SPARE = 1e-12  # of rooms in doubles, which tell where a need is certainly within: far above their rounding
+SPARE = 1e-12  # of clearances in doubles, far above their rounding: within it nothing counts as met
 
 
 @dataclass(frozen=True)
@@ -25,19 +25,19 @@ class NodeLimit:
     """One limit at one node."""
 
     row: int  # which of the rows
-    room: arb  # what there is for errors
+    clearance: arb  # what there is for errors
     name: str  # unsafe set or input
-    whole: arb  # the room before a jump of the reference took its part: what shares refer to
+    whole: arb  # the clearance before a jump of the reference took its part: what shares refer to
 
     def less(self, taken: arb) -> NodeLimit:
-        """Return the limit with less room."""
-        return NodeLimit(self.row, (self.room - taken).lower(), self.name, self.whole)
+        """Return the limit with less clearance."""
+        return NodeLimit(self.row, (self.clearance - taken).lower(), self.name, self.whole)
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
-        """Row, room and whole in doubles; the room less what rounding may do to them and to needs."""
-        room, whole = float(self.room.lower()), float(self.whole.upper())
-        return self.row, room - SPARE * (abs(room) + abs(whole)) - TINY, whole
+        """Row, clearance and whole in doubles; the clearance less a rounding allowance."""
+        clearance, whole = float(self.clearance.lower()), float(self.whole.upper())
+        return self.row, clearance - SPARE * (abs(clearance) + abs(whole)) - TINY, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Barrier:
     """The separating facets of one cell."""
 
     names: list[str]  # of the unsafe sets
-    rows: Directions  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    rows: Directions  # -n C: an error e, about a path, is separate if row e is less than the path's clearance
     offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
 
     @classmethod
@@ -74,7 +74,7 @@ def _against(facets: list[tuple[UnsafeSet, int]], position: arb_mat) -> arb_mat:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits of every cell: distinct rows, and the room along them at the nodes."""
+    """Limits of every cell: distinct rows, and the clearance along them at the nodes."""
 
     rows: arb_mat  # an error e keeps to a limit if row e <= room
     targets: list[list[list[NodeLimit]]]  # [cell][node]; one that need not be met at a node is missing there
@@ -92,33 +92,33 @@ class Limits:
             error = craft.noise_in(document, cell) * 2
             thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
-                NodeLimit(len(pairs) + j, room, name, room)
-                for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
+                NodeLimit(len(pairs) + j, clearance, name, clearance)
+                for j, (clearance, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
             ]
             nodes = []
-            for i, rooms in enumerate(arc.room(barrier.rows.M, barrier.offsets)):
+            for i, clearances in enumerate(arc.clearance(barrier.rows.M, barrier.offsets)):
                 met = [
-                    NodeLimit(index[o, f], room, barrier.names[o], room)
-                    for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
+                    NodeLimit(index[o, f], clearance, barrier.names[o], clearance)
+                    for o, (f, clearance) in enumerate(zip(chosen[cell], clearances, strict=True))
                 ]
                 # A held input is renewed at the end of its period.
                 nodes.append(met + inputs if i < plant.q else met)
             targets.append(nodes)
         return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
-    def less_jump(self, needs: Tightening, path: Path) -> Limits:
+    def less_jump(self, tightenings: Tightening, path: Path) -> Limits:
         """Return the limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
         cost, late = (
-            [needs.boxed(size, lag) for lag in range(len(needs.carried))],
-            needs.need_after_settling(size),
+            [tightenings.boxed(size, lag) for lag in range(len(tightenings.carried))],
+            tightenings.tightening_after_settling(size),
         )
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
             for i, met in enumerate(nodes):
                 lag = tail * path.plant.q + i
-                spent = cost[lag] if lag <= needs.memory.periods else late
+                spent = cost[lag] if lag <= tightenings.memory.periods else late
                 reduced.append([t.less(spent[t.row]) for t in met])
             targets.append(reduced)
         return Limits(self.rows, targets)
@@ -141,16 +141,16 @@ class Limits:
         return met
 
 
-def levels_of(document: Document, needs: Tightening, path: Path) -> list[list[NodeLimit]]:
-    """Return the profile of commands as limits l periods after a hand-over, whatever room is left."""
-    noise = needs.craft.noise(needs.craft.lagged(needs.craft.plant.u_max))
-    first = needs.rows.nrows() - 2 * len(noise)
-    jumps = needs.need_at_any_time(magnitude(path.jump))[first:]
+def levels_of(document: Document, tightenings: Tightening, path: Path) -> list[list[NodeLimit]]:
+    """Return the profile of commands as limits l periods after a hand-over, whatever clearance is left."""
+    noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
+    first = tightenings.rows.nrows() - 2 * len(noise)
+    jumps = tightenings.tightening_at_any_time(magnitude(path.jump))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]
     return [
         [
             NodeLimit(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
             for j, top in enumerate(map(arb, commands * 2))
         ]
-        for commands in document.profile
+        for commands in document.feedback_bound
     ]

@@ -23,7 +23,7 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
 
     One row where they do not depend on the step. The certificate states the largest of each state.
     """
-    spec, stored = scenario.get("navigation", {}), document.measured or [0.0] * len(document.A)
+    spec, stored = scenario.get("navigation", {}), document.measured_error or [0.0] * len(document.A)
     declared, timing = _declared(document, spec), scenario.get("timing", {})
     if (asked := spec.get("measurement")) is None:
         if document.observer is not None:
@@ -135,10 +135,10 @@ def _observed(
     filtering = ObserverErrors.from_document(document, plant_of(document))
     alone, settled = filtering.check_settled(document), settled_errors(document)
     if not initial:
-        return [document.measured or [0.0] * n]
+        return [document.measured_error or [0.0] * n]
     fading = filtering.by_step(document, list(map(arb, initial)), alone)
     rows = [[float(x.upper()) for x in sums(settled, more)] for more in fading]
-    for i, (bound, *needed) in enumerate(zip(document.measured, *rows, strict=True)):
+    for i, (bound, *needed) in enumerate(zip(document.measured_error, *rows, strict=True)):
         spare = bound * arb(1 + ROUNDED) - max(needed)
         require("system", spare, f"error of the observer's state {i}: {bound}")
     return rows

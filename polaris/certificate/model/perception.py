@@ -29,7 +29,7 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
         text = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
         raise Rejected("unsafe_sets", text)
     clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
-    moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
+    moved = norms((absolute(matrix(document.C)) * column(document.state_offset)).transpose())[0]
     obstacles = scenario.get("obstacles", ())
     kept = [_shrunk(spec, radius + moved) for spec in scenario.get("keep_in", ())]
     others = any(spec["kind"] == "satellite" for spec in obstacles)

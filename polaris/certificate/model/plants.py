@@ -48,7 +48,7 @@ def plant_of(document: Document) -> Plant:
     jitter = arb(document.timing.get("jitter", 0.0)) + document.timing.get("edge", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
-    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)
+    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried_impulse)
     plant = replace(plant, bits=document.prompt_bits)
     if (layout := Nozzles.from_document(document)) is not None:
         plant = replace(plant, shares=layout.shares, weights=layout.weights)
@@ -92,11 +92,13 @@ def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:
 def _out_of_time(document: Document, on_time: Plant) -> Plant:
     """Add what jitter and pulses make of errors of the inputs, and what jitter shifts (Lemma 6 (a))."""
     plant, jitter = replace(on_time, bits=document.bits, on_time=on_time), arb(on_time.jitter)
-    if document.placed:
+    if document.pulse_place:
         plant = replace(plant, lead=_lead(document, on_time))
     if jitter == 0:
         return plant
-    top = [2 * arb(x) for x in document.fired] or [x + 2 * plant.carried / plant.h for x in plant.u_max]
+    top = [2 * arb(x) for x in document.pulse_thrust] or [
+        x + 2 * plant.carried / plant.h for x in plant.u_max
+    ]
     shifted = (jitter * (x + y) for x, y in zip(top, on_time.thruster_error(top), strict=True))
     plant = replace(plant, shifted=tuple(shifted))
     if not document.late:
@@ -112,7 +114,7 @@ def _out_of_time(document: Document, on_time: Plant) -> Plant:
 def _lead(document: Document, plant: Plant) -> Lead:
     """Bound the leads of pulses: at most ``h/2 f g (1 - g)`` of one of thrust f that takes a share g."""
     m, half, layout = len(document.u_max), plant.h / 2, Nozzles.from_document(document)
-    fired = [plant.h / 8 * x for x in document.fired]
+    fired = [plant.h / 8 * x for x in document.pulse_thrust]
     if layout is None:
         rows = (identity(m) + plant.table).tolist()
         fixed = sums([sum(row, arb(0)) * plant.carried / plant.h for row in rows], map(arb, plant.bits))

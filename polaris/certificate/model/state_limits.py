@@ -25,7 +25,7 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
     In every step in which it holds; each grows by how far true states may be from the model's within it.
     """
     name, begins, ends = spec["name"], spec.get("from_s", 0.0), spec.get("until_s", math.inf)
-    T, moved = document.steps * document.delta, document.displaced
+    T, moved = document.steps * document.delta, document.state_offset
     if begins >= min(T, ends) or (ends < math.inf and ends > T * (1 + ROUNDED)):
         raise Rejected("unsafe_sets", f"{name} does not begin and end within {T:g} s")
     if spec["kind"] == "turning":
@@ -86,7 +86,7 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
                 if not item.of_state or document.facets[k][first + 3 * f + i] != j:
                     raise Rejected("unsafe_sets", f"{item.name} must be kept by facet {j} in step {k}")
                 share = _share(item.normals[j], (-(_row(normal) * C), sizes, b[f]), item.name)
-                moved = absolute_dot([arb(x) for x in item.normals[j]], document.displaced)
+                moved = absolute_dot([arb(x) for x in item.normals[j]], document.state_offset)
                 bound = moved + share * length * document.chaser_radius - share * b[f]
                 for offset in (item.start[k][j], item.end[k][j]):
                     spare = offset - bound + (abs(share * b[f]) + moved) * ROUNDED

@@ -73,8 +73,8 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
     fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
     placed = thrusters.get("pulse", "held")
-    if document.placed != (placed if placed in ("start", "staggered") else ""):
-        raise Rejected("system", f"pulses are placed {document.placed}, in the scenario {placed}")
+    if document.pulse_place != (placed if placed in ("start", "staggered") else ""):
+        raise Rejected("system", f"pulses are placed {document.pulse_place}, in the scenario {placed}")
     if placed == "staggered":  # each has the thrust of all together
         fired = [x * len(fired) for x in fired]
     if pulsed and (layout := Nozzles.from_document(document)) is not None:
@@ -94,11 +94,13 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", "sizes of impulses are not those of the scenario")
     if document.edge != max(edges) or (document.edge and not pulsed):
         raise Rejected("system", f"pulses rise or fall in {document.edge} s, not as in the scenario")
-    if len(document.fired) != len(fired):
-        raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
-    for thrust, needed in zip(document.fired, fired, strict=True):
+    if len(document.pulse_thrust) != len(fired):
+        raise Rejected("system", f"pulses of {document.pulse_thrust} are not those of the scenario")
+    for thrust, needed in zip(document.pulse_thrust, fired, strict=True):
         require("system", thrust - needed * (1 - ROUNDED), f"pulses of {thrust}")
-    more, within = _pulses(plant, document.fired, placed) if pulsed else (arb(0), [arb(0)] * len(stored))
+    more, within = (
+        _pulses(plant, document.pulse_thrust, placed) if pulsed else (arb(0), [arb(0)] * len(stored))
+    )
     share = 2 * arb(jitter) / plant.h * int(document.late)
     if plant.weights:  # thrusters make more than is commanded of what they have left
         more += 2 * share * plant.carried / plant.h
@@ -106,7 +108,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         spare = booked * arb(1 + ROUNDED) - (1 + share) * exact - more
         require("system", spare, f"error of the thrusters: {booked}")
     moved = sums(carried_away(plant), (absolute(plant.B) * column(plant.shifted or nothing)).entries())
-    for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
+    for bounds, parts in ((document.at_nodes, moved), (document.intersample_offset, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
     if (len(measured) > 1) != bool(document.error_by_step):
@@ -136,7 +138,7 @@ def state_offset(document: Document, delay: float) -> list[arb]:
     periods = arb(delay) * document.q / arb(document.delta)
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
-    return [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+    return [x + share * y for x, y in zip(document.at_nodes, document.intersample_offset, strict=True)]
 
 
 def carried_away(plant: Plant) -> list[arb]:

@@ -49,7 +49,7 @@ def check_transients(document: Document, scenario: dict[str, Any]) -> None:
             raise Rejected("system", f"{fault['kind']} belongs to thrusters, or to none")
         made = document.allocation or {"directions": [], "limits": []}
         thrusters = [] if lost else zip(made["directions"], made["limits"], strict=True)
-        turns = len(document.u_max) if document.placed == "staggered" and not made.get("layout") else 1
+        turns = len(document.u_max) if document.pulse_place == "staggered" and not made.get("layout") else 1
         for way, limit in thrusters:
             thrust = arb(limit) * arb(fault.get("share", 1.0)) * turns * (1 - ROUNDED)
             least = [abs(x) * thrust for x in way]
@@ -70,7 +70,7 @@ def check_attribution(
         k, at = row["step"], row["limit_time_s"]
         if not (k < document.steps and document.modes[k] == 0 and row["controller"] in laws):
             raise Rejected("schedule", f"step {k} must be flown by S in place of another controller")
-        if row["limit"] not in limits or row["short"] != row["need"] - row["room"]:
+        if row["limit"] not in limits or row["shortfall"] != row["tightening"] - row["clearance"]:
             raise Rejected("schedule", f"in step {k} {row['limit']} is not the limit that is exceeded")
         if row["t_s"] != k * delta or at < 0 or row["limit_step"] != int(at / delta + 1e-9):
             raise Rejected("schedule", f"step {k} neither begins nor ends at that time")
@@ -180,9 +180,9 @@ def _predicted(document: Document, craft: Craft, memory: Settling, lasts: float)
     age += plant.h * (2 * document.timing.get("missed", 0) + 1)
     estimate = column(document.estimate or [0.0] * n)
     first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
-    measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
+    measured = sums(map(arb, document.measured_error or [0.0] * n), map(arb, document.state_offset))
     return sums(
-        predicted(plant, measured, age), Tightening(craft, memory, identity(n)).need_at_any_time(first)
+        predicted(plant, measured, age), Tightening(craft, memory, identity(n)).tightening_at_any_time(first)
     )
 
 
@@ -195,7 +195,7 @@ def _unlearned(document: Document, craft: Craft, memory: Settling, lasts: float)
     plant, filtering, count = craft.plant, ObserverErrors.from_document(document, craft.plant), memory.periods
     n, late, stated = plant.A.nrows(), filtering.late, document.observer or {}
     M, noise = absolute(matrix(stated["measures"])), column(stated["noise"])
-    measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
+    measured = sums(map(arb, document.measured_error or [0.0] * n), map(arb, document.state_offset))
     seen = [M * column(predicted(plant, measured, plant.h * each.periods)) for each in filtering.updates]
     pairs = list(zip((each.gain for each in filtering.updates), seen, strict=True))
     less = [column([largest((x, arb(0))) for x in (y - noise).entries()]) for y in seen]
@@ -215,9 +215,9 @@ def _unlearned(document: Document, craft: Craft, memory: Settling, lasts: float)
     carried = arb_mat(n, n, maxima(*ages))
     known = [maxima(left[0], apart.entries())] * (missing - late) + [left[0]] * late + left
     off = [(carried * column(known[min(i, len(known) - 1)])).entries() for i in range(count)]
-    needs = Tightening(craft, memory, identity(n))
-    older, bent = needs.response(off, True)
-    return sums(maxima(*needs.noise.summed(off)), older, bent, off[0])
+    tightenings = Tightening(craft, memory, identity(n))
+    older, bent = tightenings.response(off, True)
+    return sums(maxima(*tightenings.noise.summed(off)), older, bent, off[0])
 
 
 def _unmade(document: Document, craft: Craft, count: int) -> Differences:
@@ -228,7 +228,7 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     is within its bounds.
     """
     plant, blind = craft.plant, craft_of(document, craft.plant, craft.gain, observing=False)
-    error = sums(map(arb, document.measured), carried_away(plant))
+    error = sums(map(arb, document.measured_error), carried_away(plant))
     n, box = len(error), [*craft.box[: -len(error)], *error]
     start = above(arb_mat(n, len(box)), diagonal(box))
     pushes = plant.thruster_error(plant.u_max)
@@ -247,18 +247,22 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     return pairs
 
 
-def transient_need(
-    needs: Tightening, boxes: list[arb_mat], others: Sequence[Differences] = ()
+def transient_tightening(
+    tightenings: Tightening, boxes: list[arb_mat], others: Sequence[Differences] = ()
 ) -> list[list[arb]]:
-    """Return needs along rows of what is in a box, or a difference of two flights, by the end of a period.
+    """Return tightenings along rows for boxes or differences of two flights, by the end of a period.
 
     That is the period after node l + 1, the state being added up to two periods after a hand-over.
     """
-    worst, steps = [arb(0)] * needs.rows.nrows(), list[list[arb]]()
-    whole = [difference_along(identity(needs.carried[0].ncols()), each) for each in others]
-    ever = [needs.need_after_settling(each) for each in (*boxes, *(column(each) for each in whole))]
-    for lag in range(len(needs.carried)):
-        now = [needs.boxed(box, lag) for box in boxes] + [needs.difference(each, lag) for each in others]
+    worst, steps = [arb(0)] * tightenings.rows.nrows(), list[list[arb]]()
+    whole = [difference_along(identity(tightenings.carried[0].ncols()), each) for each in others]
+    ever = [
+        tightenings.tightening_after_settling(each) for each in (*boxes, *(column(each) for each in whole))
+    ]
+    for lag in range(len(tightenings.carried)):
+        now = [tightenings.boxed(box, lag) for box in boxes] + [
+            tightenings.difference(each, lag) for each in others
+        ]
         worst = _peak([worst, *ever, *now])
         steps.append(worst)
     last = len(steps) - 1

@@ -95,9 +95,9 @@ class Brake:
     def steps(self, change: Array) -> Array:
         """Periods that changes of V (..., 3) [m/s] take, about: at most a quarter of `MOST`."""
         q = self.inspection
-        room = self.available - self.holding * q.distance_max
+        available = self.available - self.holding * q.distance_max
         size = np.abs(change).max(axis=-1) + 0.02 * length(change)  # the thrusters' axes turn meanwhile
-        return np.asarray(np.ceil(np.clip(size * q.mass / (self.period * room), 0.5, MOST / 4)))
+        return np.asarray(np.ceil(np.clip(size * q.mass / (self.period * available), 0.5, MOST / 4)))
 
     def plan(self, x: Array, toward: Array | None = None, shift: Array | None = None) -> Array:
         """States (L+1, N, 6) at samples from x (N, 6) on; at rest at the end.

@@ -63,8 +63,8 @@ class SpeedInSquares(Speed):
         D, a = motion.period, motion.acceleration
         change = self.slope * motion.speed * D
         M = 2 * (limit + change) * self.slope * a + 2 * a**2 + 2 * motion.speed * motion.jerk
-        room = np.maximum(limit - change - motion.speed, 0.0)
-        return np.asarray(M / (limit + speed) - 2 * room / D**2)
+        slack = np.maximum(limit - change - motion.speed, 0.0)
+        return np.asarray(M / (limit + speed) - 2 * slack / D**2)
 
 
 @dataclass(frozen=True, eq=False)

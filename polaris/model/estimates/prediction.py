@@ -69,7 +69,7 @@ def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
         If inputs that are linear in time cannot do that: too few of them for the states.
     """
     A, B, m = system.A, system.B, system.m
-    each = (fired * (h**power / by) for power, by in enumerate(PLACES[system.timing.placed], 1))
+    each = (fired * (h**power / by) for power, by in enumerate(PLACES[system.timing.pulse_place], 1))
     speed, way, lasting = (part + system.thrusters.part(part) for part in each)
     inverse = _spreading(system, h)
     growth, bent = expm(np.abs(A) * h), A @ A @ B
@@ -89,14 +89,16 @@ def _spreading(system: Craft, h: float) -> Array:
     moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
     if np.linalg.matrix_rank(moments) < n:
         rule = "must be 'held', as the inputs are fewer than half the states, or do not move all states"
-        raise ScenarioError("thrusters.pulse", system.timing.placed or "centred", rule)
+        raise ScenarioError("thrusters.pulse", system.timing.pulse_place or "centred", rule)
     return np.linalg.pinv(moments)
 
 
 def when_measured(timing: Timing, h: float, away: Array) -> Array:
     """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
     off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
-    return np.asarray(away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0))
+    return np.asarray(
+        away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
+    )
 
 
 def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
@@ -108,24 +110,24 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         If the system is so unstable that nothing bounds a prediction.
     """
     h, exact = period or 0.0, system.thrusters
-    late = 0.0 if timing.fired or not timing.jitter else 2 * timing.jitter / h
+    late = 0.0 if timing.pulse_thrust or not timing.jitter else 2 * timing.jitter / h
     layout = None if system.nozzles is None else system.m
     thrusters, timing = exact.stretched(late, layout), replace(timing, on_time=exact, period=h)
     if late and layout:  # which make more than is commanded of what they have left
-        thrusters = thrusters.raised(2 * late * timing.carried / h * (1 + ROUNDED))
+        thrusters = thrusters.raised(2 * late * timing.carried_impulse / h * (1 + ROUNDED))
     system = replace(system, timing=timing, thrusters=thrusters)
     away = moved = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
-    if timing.fired:
-        bit, within = pulse_error(system, np.array(timing.fired), h)
-        timing = replace(timing, pulsed=tuple(within.tolist()), lead=lead_of(system, h))
+    if timing.pulse_thrust:
+        bit, within = pulse_error(system, np.array(timing.pulse_thrust), h)
+        timing = replace(timing, intersample_offset=tuple(within.tolist()), lead=lead_of(system, h))
         away, moved = when_measured(timing, h, moved), moved + within
         system = replace(system, thrusters=exact.raised(bit))
-    timing = replace(timing, displaced=tuple(moved.tolist()))
+    timing = replace(timing, state_offset=tuple(moved.tolist()))
     system = replace(system, timing=timing)
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
-    timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
+    timing = replace(timing, measured_error=tuple(np.max(steps, axis=0).tolist()))
     least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     hidden = int(np.ceil((ages[-1] / h) * (1 - WHOLE))) if h > 0 else 0
     older, full = _older(system, ages.tolist()), system.proportional_errors(system.u_max)

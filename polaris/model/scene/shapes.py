@@ -18,7 +18,7 @@ from ..errors import ScenarioError
 from ..system import Array
 from ..tolerances import ROUNDING
 
-FLAT = 1e-3  # least length [m] to which the room inside a polytope is compared
+FLAT = 1e-3  # least length [m] to which the clearance inside a polytope is compared
 CHUNK = 200_000  # numbers held at once while distances and times to a polytope are computed
 
 
@@ -261,11 +261,11 @@ class PolytopeShape:
         apart = float(np.max(-place.support(-self.H) - self.b))  # one facet has all of it beyond
         if apart > 0:
             return -apart
-        g, room = place.order_count, self.b - self.H @ place.c
+        g, clearance = place.order_count, self.b - self.H @ place.c
         if g == 0:
-            return float(np.min(room))
+            return float(np.min(clearance))
         rows = np.hstack([self.H @ place.G, np.ones((len(self.H), 1))])
-        solved = linprog(np.r_[np.zeros(g), -1.0], rows, room, bounds=[(-1, 1)] * g + [(None, None)])
+        solved = linprog(np.r_[np.zeros(g), -1.0], rows, clearance, bounds=[(-1, 1)] * g + [(None, None)])
         return float(-solved.fun) if solved.status == 0 else -np.inf
 
 

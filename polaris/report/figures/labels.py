@@ -109,10 +109,10 @@ class Labels(Artist):
         cell = CELL * point
         drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
         inside = np.all((drawn >= low) & (drawn < high), axis=1)
-        room = _Map(low, high, cell, drawn[inside])
+        free_space = _Map(low, high, cell, drawn[inside])
         own = {text for text, _ in self.known}
         others = [text for text in ax.texts if text not in own and text.get_visible() and text.get_text()]
-        room.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
+        free_space.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
         leaders = []
         for text, named in self.known:
             points = _display(ax, named)
@@ -123,17 +123,17 @@ class Labels(Artist):
             box = text.get_window_extent(renderer)
             size = np.array([box.width, box.height])
             anchors = points[inside] if np.any(inside) else np.clip(points, low, high)
-            at, leader = _best(room, anchors, np.clip(points, low, high), size, point)
-            room.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
+            at, leader = _best(free_space, anchors, np.clip(points, low, high), size, point)
+            free_space.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
             text.set_position(ax.transAxes.inverted().transform(at))
             if np.isfinite(leader).all():
                 along = leader[0] + np.linspace(0, 1, 8)[:, None] * (leader[1] - leader[0])
-                room.taken += [np.array([*one, *one]) for one in along]
+                free_space.taken += [np.array([*one, *one]) for one in along]
                 leaders.append((ax.transAxes.inverted().transform(leader), text.get_color()))
         self._leaders = leaders
 
 
-def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float) -> tuple[Array, Array]:
+def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: float) -> tuple[Array, Array]:
     """Return the middle of the place of a text, at anchors (N, 2) or in an outline (M, 2), and its leader.
 
     The leader (2, 2) goes from the text to the nearest anchor; nan if the text stands beside it. All in [px].
@@ -143,12 +143,15 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     places = (chosen[:, None] + np.concatenate(beside)).reshape(-1, 2)
     middle, extent = (outline.min(axis=0) + outline.max(axis=0)) / 2, np.ptp(outline, axis=0)
     within = middle + np.array(WITHIN) * extent if np.all(extent > 1.5 * size) else np.zeros((0, 2))
-    across = [np.arange(a, b, length / 3) for a, b, length in zip(room.low, room.high, size, strict=True)]
+    across = [
+        np.arange(a, b, length / 3)
+        for a, b, length in zip(free_space.low, free_space.high, size, strict=True)
+    ]
     anywhere = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
     for some in (np.vstack([within, places]), anywhere):
-        at = np.maximum(np.minimum(some, room.high - size / 2), room.low + size / 2)
+        at = np.maximum(np.minimum(some, free_space.high - size / 2), free_space.low + size / 2)
         low, high = at - size / 2, at + size / 2
-        clash = room.clashes(low, high, GAP * point)
+        clash = free_space.clashes(low, high, GAP * point)
         if np.any(clash == 0):
             break
     ends = np.clip(chosen, low[:, None], high[:, None])
@@ -158,12 +161,12 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     inside = (rows < len(within)) & (some is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
-    crossed = room.crossed(at, size + 2 * point)
+    crossed = free_space.crossed(at, size + 2 * point)
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
     best = best[clash[best] <= clash[best[0]]]
-    best = best[int(np.argmax(~room.crosses(leaders[best])))]  # the first that is led to clear of other names
+    best = best[int(np.argmax(~free_space.crosses(leaders[best])))]  # the first led to clear of other names
     return at[best], leaders[best]
 
 

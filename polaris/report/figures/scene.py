@@ -68,7 +68,7 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
     drawn += draw_unsafe(ax, scene, lettered)
     slices = scene.picture.printed_slices() if not scene.over_time else ()
-    for one in sorted(slices, key=lambda one: np.prod(np.ptp(one.outline, axis=0))):  # least room first
+    for one in sorted(slices, key=lambda one: np.prod(np.ptp(one.outline, axis=0))):  # least space first
         colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
         if len(scene.seen(one.outline)):
             label(ax, scene, taking_over(one.time, one.mode), one.outline, colour)

@@ -1,4 +1,4 @@
-"""Figures over time: diagrams of a timeline, which controller flies, and how much room is left."""
+"""Figures over time: diagrams of a timeline, which controller flies, and how much clearance is left."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ DASHES: dict[str, Any] = {
     "longdash": (0, (7, 1.2)),
 }
 FAR = 3.0  # a line of a pilot that is not shown at first is cut above so many times the range of the others
-PAD = 0.07  # room above and below what is drawn, as a share of its range
+PAD = 0.07  # margin above and below what is drawn, as a share of its range
 SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
 
 MOST_NAMED = 10  # most lines that a legend names

@@ -178,7 +178,7 @@ def _log(own: Sequence[Decisions]) -> Markup:
         least = min((one["margin"] for one in alike if one.get("margin") is not None), default=None)
         margin = value_cell(least)
         if least is not None and np.isfinite(least):
-            margin = Cell(directed(least, ".4g"), least)  # a share of room left is rounded down
+            margin = Cell(directed(least, ".4g"), least)  # a share of clearance left is rounded down
         rows.append(
             [
                 Cell(f"{number(first['t'])} to {number(last['t'])} s", first["t"]),

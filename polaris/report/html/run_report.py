@@ -70,7 +70,7 @@ def schedule_data(picture: PlotData, pilots: Sequence[Actor], proved: bool, **ho
 
 
 def _margins(picture: PlotData) -> dict[str, Any]:
-    """Return the diagram of the room left in the recoverable sets: a bar per step, by who flies."""
+    """Return the diagram of the clearance left in the recoverable sets: a bar per step, by who flies."""
     delta, pairs = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
     text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in pairs]
     series: dict[str, Any] = {"pilot": None, "name": "margin", "bars": True, "text": text}

@@ -83,12 +83,12 @@ def hull(points: Array) -> DrawnShape | None:
 
 def polyhedron(normals: Array, support: Array, inside: Array) -> DrawnShape | None:
     """Surface of the bounded set ``normals p <= support``, from a point strictly inside [m]."""
-    room = support - normals @ inside
-    size = float(np.max(np.abs(room)))
-    if not np.all(room > 1e-12 * max(size, 1e-300)):
+    slack = support - normals @ inside
+    size = float(np.max(np.abs(slack)))
+    if not np.all(slack > 1e-12 * max(size, 1e-300)):
         return None
     try:
-        body = HalfspaceIntersection(np.column_stack([normals, -room / size]), np.zeros(3))
+        body = HalfspaceIntersection(np.column_stack([normals, -slack / size]), np.zeros(3))
     except QhullError:
         return None
     points = body.intersections[np.isfinite(body.intersections).all(axis=1)]

@@ -20,12 +20,12 @@ from ..projection import FILTERED as SOLVED
 from ..projection import project
 from ..recovery import Recovery, extended
 
-SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
-UNLIMITED = 1e200  # room of a row that nothing limits
+SLACK = 1e-6  # share of the clearance kept free for what the solver leaves unsatisfied
+UNLIMITED = 1e200  # clearance of a row that nothing limits
 
 
 def _slope(field: str, value: object) -> float:
-    """Check the share of the room of a row that one decision may use up."""
+    """Check the share of the clearance of a row that one decision may use up."""
     if positive(field, value, "") > 1:
         raise ScenarioError(field, value, "must be above 0 and at most 1")
     return float(value)  # type: ignore[arg-type]
@@ -34,9 +34,9 @@ def _slope(field: str, value: object) -> float:
 class ImplicitASIF(Method):
     """The filter; `NotCertified` if the initial set is not inside the first recoverable set.
 
-    `slope`, above 0 and at most 1, is the share of the room of a row that one decision may use up: the slope
-    of a linear class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less;
-    where that leaves none, all of the room counts.
+    `slope`, above 0 and at most 1, is the share of a row's clearance that one decision may use up: the
+    slope of a linear class-K function in discrete time, times the period. Below 1 inputs are bent earlier
+    and less; where that leaves none, all of the clearance counts.
     """
 
     key, name, place, proven = "asif_implicit", "Implicit ASIF", 8, True
@@ -47,7 +47,7 @@ class ImplicitASIF(Method):
     options = (
         Option(
             "slope",
-            "share of the room of a row that one decision may use up",
+            "share of the clearance of a row that one decision may use up",
             "1",
             (0.01, 0.1, 1.0),
             check=_slope,
@@ -91,42 +91,44 @@ class ImplicitASIF(Method):
         size = self.prospect.size(k, e) + self.pushed
         first = node * len(recovery.rows)
         window = recovery.reciprocals[first : first + demand.near]
-        need = extended(moved, size) @ demand.tall[: demand.near].T
+        tightening = extended(moved, size) @ demand.tall[: demand.near].T
         limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
         slack = SLACK * np.abs(limit)
         limit = limit - slack
-        room = limit - need
-        allowed = room - self._kept(k, e, limit)
+        clearance = limit - tightening
+        allowed = clearance - self._kept(k, e, limit)
         desired = seen.desired / grid.system.u_max
         left = (allowed - desired @ self.rows.T) * window
         margin, u = left.min(axis=1), desired.copy()
         later = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
         lost = later > 1
         for run in np.flatnonzero((margin < 0) & ~lost):
-            for rooms in (allowed, room) if self.slope < 1 else (room,):
-                near = rooms[run] < self.most
-                answer = project(-self.rows[None, near], -rooms[None, run, near], desired[None, run], 1.0)
+            for clearances in (allowed, clearance) if self.slope < 1 else (clearance,):
+                near = clearances[run] < self.most
+                answer = project(
+                    -self.rows[None, near], -clearances[None, run, near], desired[None, run], 1.0
+                )
                 if answer.status[0] <= SOLVED:
                     u[run] = answer.u[0]
                     break
             else:
                 lost[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        lost |= ~(room - u @ self.rows.T >= -slack).all(axis=1)
+        lost |= ~(clearance - u @ self.rows.T >= -slack).all(axis=1)
         lost |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
         mode = np.where(lost, 0, FILTERED)
         why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
         return Choice(mode, margin, why, u * grid.system.u_max)
 
     def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
-        """Room that this decision must leave, (R, rows): a share of what S, taking over now, leaves."""
+        """Clearance that this decision must leave, (R, rows): a share of what S, taking over now, leaves."""
         if self.slope == 1:
             return 0.0
         demand, r = self.prospect.demand, len(self.recovery.rows)
         later = (self.grid.delay + self.grid.nodes) * r  # the same instants, seen from now
         rows = demand.tall[later : later + demand.near]
         size = np.linalg.norm(e @ self.grid.tracking.W.T, axis=1) + self.prospect.radius
-        need = extended(e, size) @ rows.T
+        tightening = extended(e, size) @ rows.T
         kept = np.zeros((len(e), len(limit)))
-        kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - need, 0.0)
+        kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - tightening, 0.0)
         return (1 - self.slope) * kept

@@ -30,14 +30,14 @@ from ..recovery import Recovery
 TRUST = ("declared", "thrust_limits")
 REENTRIES, DWELLS = (0.0, 0.02, 0.05, 0.1, 0.2), (1, 3, 10, 30, 100)
 """Values that the benchmark of the comparison page tries."""
-REENTRY = 0.1  # default of the share of the room to be left: chosen by ``benchmarks/comparison.py``
+REENTRY = 0.1  # default of the share of the clearance to be left: chosen by ``benchmarks/comparison.py``
 
 
 _dwell = partial(whole, least=1)
 
 
 def _reentry(field: str, value: object) -> float:
-    """Check the share of the room that U must leave to take over from S."""
+    """Check the share of the clearance that U must leave to take over from S."""
     share = non_negative(field, value, "")
     if share >= 1:
         raise ScenarioError(field, value, "must be a share of the margin, at least 0 and below 1")
@@ -60,8 +60,8 @@ class Monitor(Method):
     dwell : int
         Decisions for which S keeps control once it has it.
     reentry : float
-        Share of the room that must be left for U to take over from S: whoever gets control with more than
-        none to spare does not lose it again at once.
+        Share of the clearance that must be left for U to take over from S: whoever gets control with
+        more than none to spare does not lose it again at once.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class Monitor(Method):
     options = (
         Option(
             "reentry",
-            "share of the room that U must leave to take over from S",
+            "share of the clearance that U must leave to take over from S",
             "0.1",
             REENTRIES,
             check=_reentry,
@@ -153,19 +153,19 @@ class Monitor(Method):
                     refused = refused or error
         if not made:
             raise refused or NotCertified("nothing is proven")
-        best, everyone, worth = made[0], made[0].modes, grid.schedule.worth
+        best, everyone, objective = made[0], made[0].modes, grid.schedule.objective
         alone = [(mode,) for mode in everyone] if len(everyone) > 1 else []
         choices = [(one, modes) for one in made for modes in (everyone, *alone)]
-        if worth and len(choices) > 1:
-            best, modes = max(choices, key=lambda choice: choice[0].worth(worth, choice[1]))
+        if objective and len(choices) > 1:
+            best, modes = max(choices, key=lambda choice: choice[0].objective(objective, choice[1]))
             best.modes = modes
         if best.grid.schedule is not grid.schedule:
             best.chosen = ", along a safe reference of its own, proven like the schedule's"
         if best.modes != everyone:
-            best.chosen += f"; only {grid.controllers[best.modes[0]].name} flies, which is worth more"
+            best.chosen += f"; only {grid.controllers[best.modes[0]].name} flies, of greater objective"
         return best
 
-    def worth(
+    def objective(
         self, priced: Callable[[Mapping[int, float], float, float], float], modes: tuple[int, ...] = ()
     ) -> float:
         """Return the objective of the undisturbed flight from the initial set's middle, with these modes."""
@@ -201,7 +201,7 @@ class Monitor(Method):
         return Choice(np.array([mode]), np.array([margin]), np.array([why]))
 
     def judge(self, k: int, e: Array, flown: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
-        """Mode and margin (least share of room left, of the controller chosen or the best refused).
+        """Mode and margin (least share of clearance left, of the controller chosen or the best refused).
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class Monitor(Method):
         return mode, margin
 
     def _most(self, k: int) -> float:
-        """Share of the room that U may need to take over from S; at the start nobody has flown."""
+        """Share of the clearance that U may need to take over from S; at the start nobody has flown."""
         return 1 - self.reentry if k else 1.0
 
     def _share(self, k: int, e: Array, candidate: int, before: int) -> Array:
@@ -245,7 +245,7 @@ class Monitor(Method):
         mode, margin, where = self._quickest(k, state - self.grid.xi[k * self.grid.nodes], flown)
         if where is None:
             return mode, margin, "there is no experimental controller"
-        less = "" if mode or not margin >= 0 else "; less room than U needs to take over from S"
+        less = "" if mode or not margin >= 0 else "; less clearance than U needs to take over from S"
         return mode, margin, f"nearest limit: {where[0].limit(k, where[1])}{less}"
 
     def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Permission, int] | None]:

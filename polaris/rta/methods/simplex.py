@@ -104,7 +104,7 @@ class ImplicitSimplex(Latched):
             node += 1
         e = x - grid.xi[node]
         window = slice(node, node + self.lags)
-        room = grid.nearest((e @ self.facets).reshape(len(x), self.lags, -1) + self.clear[window])
+        clearance = grid.nearest((e @ self.facets).reshape(len(x), self.lags, -1) + self.clear[window])
         command = self.mu[window].reshape(-1) - e @ self.thrust
         strained = np.abs(command) > np.tile(grid.system.u_max, self.lags)
-        return np.where(strained.any(axis=1), -np.inf, room.min(axis=1))
+        return np.where(strained.any(axis=1), -np.inf, clearance.min(axis=1))

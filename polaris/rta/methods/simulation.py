@@ -64,21 +64,21 @@ class ForwardSimulation(Method):
     def decide(self, seen: Observation) -> Choice:
         """Predict, and look at the least distance [m]."""
         node, x = seen.k * self.grid.nodes, seen.estimate
-        room = self._room(node, x, 0)
+        clearance = self._clearance(node, x, 0)
         for i in range(1, self.count + 1):
             if node == self.last:
                 break
             x = self._step(node, x)
             node += 1
-            room = np.minimum(room, self._room(node, x, i))
-        return Choice.between(room > 0, room)
+            clearance = np.minimum(clearance, self._clearance(node, x, i))
+        return Choice.between(clearance > 0, clearance)
 
     def _step(self, node: int, x: Array) -> Array:
         """States a period later, the clipped command held."""
         Ad, Bd, _ = self.grid.discrete
         return np.asarray(x @ Ad.T + self.grid.clipped(1, node, x) @ Bd.T)
 
-    def _room(self, node: int, x: Array, step: int) -> Array:
+    def _clearance(self, node: int, x: Array, step: int) -> Array:
         """Distance to the nearest perceived unsafe set at a node, by its farthest facet, (R,)."""
         rows, offsets, _ = self.grid.facets
         out = x @ rows.T - offsets[node]

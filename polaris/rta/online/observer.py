@@ -133,7 +133,7 @@ class MeasurementCheck:
             return "half widths: not between zero and the scene's"
         half = half + moved
         if age > self._same:  # pulses displace what is measured between nodes
-            half = half + np.array(self.grid.system.timing.pulsed or 0.0)
+            half = half + np.array(self.grid.system.timing.intersample_offset or 0.0)
         contents = x.tobytes()
         repeated, self._newest, self._state = contents == self._state, stamp, contents
         if repeated:

@@ -134,7 +134,7 @@ class OnlineDecision:
     mode : int
         0 is S, 1, 2 ... an experimental controller.
     margin : float
-        Share of the room that is left at the tightest limit, of the controller chosen or the best refused;
+        Share of the clearance left at the tightest limit, of the controller chosen or the best refused;
         nan where no state was good enough to judge.
     until : float
         U may fly no longer than this [s]: without a new answer S takes over then. Minus infinity for S.

@@ -181,7 +181,7 @@ class ScheduleRuns(CampaignRuns):
             "controller": np.repeat(name, task.runs),
             "guarantee": np.repeat(claim, task.runs),
             **evaluate(runs, seed_truth, name).columns(),
-            **({} if runs.failing is None else runs.failing.columns(runs.times)),
+            **({} if runs.faults is None else runs.faults.columns(runs.times)),
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
@@ -202,7 +202,7 @@ class ScheduleRuns(CampaignRuns):
             else:
                 row |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             cases.append(row)
-        kind = "mixed" if {"mixed", "failing"} & {self.initial, self.disturbance} else "drawn"
+        kind = "mixed" if {"mixed", "faults"} & {self.initial, self.disturbance} else "drawn"
         return {
             "schema_version": 1,
             "kind": "campaign",

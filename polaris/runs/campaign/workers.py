@@ -112,8 +112,8 @@ def work_through(
     lost: list[Task] = []
     try:
         while True:
-            room = 0 if lost else max(workers.window() - len(flying), 0)
-            for task in islice(tasks, room):
+            free_slots = 0 if lost else max(workers.window() - len(flying), 0)
+            for task in islice(tasks, free_slots):
                 try:
                     flying[executor.submit(work, task)] = task
                 except workers.lost:

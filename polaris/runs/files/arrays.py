@@ -36,10 +36,10 @@ def set_arrays(schedule: Schedule, slices: SliceData) -> dict[str, Any]:
         "facets": clearance.facets,
         "obstacle_rows": rows,
         "obstacle_row_index": index,
-        "obstacle_room_m": clearance.room,
+        "obstacle_clearance_m": clearance.distances,
         "thrust_rows": tracking.gain,
-        "thrust_room_above": above,
-        "thrust_room_below": below,
+        "thrust_clearance_above": above,
+        "thrust_clearance_below": below,
         "transition": tracking.flow.phi,
         "decay": tracking.decay,
         "disturbance_obstacle": tracking.disturbance(rows),
@@ -76,7 +76,8 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
         "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
         "center_error": nodes.c,
         "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
-        "bow": np.stack([step.tube.bow for step in schedule.steps]) + (system.timing.pulsed or 0.0),
+        "bow": np.stack([step.tube.bow for step in schedule.steps])
+        + (system.timing.intersample_offset or 0.0),
         "final_center_error": final.c,
         "final_generators": np.hstack([final.G, np.diag(away)]),
     }

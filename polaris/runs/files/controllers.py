@@ -79,7 +79,11 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
         return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
     if not isinstance(item, (AffineController, NeuralController)):
         return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
-    own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
+    own = (
+        {}
+        if item.own is safety.reference
+        else {"reference_states": item.own.chi, "reference_inputs": item.own.nu}
+    )
     if isinstance(item, NeuralController):
         return {"name": item.name, "kind": "neural", **described(item), **own}
     kind = "saturated_affine" if item.clips else "affine"
@@ -95,7 +99,7 @@ def described(law: NeuralController) -> dict[str, Any]:
         {"name": body.name, **{key: getattr(body, *given) for key, given in moves.items()}}
         for body in law.senses.bodies
     ]
-    read = {"bodies": bodies} if bodies else {}
+    read = {"obstacles": bodies} if bodies else {}
     layers, precision = [layer_item(layer) for layer in policy.network.layers], policy.network.precision
     rounded = {} if precision == "real" else {"precision": precision}
     return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **read}

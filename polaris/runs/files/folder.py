@@ -15,6 +15,7 @@ from zipfile import BadZipFile
 
 from reach.short_repr import short_repr
 
+from ...certificate.files.file_keys import RUN_VERSION
 from ...model.errors import ScenarioError
 from ...model.files import load_json
 from ...model.version import versions
@@ -73,8 +74,12 @@ class RunFolder:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Contents of its summary."""
-        return self.json(self.kind.summary)
+        """Contents of its summary; a `ScenarioError` if it has another format version."""
+        data = self.json(self.kind.summary)
+        if (version := data.get("schema_version")) != RUN_VERSION:
+            rule = f"has format version {version!r}, not {RUN_VERSION}: run its scenario again"
+            raise ScenarioError("run folder", str(self.path), rule)
+        return data
 
     def plot_data(self) -> Any:
         """Return the plot data of figures and pages, read from the files.
@@ -141,7 +146,7 @@ def _summarise(
 def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
     """Return a summary: what was run, what is told of it, and when and by what it was made."""
     return {
-        "schema_version": 1,
+        "schema_version": RUN_VERSION,
         "scenario": scenario.name,
         **({"kind": kind} if hasattr(scenario.model, "kind") else {}),
         "title": scenario.title,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...certificate.files.file_keys import RUN_VERSION
 from ...model.craft import Craft
 from ...model.errors import escape_controls
 from ...model.files import read_text
@@ -71,8 +72,8 @@ def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], g
             "margin": step.margin.value,
             "limit": step.margin.limit,
             "limit_time_s": step.margin.time,
-            "need": step.margin.need,
-            "room": step.margin.room,
+            "tightening": step.margin.tightening,
+            "clearance": step.margin.clearance,
         }
         for k, step in enumerate(schedule.steps)
     ]
@@ -82,7 +83,7 @@ def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], g
         for mode, controller in enumerate(schedule.controllers)
     ]
     data = {
-        "schema_version": 1,
+        "schema_version": RUN_VERSION,
         "step_s": schedule.safety.problem.delta,
         "duration_s": schedule.times[-1],
         "controllers": controllers,
@@ -132,7 +133,10 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
-    timing, added = asdict(system.timing), ("fired", "placed", "pulsed", "carried", "edge", "fine")  # if any
+    timing, added = (
+        asdict(system.timing),
+        ("pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"),
+    )  # if any
     unsaid = "period", "unseen", "lead"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
@@ -163,16 +167,16 @@ def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows += [("Passive safety", drift_text(claim["abort"]))] if "abort" in claim else []
     powered = claim.get("powered_abort")
     rows += [("Powered abort", abort_text(powered))] if powered else []
-    return rows + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+    return rows + [("Isolated late", _attributed(fault)) for fault in claim.get("fault_attribution", [])]
 
 
-def _withheld(claim: Mapping[str, Any]) -> str:
+def _attributed(claim: Mapping[str, Any]) -> str:
     """Describe the steps that S flies because of a fault, and the bound that is short."""
     fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
     if not steps:
         return f"fault {fault} reserves no step for S along this reference."
-    worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
-    short, when = missing(worst["limit"], worst["short"]), f"t = {worst['limit_time_s']:.6g} s"
+    worst = max(steps, key=lambda step: step["shortfall"] / max(abs(step["clearance"]), 1e-300))
+    short, when = missing(worst["limit"], worst["shortfall"]), f"t = {worst['limit_time_s']:.6g} s"
     return (
         f"fault {fault} reserves {len(steps)} steps for S ({', '.join(str(x['step']) for x in steps)}):"
         f" {worst['controller']} in step {worst['step']} would leave {worst['limit']} {short} short in step"

@@ -35,7 +35,8 @@ class ThrustersTable(ScenarioPart):
     axes, misaligned one by one, give 1.5 times their angle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Largest relative error of `system.mass_kg`, spent propellant included."""
-    varies: Literal["always", "never"] = unit("-", default="always")
+    GONE = {"varies": "is now called errors_vary"}
+    errors_vary: Literal["always", "never"] = unit("-", default="always")
     """`never`: the three errors above are constant in a flight, which reduces the delta-v bound unless there
     are `directions`, faults of thrusters, jitter, `rise_s` or `fall_s`."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
@@ -110,7 +111,7 @@ class ThrustersTable(ScenarioPart):
         if not dropped:
             carried = 2 * bit * errors.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9)
             errors = replace(errors, bit=carried)
-        return replace(errors, constant=alone and self.varies == "never" and errors.proportional)
+        return replace(errors, constant=alone and self.errors_vary == "never" and errors.proportional)
 
 
 def strengths(faults: Sequence[Fault]) -> list[float]:
@@ -152,7 +153,7 @@ def timed(
         raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
     placed = made.pulse if made.pulse in ("start", "staggered") else ""
     fine = made.resolution == "continuous" and made.impulse_bit_N_s > 0
-    timing = replace(timing, fine=fine, fired=fired, placed=placed, carried=carried)
+    timing = replace(timing, fine=fine, pulse_thrust=fired, pulse_place=placed, carried_impulse=carried)
     timing = replace(timing, edge=max(made.rise_s, made.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
 

@@ -33,15 +33,18 @@ class ScenarioPart(BaseModel):
         use_attribute_docstrings=True,
     )
 
-    GONE: ClassVar[Mapping[str, str]] = {}  # keys of former versions, and what to write instead
+    GONE: ClassVar[Mapping[str, str]] = {}
+    """What to write instead of keys, and of values as in ``"key=value"``, of former versions."""
 
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         """Refuse an unknown key before anything else: it explains a missing one (a slip of the pen)."""
         for key in data if isinstance(data, Mapping) else ():
-            if key not in cls.model_fields:
-                context = {"key": key, "known": [*cls.model_fields], "gone": cls.GONE.get(key, "")}
+            value = data[key] if isinstance(data[key], str) else ""
+            gone = cls.GONE.get(key, "") or cls.GONE.get(f"{key}={value}", "")
+            if key not in cls.model_fields or gone:
+                context = {"key": key, "known": [*cls.model_fields], "gone": gone}
                 raise PydanticCustomError("unknown_key", "unknown key", context)
         return data
 

@@ -30,8 +30,9 @@ class RecoverableTable(ScenarioPart):
     kind: Literal["polytope", "ball"] = unit("-", default="polytope")
     """`polytope`: facets of the plan carried back in time. `ball`: eqs. 11-12 in the weighted norm, with all
     clearances ahead and thrust limits."""
-    recourse: Literal["in_view", "none"] = unit("-", default="in_view")
-    """`in_view`: the safe reference may be planned along U's path, so that S acts only where it must. `none`:
+    GONE = {"recourse=in_view": "is now called replan"}
+    recourse: Literal["replan", "none"] = unit("-", default="replan")
+    """`replan`: the safe reference may be planned along U's path, so that S acts only where it must. `none`:
     that of the printed Algorithm 1."""
 
 
@@ -42,9 +43,9 @@ class PlannerTable(Described, makes=PlannerOptions):
     """`margin_then_fuel`: extra_margin_m where possible, then least fuel. `fuel`: least fuel. `distance`:
     largest clearance (eq. 19)."""
     extra_margin_m: f.NonNegative = unit("m", default=0.0)
-    """Desired clearance beyond the tracking error, as room for U."""
+    """Desired clearance beyond S's tightening, left to U."""
     thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
-    """Share of the thrust limits left to the feedback beyond the need of the initial set, as room for U."""
+    """Share of the thrust limits left to U beyond S's feedback from the initial set."""
 
 
 class ScheduleTable(Described, makes=SwitchingRules):

@@ -12,9 +12,9 @@ def aborted(
     schedule: Schedule, step: int, count: int, rng: np.random.Generator
 ) -> tuple[Attacker, Attack, Runs]:
     """Flights that are aborted at the start of a step, under the worst that is known against their limits."""
-    failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
-    attacker = Attacker.from_schedule(schedule.aborted(step), True, rng, failing)
-    attack = attacker.failed(count) if failing else attacker.worst(count)
+    faults = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
+    attacker = Attacker.from_schedule(schedule.aborted(step), True, rng, faults)
+    attack = attacker.failed(count) if faults else attacker.worst(count)
     return attacker, attack, attack.fly(attacker.flight)
 
 

@@ -29,13 +29,13 @@ class Attack:
     x0: Array
     w: Array
     free: Array | None
-    failing: FaultTimes | None = None
+    faults: FaultTimes | None = None
 
     def pick(self, chosen: NDArray[np.intp]) -> Attack:
         """Return the attacks of some of the runs."""
         free = None if self.free is None else self.free[:, chosen]
-        failing = None if self.failing is None else self.failing.pick(chosen)
-        return Attack(self.x0[chosen], self.w[:, chosen], free, failing)
+        faults = None if self.faults is None else self.faults.pick(chosen)
+        return Attack(self.x0[chosen], self.w[:, chosen], free, faults)
 
     @classmethod
     def join(cls, parts: list[Attack]) -> Attack:
@@ -46,7 +46,7 @@ class Attack:
 
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""
-        flight.free, flight.failing = self.free, self.failing
+        flight.free, flight.faults = self.free, self.faults
         return flight.run(self.x0, self.w)
 
 
@@ -68,11 +68,11 @@ class Attacker:
         schedule: Schedule,
         tail: bool,
         rng: np.random.Generator,
-        failing: bool = False,
+        faults: bool = False,
         asks: int | None = None,
     ) -> Attacker:
         """Build an attacker of flights with S's tail after T or without, one integration step per node."""
-        claims = Claims(schedule, tail, failing, asks)
+        claims = Claims(schedule, tail, faults, asks)
         return cls(claims, flies(claims.system)(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
@@ -89,27 +89,27 @@ class Attacker:
         """Return attacks with a fault in every flight, the worst case along S once it flies because of it."""
         rows, targets = self._aims(count)
         flight, schedule = self.flight, self.flight.schedule
-        failing = drawn(schedule, 1, rows, targets, self.rng)
-        taken = np.minimum(np.where(failing.lost, failing.begins, failing.ends), targets)
+        faults = drawn(schedule, 1, rows, targets, self.rng)
+        taken = np.minimum(np.where(faults.lost, faults.begins, faults.ends), targets)
         after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, 1), rows, targets)[0]
         carried = schedule.safety.tracking.transitions
         first, then = (
             np.einsum("rn,rnm->rm", rows, carried[np.clip(targets - when, 0, len(carried) - 1)])
-            for when in (taken, failing.ends)
+            for when in (taken, faults.ends)
         )
         before = self._towards(first, taken)
         w = np.where((np.arange(flight.steps)[:, None] >= taken)[..., None], after, before.w)
-        self._unseen(w, then, failing)
-        return Attack(before.x0, w, before.free, failing)
+        self._unseen(w, then, faults)
+        return Attack(before.x0, w, before.free, faults)
 
-    def _unseen(self, w: Array, rows: Array, failing: FaultTimes) -> None:
+    def _unseen(self, w: Array, rows: Array, faults: FaultTimes) -> None:
         """Set the disturbance while navigation is lost, unanswered: its worst case along rows at the end."""
         (Ad, _, Dd), p = self.flight.discrete, self.flight.system.p
-        for back in range(1, int((failing.ends - failing.begins).max()) + 1):
-            at = np.flatnonzero(failing.missing(failing.ends - back))
+        for back in range(1, int((faults.ends - faults.begins).max()) + 1):
+            at = np.flatnonzero(faults.missing(faults.ends - back))
             along = rows[at] @ Dd
             size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-            w[failing.ends[at] - back, at, :p] = along * (self.flight.system.w_max / size)
+            w[faults.ends[at] - back, at, :p] = along * (self.flight.system.w_max / size)
             rows[at] = rows[at] @ Ad
 
     def _aims(self, count: int) -> tuple[Array, NDArray[np.int_]]:

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from ...model.craft import Array, Craft
 from ...model.scene.timed_polytope import TimedPolytope
 from ...synthesis.safety.carried_rows import error_tube
-from ...synthesis.safety.clearance import facet_room
+from ...synthesis.safety.clearance import facet_clearance
 from ...synthesis.safety.feedforward import command_errors
 from ...synthesis.schedule.schedule import Schedule
 from ..allocating import thrusts_of
@@ -32,13 +32,13 @@ class Claims:
 
     The limits are the timed polytopes, one each (margin in m: how far outside the best facet), and then
     the inputs, one each (margin in N: thrust left while S flies). S's flight after T is included with `tail`.
-    Of flights in which something is `failing`, or a controller `asks` the online monitor of flight code in
+    Of flights with `faults`, or a controller `asks` the online monitor of flight code in
     every step, no more is claimed than that no limit is violated.
     """
 
     schedule: Schedule
     tail: bool
-    failing: bool = False
+    faults: bool = False
     asks: int | None = None
 
     @property
@@ -79,7 +79,7 @@ class Claims:
     @cached_property
     def impulse_offset(self) -> Array:
         """Return how far carried impulses take flights at nodes from where the proof has them, shape (n,)."""
-        return self.system.state_offset_at_nodes * bool(self.system.timing.carried)
+        return self.system.state_offset_at_nodes * bool(self.system.timing.carried_impulse)
 
     def growth(self, u: TimedPolytope, size: Array) -> Array:
         """Return by how much a polytope grows [m] where states are so far from the proof's, (n,)."""
@@ -100,9 +100,9 @@ class Claims:
         """Lower bounds on the margin of every facet over each period, (periods, F) each [m]."""
         safety, out = self.schedule.safety, []
         for u in self.unsafe:
-            room = facet_room(safety.tracking, safety.reference, u)[: self.cells]
-            need, bow = self._needs(-u.rows(self.system))
-            left = room - need
+            clearance = facet_clearance(safety.tracking, safety.reference, u)[: self.cells]
+            tightening, bow = self._tightenings(-u.rows(self.system))
+            left = clearance - tightening
             out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))
         return out
 
@@ -114,37 +114,37 @@ class Claims:
         """
         safety, m, o = self.schedule.safety, self.system.m, len(self.unsafe)
         gain = safety.tracking.gain
-        need, bow = self._needs(np.vstack([gain, -gain]))
+        tightening, bow = self._tightenings(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
         wrong = command_errors(self.system, gain, self.cells, safety.problem.K)
-        room = np.tile(self.system.u_max - wrong, 2) + np.hstack([nu, -nu])
-        left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
+        clearance = np.tile(self.system.u_max - wrong, 2) + np.hstack([nu, -nu])
+        left = np.min((clearance[:, None, :] - tightening).reshape(self.cells, self.q + 1, 2, m), axis=2)
         thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
         by_s = np.repeat(self.modes == 0, self.q)
         out[by_s] = np.maximum(out[by_s], 0.0)
         out[~by_s, o:] = -np.inf  # what U demands is limited by its own model alone
-        claimed = self.schedule.guarantee == "proved" and not self.failing and self.asks is None
+        claimed = self.schedule.guarantee == "proved" and not self.faults and self.asks is None
         return out if claimed else np.full(out.shape, -np.inf)
 
     def _flat(self, parts: Array) -> Array:
         """One row per period, out of (cells, q, columns)."""
         return parts.reshape(self.cells * self.q, -1)
 
-    def _needs(self, rows: Array) -> tuple[Array, Array]:
+    def _tightenings(self, rows: Array) -> tuple[Array, Array]:
         """Largest ``row e`` at the nodes (cells, q+1, r), and what may be added between (cells, q, r)."""
         safety, q = self.schedule.safety, self.q
-        need = np.empty((self.cells, q + 1, len(rows)))
+        tightening = np.empty((self.cells, q + 1, len(rows)))
         bow = np.zeros((self.cells, q, len(rows)))
         for k, step in enumerate(self.schedule.steps):
-            need[k] = step.tube.nodes.support(rows)
+            tightening[k] = step.tube.nodes.support(rows)
             bow[k] = step.tube.bow @ np.abs(rows).T
         K = len(self.schedule.steps)
         if self.cells > K:
             tube = error_tube(safety.tracking, safety.clearance.after_jump(self.schedule.final), rows)
             ages = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
-            need[K:] = tube.at_ages(ages) + safety.clearance.scheduled(rows)[K : self.cells]
-        return need, bow
+            tightening[K:] = tube.at_ages(ages) + safety.clearance.scheduled(rows)[K : self.cells]
+        return tightening, bow
 
     def period_at(self, time: float) -> int:
         """Number of the period that holds an instant [s]."""
@@ -164,14 +164,14 @@ class Attained:
     below: Array
 
 
-def attained(claims: Claims, runs: Runs, failing: FaultTimes | None = None) -> Attained:
+def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> Attained:
     """Measure runs against the limits of a schedule; where something fails, one step per node was flown."""
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     x = runs.states.reshape(-1, system.n).T
     # How far a path may bow away from its chords, by the accelerations seen.
     change = np.abs(np.diff(runs.states, axis=1) @ system.A.T).max(axis=1) * claims.h / 4
-    change = change + (np.array(system.timing.pulsed) if system.timing.fired else 0.0)
+    change = change + (np.array(system.timing.intersample_offset) if system.timing.pulse_thrust else 0.0)
     every = np.arange(shape[0])
     for o, u in enumerate(claims.unsafe):
         along = (u.rows(system) @ x).reshape(-1, *runs.states.shape[:2])
@@ -195,8 +195,8 @@ def attained(claims: Claims, runs: Runs, failing: FaultTimes | None = None) -> A
         out.when[:, len(claims.unsafe) :] = runs.times[left.argmin(axis=1)][:, None]
         return out
     by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
-    if failing is not None:
-        by_s = by_s | np.array([failing.by_s(period) for period in range(len(by_s))])
+    if faults is not None:
+        by_s = by_s | np.array([faults.by_s(period) for period in range(len(by_s))])
     flown = np.flatnonzero(by_s.any(axis=1))
     if len(flown):
         _measure_thrust(claims, runs, flown, by_s[flown].T, out)
@@ -213,9 +213,9 @@ def _look_closer(
     x = held_path(system, h, before, after, s)
     late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter bends by no more
     grown = np.abs(rows) @ late
-    if system.timing.fired:  # not, then, what the polytopes are grown by because of them
+    if system.timing.pulse_thrust:  # not, then, what the polytopes are grown by because of them
         x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
-        sizes = claims.impulse_offset, claims.impulse_offset + np.array(system.timing.pulsed)
+        sizes = claims.impulse_offset, claims.impulse_offset + np.array(system.timing.intersample_offset)
         grown += np.diff([claims.growth(u, size) for size in sizes], axis=0)[0]
     s = s[:, None]
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
@@ -234,10 +234,10 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.
     """
-    layout, placed, phi = system.nozzles, system.timing.placed, expm(system.A * h)
+    layout, placed, phi = system.nozzles, system.timing.pulse_place, expm(system.A * h)
     sees = np.eye(system.n) if not placed else system.velocity  # what does not depend on when they are fired
     way = sees @ expm(system.A * h / 2) @ system.B * h
-    fired = np.array(system.timing.fired) if layout is None else layout.allocation.limits
+    fired = np.array(system.timing.pulse_thrust) if layout is None else layout.allocation.limits
     mean = (after - before @ phi.T) @ sees.T @ np.linalg.pinv(way).T
     mean = mean if layout is None else thrusts_of(layout.allocation, mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)

@@ -22,7 +22,7 @@ from .violations import Failure, Found, broken, confirm, overspent
 
 BATCH = 100_000  # states of all runs flown at a time; more do not stay near the processor
 ELITES = 12  # attacks kept per limit
-FAILING_EVERY = 3  # batches until something fails in every flight, where faults are isolated late
+FAULTS_EVERY = 3  # batches until something fails in every flight, where faults are isolated late
 ABORT_EVERY = 4  # batches until the flight is aborted, at the start of a step from which that is proven
 TAIL_EVERY = 8  # batches until S flies on after T; in the last one it does so if it has not before
 SMALLEST = 50  # fewest runs in a batch, but for the last
@@ -138,9 +138,9 @@ class _Search:
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.tail = Attacker.from_schedule(schedule, True, rng, asks=asks) if proven_after else None
         transients = schedule.safety.problem.system.transients
-        self.failing = Attacker.from_schedule(schedule, proven_after, rng, True) if transients else None
+        self.faults = Attacker.from_schedule(schedule, proven_after, rng, True) if transients else None
         self.code = code and code.require_schedule(schedule)
-        for attacker in filter(None, (self.main, self.tail, self.failing)):
+        for attacker in filter(None, (self.main, self.tail, self.faults)):
             attacker.flight.code = self.code
         limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
@@ -162,7 +162,7 @@ class _Search:
             left = self.wanted - self.flown
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
-            attacker = self.failing if self.failing is not None and batch % FAILING_EVERY == 1 else attacker
+            attacker = self.faults if self.faults is not None and batch % FAULTS_EVERY == 1 else attacker
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
             if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
@@ -170,10 +170,10 @@ class _Search:
                 continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
-            measured = attained(attacker.claims, flown, attack.failing)
+            measured = attained(attacker.claims, flown, attack.faults)
             self.flown, batch = self.flown + count, batch + 1
             refuted = self._record(attacker.claims, attack, measured)
-            bare = attacker is self.failing or attacker.claims.asks is not None
+            bare = attacker is self.faults or attacker.claims.asks is not None
             refuted = refuted if refuted or bare else self._besides(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
@@ -193,13 +193,13 @@ class _Search:
                 return attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
             if kind in ("random", "spending"):
                 return attacker.random(count) if kind == "random" else attacker.spending(count)
-        return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
+        return attacker.failed(count) if attacker is self.faults else attacker.worst(count)
 
     def _record(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
         """Note the least margins; the worst violation."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
         least, when = measured.margin[best, every], measured.when[best, every]
-        less = (least < self.least) & (not claims.failing)
+        less = (least < self.least) & (not claims.faults)
         self.least[less], self.at[less] = least[less], when[less]
         return self._confirmed(claims, attack, measured)
 
@@ -216,7 +216,7 @@ class _Search:
         """Return the worst violation of the claims of a flight that is aborted in a step drawn at random."""
         step = int(self.main.rng.choice(self.aborts))
         attacker, attack, runs = aborted(self.schedule, step, count, self.main.rng)
-        refuted = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
+        refuted = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.faults))
         failure, run = exceeded(self.schedule, step, runs)
         if refuted is None and failure.broken:
             refuted = failure, (attack.pick(np.array([run])), True)
@@ -242,7 +242,7 @@ class _Search:
                 continue
             pool, value = attack.pick(chosen), score[chosen]
             if limit in self.elites:
-                older, worth = self.elites[limit]
-                pool, value = Attack.join([older, pool]), np.concatenate([worth, value])
+                older, ranks = self.elites[limit]
+                pool, value = Attack.join([older, pool]), np.concatenate([ranks, value])
             best = np.argsort(value, kind="stable")[:ELITES]
             self.elites[limit] = pool.pick(best), value[best]

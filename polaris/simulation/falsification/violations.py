@@ -103,4 +103,4 @@ def confirm(claims: Claims, attack: Attack, code: FlightCode | None = None) -> F
     """Fly one attack again, alone; return its violation, or None if there is none."""
     flight = flies(claims.system)(claims.schedule, claims.modes, 1)
     flight.code = code
-    return violation(claims, attained(claims, attack.fly(flight), attack.failing))
+    return violation(claims, attained(claims, attack.fly(flight), attack.faults))

@@ -122,8 +122,8 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     safety, delta = schedule.safety, schedule.safety.problem.delta
     for satellite in (o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle)):
         box = satellite_region(satellite, safety.problem.system, delta, safety.reference.cells)
-        need = residual_bound(replace(env, other=0.0), *box.extent).total
-        short = np.flatnonzero(need > satellite.thrust_accel_max + safety.problem.system.w_max)
+        tightening = residual_bound(replace(env, other=0.0), *box.extent).total
+        short = np.flatnonzero(tightening > satellite.thrust_accel_max + safety.problem.system.w_max)
         others[satellite.name] = float(box.start[short[0]]) if len(short) else math.inf
     return ModelError(scenario, schedule, region, residual, sampled, others)
 

@@ -81,15 +81,15 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
     cells = safety.reference.cells - first
     eye = np.eye(tracking.system.n)
     tube = error_tube(tracking, start, np.vstack([eye, -eye]))
-    need = np.maximum(tube.over_cells(cells, q), tube.need[-1])
-    need = need + safety.clearance.scheduled(tube.table.rows)[first:].max(axis=1)
+    tightening = np.maximum(tube.over_cells(cells, q), tube.tightening[-1])
+    tightening = tightening + safety.clearance.scheduled(tube.table.rows)[first:].max(axis=1)
     nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
-    n, need = tracking.system.n, need + np.tile(tracking.system.state_offset, 2)
+    n, tightening = tracking.system.n, tightening + np.tile(tracking.system.state_offset, 2)
     return Region(
         ("safety",) * cells,
         _times(first, cells, tracking.delta),
-        nodes.min(axis=1) - bow - need[:, n:],
-        nodes.max(axis=1) + bow + need[:, :n],
+        nodes.min(axis=1) - bow - tightening[:, n:],
+        nodes.max(axis=1) + bow + tightening[:, :n],
     )
 
 

@@ -102,7 +102,7 @@ def fly_true(
         flight.prepare(n, rng)
     if system.transients:
         rows = limit_rows(schedule)[rng.integers(0, len(limit_rows(schedule)), n)]
-        flight.failing = drawn(schedule, substeps, rows, rng.integers(1, flight.steps, n), rng)
+        flight.faults = drawn(schedule, substeps, rows, rng.integers(1, flight.steps, n), rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
     pushed, adjoint = flight.at_their_worst(push, rng)
@@ -186,8 +186,8 @@ class _TrueMotion(Integrator):
             made = made / (1 + layout.mass * self.strength[:, :1])
         self.made = u.copy()
         self.made[built] = made
-        if self.failing is not None:
-            made = made + self.failing.added(self.asked @ self.ways, step)[built]
+        if self.faults is not None:
+            made = made + self.faults.added(self.asked @ self.ways, step)[built]
         u[built] = made
         return u
 

@@ -75,15 +75,15 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     tail, along = schedule.tail, PathRows(safety.clearance, rows, between=False)
     cells = safety.reference.fine(q)[K:]
     states = np.concatenate([safety.reference.chi[K][None], *(cell[1:] for cell in cells)])
-    room = sides - states @ rows.T - ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-    room = room - CHECKED * np.abs(np.concatenate([half_widths, half_widths]))
-    need, far = tail.needs(along, len(states)), _settled(tail, along, len(states))
+    clearance = sides - states @ rows.T - ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
+    clearance = clearance - CHECKED * np.abs(np.concatenate([half_widths, half_widths]))
+    tightening, far = tail.tightenings(along, len(states)), _settled(tail, along, len(states))
     off = system.navigation + system.state_offset_at_nodes
     if system.error_by_step is not None:
         off = system.error_by_step[-1] + system.state_offset_at_nodes
     seen = np.concatenate([off, off])
-    inside = np.all(need <= room, axis=1)
-    used = 1 + (need - room) / np.maximum(np.concatenate([half_widths, half_widths]), 1e-300)
+    inside = np.all(tightening <= clearance, axis=1)
+    used = 1 + (tightening - clearance) / np.maximum(np.concatenate([half_widths, half_widths]), 1e-300)
     best = min(only, len(used) - 1) if only is not None else int(np.argmin(used.max(axis=1)))
     if only is not None:
         inside &= np.arange(len(states)) == only
@@ -91,8 +91,8 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     bent = np.max(np.abs(states @ (system.A @ system.A).T), axis=0) @ growth(system.A, h).T * h**2 / 8
     far = far + np.concatenate([bent, bent])
     if only is None and safety.end.horizon == "infinite":
-        later = np.all(far <= room, axis=1)
-    shown = [need[inside] + 2 * seen <= room[inside], far + 2 * seen <= room[later]]
+        later = np.all(far <= clearance, axis=1)
+    shown = [tightening[inside] + 2 * seen <= clearance[inside], far + 2 * seen <= clearance[later]]
     first, again = _windows(inside), _windows(later)
     if in_hills_frame(system):
         again = [(a, b) for a, b in again if b > a]  # no node need lie at a single phase
@@ -114,8 +114,8 @@ def turn_of(schedule: Schedule) -> float:
 def _settled(tail: Tail, along: PathRows, nodes: int) -> Array:
     """Bound rows at all nodes after the tail, shape (r,)."""
     node = tail.T + max(nodes, tail.safety.tracking.memory + 3)
-    need = np.min([along.needs(each, node, node + 1)[0, 0] for each in tail.held], axis=0)
-    return np.asarray(need * (1 + slack_factor(tail.safety.tracking)))
+    tightening = np.min([along.tightenings(each, node, node + 1)[0, 0] for each in tail.held], axis=0)
+    return np.asarray(tightening * (1 + slack_factor(tail.safety.tracking)))
 
 
 def _windows(inside: NDArray[np.bool_]) -> Windows:

@@ -20,14 +20,14 @@ from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..tracker.tracking import Tracking
 from .carried_rows import error_tube
-from .clearance import facet_room
+from .clearance import facet_clearance
 from .end_condition import EndCondition, coast, prove_end, tail_length
 from .feedforward import Feedforward
 from .goal_rows import inset
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
-AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no room
+AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no clearance
 AGAIN = 1000, 2  # linear programs of a plan with coasting: so many, or so many times those without it
 
 
@@ -97,7 +97,10 @@ class Attempts:
         self.clock.lap("plan")
         if again is not None:
             yield next(self._references(again))
-            names, short = [body.name for body in asked.unsafe], self.margin.need - self.margin.room
+            names, short = (
+                [body.name for body in asked.unsafe],
+                self.margin.tightening - self.margin.clearance,
+            )
             if (
                 short > 0 and self.margin.limit in names
             ):  # as after T, where the plan leaves less than it needs
@@ -117,9 +120,11 @@ class Attempts:
             return None
         system, K = self.problem.system, self.problem.K
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
-        rooms = (facet_room(self.tracking, last, unsafe).min(axis=1) for unsafe in asked.unsafe)
-        bows = [seen - room for seen, room in zip(path_bounds(asked, last), rooms, strict=True)]
-        short = self.margin.need - self.margin.room
+        clearances = (facet_clearance(self.tracking, last, unsafe).min(axis=1) for unsafe in asked.unsafe)
+        bows = [
+            seen - clearance for seen, clearance in zip(path_bounds(asked, last), clearances, strict=True)
+        ]
+        short = self.margin.tightening - self.margin.clearance
         if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
             return None
         caused, rows = Feedforward(self.tracking, last, K), self.tracking.commands
@@ -166,7 +171,7 @@ class Attempts:
             raise SynthesisInfeasible(
                 f"the initial set is not inside the first recoverable set ({recoverable.kind}): "
                 f"{self.margin}.",
-                self.margin.need - self.margin.room,
+                self.margin.tightening - self.margin.clearance,
                 "shrink the initial set, raise the thrust limits or take smaller steps"
                 + ("." if recoverable.kind == "polytope" else ", or use recoverable kind 'polytope'."),
             )

@@ -20,15 +20,15 @@ from .recoverable import Margin, RecoverableSet, slack_share
 class BallSets(RecoverableSet):
     """Balls ``norm(W e) <= r`` about the reference (eqs. 11 and 12 as docs/theory.md, Lemma 2, has them).
 
-    The radius weighs the room at every later time by what is left of the error by then. The least radius is
-    that of the constant ball, from the smallest room over all time.
+    The radius weighs the clearance at every later time by what is left of the error by then. The least
+    radius is that of the constant ball, from the smallest clearance over all time.
     """
 
     bounds: ErrorBounds
     kind: ClassVar[str] = "ball"
 
     @cached_property
-    def _needs(self) -> tuple[Array, Array]:
+    def _tightenings(self) -> tuple[Array, Array]:
         """Need of every row per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
         bounds, tracking, limits = self.bounds, self.clearance.tracking, self.clearance.limits
         if states := [body.name for body in self.clearance.unsafe if body.of_state]:
@@ -37,19 +37,19 @@ class BallSets(RecoverableSet):
         rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)
-        more = self.clearance.round_off(rows) + tracking.transient_need(rows)[-1]
+        more = self.clearance.round_off(rows) + tracking.transient_tightening(rows)[-1]
         return gamma, gain * tracking.system.unbiased.w_max + more
 
     @cached_property
-    def _room(self) -> Array:
-        """Room of every row in every period, shape (nodes, r)."""
-        return np.asarray(self.clearance.limits.room.min(axis=0))
+    def _clearance(self) -> Array:
+        """Clearance of every row in every period, shape (nodes, r)."""
+        return np.asarray(self.clearance.limits.available.min(axis=0))
 
     @cached_property
     def allowed(self) -> Array:
         """Norm allowed with no time to decay, per period and row, shape (nodes, r)."""
-        gamma, more = self._needs
-        return np.asarray((self._room - more) / gamma * (1 - ROUNDING))
+        gamma, more = self._tightenings
+        return np.asarray((self._clearance - more) / gamma * (1 - ROUNDING))
 
     def _decayed(self, count: int) -> Array:
         """Least factor by which an error shrinks from anywhere in one period to anywhere in a later one.
@@ -81,16 +81,16 @@ class BallSets(RecoverableSet):
 
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
-        gamma, more = self._needs
+        gamma, more = self._tightenings
         taken = self.clearance.limits.tightening[0, period:]
-        room = self._room[period:] + taken
-        size = norm / self._decayed(len(room))
-        need = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
-        share = np.where(np.isinf(room), np.inf, slack_share(need, room))
+        clearance = self._clearance[period:] + taken
+        size = norm / self._decayed(len(clearance))
+        tightening = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
+        share = np.where(np.isinf(clearance), np.inf, slack_share(tightening, clearance))
         j, row = (int(x) for x in np.unravel_index(int(np.argmin(share)), share.shape))
         time = float((period + j) * self.clearance.tracking.flow.h)
         name = self.clearance.limits.name((period + j) // self.clearance.q, row)
-        return Margin(float(share[j, row]), name, time, float(need[j, row]), float(room[j, row]))
+        return Margin(float(share[j, row]), name, time, float(tightening[j, row]), float(clearance[j, row]))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Return True for each error (runs, n) at a node that is recoverable."""

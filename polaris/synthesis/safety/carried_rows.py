@@ -29,7 +29,7 @@ class CarriedRows:
         S's loop.
     rows : ndarray, shape (r, n) or (r, N)
         Directions of the error, or of the loop state (`Tracking.disturbance`).
-    failing : bool
+    faults : bool
         True if a fault that is isolated late may occur, where any is declared.
     between : bool
         False if needs are those at nodes alone.
@@ -37,16 +37,16 @@ class CarriedRows:
 
     tracking: Tracking
     rows: Array
-    failing: bool = True
+    faults: bool = True
     between: bool = True
 
     @classmethod
     def from_tracking(
-        cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True
+        cls, tracking: Tracking, rows: Array, faults: bool = True, between: bool = True
     ) -> "CarriedRows":
         """Return the table of some rows, made once for every tracker."""
-        key = rows.shape[1], rows.tobytes(), failing, between
-        table: CarriedRows = tracking.tables.get(key) or cls(tracking, rows, failing, between)
+        key = rows.shape[1], rows.tobytes(), faults, between
+        table: CarriedRows = tracking.tables.get(key) or cls(tracking, rows, faults, between)
         tracking.tables[key] = table
         return table
 
@@ -82,14 +82,14 @@ class CarriedRows:
         """Need of everything but the state handed over, by age and ever after, shape (memory + 3, r)."""
         tracking = self.tracking
         if self.between:
-            return tracking.disturbance(self.rows, self.failing)
-        need = tracking.responses(self.rows, tracking.feedback_bound)
-        return need + self._upset[np.minimum(np.arange(len(need)) + 2, len(need) - 1)]
+            return tracking.disturbance(self.rows, self.faults)
+        tightening = tracking.responses(self.rows, tracking.feedback_bound)
+        return tightening + self._upset[np.minimum(np.arange(len(tightening)) + 2, len(tightening) - 1)]
 
     @cached_property
     def _upset(self) -> Array:
         """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 3, r)."""
-        return self.tracking.transient_need(self.rows) * self.failing
+        return self.tracking.transient_tightening(self.rows) * self.faults
 
     @cached_property
     def bend(self) -> Array:
@@ -110,17 +110,17 @@ class CarriedRows:
         return np.asarray(size * self.tracking.decay[-1])
 
     @cached_property
-    def settled_need(self) -> Array:
+    def settled_tightening(self) -> Array:
         """Need at nodes for ever once S has settled, a fault included, shape (r,)."""
-        return np.asarray(self.tracking.settled_need(self.rows) + self._upset[-1])
+        return np.asarray(self.tracking.settled_tightening(self.rows) + self._upset[-1])
 
     def long_after(self, start: Zonotope) -> Array:
         """Bound rows at nodes more than `Tracking.long` periods after a hand-over of a set, shape (r,)."""
         faded = 1.0 if self.tracking.feedback_bound is None else self.tracking.decay[-1]
-        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled_need)
+        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled_tightening)
 
     def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
-        """Return the needs from a set at ages within the memory, shape (ages, r)."""
+        """Return the tightenings from a set at ages within the memory, shape (ages, r)."""
         start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
         carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
         spread = _spread(carried.reshape(-1, start.dim), start.G).reshape(carried.shape[:-1])
@@ -134,11 +134,11 @@ class CarriedRows:
         return self.tracking.error(whole).norm_bound(self.tracking.W), others
 
     def tube(self, start: Zonotope) -> "SetTightening":
-        """Return the needs from a set, for all time."""
+        """Return the tightenings from a set, for all time."""
         radius, others = self.sizes_of(start)
         beyond = self.beyond * radius + self.handed[0, -1] @ others + self.disturbance[-1]
-        need = np.vstack([self.from_set(start, slice(None)), beyond])
-        return SetTightening(self, need + ROUNDING * np.abs(need))
+        tightening = np.vstack([self.from_set(start, slice(None)), beyond])
+        return SetTightening(self, tightening + ROUNDING * np.abs(tightening))
 
     def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:
         """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
@@ -175,11 +175,11 @@ class SetTightening:
     """Needs of S's error from one set along the rows of a table, for all time."""
 
     table: CarriedRows
-    need: Array  # by age, (memory + 3, r); the last entry holds for every later time
+    tightening: Array  # by age, (memory + 3, r); the last entry holds for every later time
 
     def at_ages(self, ages: NDArray[np.int_]) -> Array:
-        """Return the need at ages [periods] of any shape, shape (..., r)."""
-        return np.asarray(self.need[np.clip(ages, 0, len(self.need) - 1)])
+        """Return the tightening at ages [periods] of any shape, shape (..., r)."""
+        return np.asarray(self.tightening[np.clip(ages, 0, len(self.tightening) - 1)])
 
     def over_cells(self, cells: int, q: int, node: int = 0) -> Array:
         """Return the largest need within every planning cell of a set handed over at a node, (cells, r)."""
@@ -192,6 +192,6 @@ class SetTightening:
         return np.asarray(table.beyond * radius + table.beside_errors[-1] + table.disturbance[-1])
 
 
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> SetTightening:
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array, faults: bool = True) -> SetTightening:
     """Return a tight bound on ``row e(t)`` under S from a set at time 0 (see `CarriedRows`)."""
-    return CarriedRows.from_tracking(tracking, rows, failing).tube(start)
+    return CarriedRows.from_tracking(tracking, rows, faults).tube(start)

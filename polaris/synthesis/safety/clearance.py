@@ -22,7 +22,7 @@ from .feedforward import Feedforward, command_noise
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Room around the reference: per cell one separating facet for every unsafe set, and thrust.
+    """Clearance of the reference: per cell one separating facet for every unsafe set, and thrust.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Clearance:
 
     @cached_property
     def obstacle_rows(self) -> tuple[Array, NDArray[np.int_]]:
-        """Distinct rows ``-n C`` (a state error e is safe if ``row e <= room``), and their index.
+        """Distinct rows ``-n C`` (a state error e is safe if ``row e <= distance``), and their index.
 
         Returns
         -------
@@ -79,18 +79,18 @@ class Clearance:
         return -distinct, index
 
     @cached_property
-    def room(self) -> Array:
+    def distances(self) -> Array:
         """Distance from the reference to its facet at every node [m], shape (cells, q+1, o).
 
         Reduced by the bow of the reference between the nodes, by the jump into the tail, and by
         rounding: a lower bound that holds over the whole of both adjacent parts of the cell.
         """
-        rooms, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
+        distances, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
         for o, unsafe in enumerate(self.unsafe):
-            distances = facet_room(self.tracking, self.reference, unsafe)
-            rooms.append(np.take_along_axis(distances, self.facets[:, None, o : o + 1], axis=2))
+            to_facets = facet_clearance(self.tracking, self.reference, unsafe)
+            distances.append(np.take_along_axis(to_facets, self.facets[:, None, o : o + 1], axis=2))
         jump = np.take_along_axis(self.jumped(rows), index, axis=1)
-        return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
+        return np.asarray(np.concatenate(distances, axis=2) - jump[:, None, :])
 
     @cached_property
     def _scheduled(self) -> Feedforward:
@@ -114,14 +114,14 @@ class Clearance:
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
     def jumped(self, rows: Array) -> Array:
-        """Return what the jump into the tail needs along rows (r, n) in every cell, shape (cells, r)."""
-        return np.where(np.arange(self.cells)[:, None] >= self.planned, self.jump_need(rows), 0.0)
+        """Return the tightening of rows (r, n) for the jump into the tail in every cell, shape (cells, r)."""
+        return np.where(np.arange(self.cells)[:, None] >= self.planned, self.jump_tightening(rows), 0.0)
 
     def after_jump(self, sets: Zonotope) -> Zonotope:
         """Return sets of errors or loop states with the jump into the tail."""
         return sets.inflate(np.pad(self.jump, (0, sets.dim - len(self.jump))))
 
-    def jump_need(self, rows: Array) -> Array:
+    def jump_tightening(self, rows: Array) -> Array:
         """Return the tightening of rows (r, n) for the jump into the tail, at any later time, shape (r,)."""
         tracking = self.tracking
         return np.asarray(tracking.per_size(rows) * np.linalg.norm(np.abs(tracking.W) @ self.jump))
@@ -135,7 +135,7 @@ class Clearance:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Rows r of the loop state z with ``r z <= room``: facets, then commands of either sign.
+    """Rows r of the loop state z with ``r z <= available``: facets, then commands of either sign.
 
     Commands are limited by the thrusters, and once more by what errors of thrusters are booked for, if that
     is less. Arrays of shape (2, periods, r) hold where every period begins, and where it ends.
@@ -161,10 +161,10 @@ class Limits:
         return self.facets + 2 * self.clearance.tracking.system.m
 
     @cached_property
-    def room(self) -> Array:
-        """Room of every row, infinite where it limits nothing, shape (2, periods, r).
+    def available(self) -> Array:
+        """Clearance of every row, infinite where it limits nothing, shape (2, periods, r).
 
-        ``u = mu - Lambda e``: the row ``+Lambda_i`` is limited by the room below, ``-Lambda_i`` above.
+        ``u = mu - Lambda e``: the row ``+Lambda_i`` is limited by the thrust below, ``-Lambda_i`` above.
         """
         clearance, tracking, q = self.clearance, self.clearance.tracking, self.clearance.q
         above, below = clearance.thrust
@@ -172,38 +172,39 @@ class Limits:
         if tracking.feedback_bound is not None:
             level = tracking.feedback_bound[0] * (1 - ROUNDING) - tracking.noise
             thrust += [level - clearance.jumped(tracking.gain)] * 2
-        facets, index = by_ends(clearance.room), np.repeat(clearance.obstacle_rows[1], q, axis=0)
-        room = np.full((2, len(index), len(self.rows)), np.inf)
-        np.minimum.at(room, (np.arange(2)[:, None, None], np.arange(len(index))[:, None], index), facets)
-        room[..., self.facets :] = np.repeat(np.hstack(thrust), q, axis=0)
-        room[1, q - 1 :: q, self.facets :] = np.inf  # the input renewed there belongs to the next cell
-        return np.asarray(room - self._scheduled)
+        facets, index = by_ends(clearance.distances), np.repeat(clearance.obstacle_rows[1], q, axis=0)
+        available = np.full((2, len(index), len(self.rows)), np.inf)
+        np.minimum.at(available, (np.arange(2)[:, None, None], np.arange(len(index))[:, None], index), facets)
+        available[..., self.facets :] = np.repeat(np.hstack(thrust), q, axis=0)
+        available[1, q - 1 :: q, self.facets :] = np.inf  # the input renewed there belongs to the next cell
+        return np.asarray(available - self._scheduled)
 
     @cached_property
     def _scheduled(self) -> Array:
-        """Part of the room taken by errors that depend on the time of the flight."""
+        """Part of the clearance taken by errors that depend on the time of the flight."""
         taken = by_ends(self.clearance.scheduled(self.rows))
         taken[..., self.booked :] = 0.0  # they are booked apart
         return taken
 
     @cached_property
     def tightening(self) -> Array:
-        """Part of the room already taken by these errors and the jump into the tail, shape (2, periods, r).
+        """Part of the clearance taken by these errors and the jump into the tail, shape (2, periods, r).
 
-        A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
+        A share of the clearance counts it as tightening: of a smaller clearance, the same tightening would
+        seem to leave more.
         """
         jump = self.clearance.jumped(self.rows[:, : self.clearance.tracking.system.n])
         return np.asarray(self._scheduled + np.repeat(jump, self.clearance.q, axis=0))
 
     @cached_property
     def most_taken(self) -> Array:
-        """Largest part of the room of each row that is `tightening`, shape (r,)."""
+        """Largest part of the clearance of each row that is `tightening`, shape (r,)."""
         return np.asarray(self.tightening.max(axis=(0, 1)))
 
     @cached_property
     def ahead(self) -> Array:
-        """Least room of every row from a node on, shape (periods + 1, r)."""
-        least = np.vstack([self.room.min(axis=0), np.full(len(self.rows), np.inf)])
+        """Least clearance of every row from a node on, shape (periods + 1, r)."""
+        least = np.vstack([self.available.min(axis=0), np.full(len(self.rows), np.inf)])
         return np.asarray(np.minimum.accumulate(least[::-1])[::-1])
 
     def name(self, cell: int, row: int) -> str:
@@ -212,7 +213,9 @@ class Limits:
         if row >= self.facets:
             return system.input_names[(row - self.facets) % system.m]
         mine = clearance.obstacle_rows[1][cell] == row
-        return clearance.unsafe[int(np.where(mine, clearance.room[cell].min(axis=0), np.inf).argmin())].name
+        return clearance.unsafe[
+            int(np.where(mine, clearance.distances[cell].min(axis=0), np.inf).argmin())
+        ].name
 
 
 def by_ends(places: Array) -> Array:
@@ -221,7 +224,7 @@ def by_ends(places: Array) -> Array:
     return np.stack([part.reshape(cells * (nodes - 1), r) for part in (places[:, :-1], places[:, 1:])])
 
 
-def facet_room(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) -> Array:
+def facet_clearance(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) -> Array:
     """Distance from the reference to every facet of one set at every node, shape (cells, q+1, F).
 
     Already reduced by the bow of the reference between nodes (docs/theory.md, Lemma 3) and by rounding.
@@ -238,10 +241,10 @@ def facet_room(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) 
 def best_facets(
     tracking: Tracking, reference: Reference, unsafe: tuple[TimedPolytope, ...], start: Zonotope
 ) -> NDArray[np.int_]:
-    """Return for every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
+    """Return for every cell and set the facet of most clearance beyond S's tube, shape (cells, o)."""
     chosen, q = np.zeros((reference.cells, len(unsafe)), dtype=int), tracking.feedback.nodes_per_cell
     for o, polytope in enumerate(unsafe):
         tube = error_tube(tracking, start, -polytope.rows(tracking.system))
-        room = facet_room(tracking, reference, polytope).min(axis=1)
-        chosen[:, o] = np.argmax(room - tube.over_cells(reference.cells, q), axis=1)
+        clearance = facet_clearance(tracking, reference, polytope).min(axis=1)
+        chosen[:, o] = np.argmax(clearance - tube.over_cells(reference.cells, q), axis=1)
     return chosen

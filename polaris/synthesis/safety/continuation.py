@@ -17,11 +17,13 @@ from .carried_rows import CarriedRows
 from .clearance import Clearance, by_ends
 from .recoverable import Margin, RecoverableSet, slack_share
 
-COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
-FIRST = 64  # limits of the least share by the norm, whose exact needs show which others matter
+COARSE = (
+    0.5  # limits that a bound by the norm shows to need no more of the clearance are looked at only if needed
+)
+FIRST = 64  # limits of the least share by the norm, whose exact tightenings show which others matter
 
 Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
-"""Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
+"""Indices into `Limits.available`: end of the period (entries,), period (sets, entries), row (entries,)."""
 
 
 class HandOver(NamedTuple):
@@ -34,84 +36,87 @@ class HandOver(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PathRows:
-    """Rows of the loop state under S along a path, and their needs by the node of the flight.
+    """Rows of the loop state under S along a path, and their tightenings by the node of the flight.
 
-    All that is proven of S is the need of some rows against some limits: facets and thrust (`Continuation`),
-    the conditions of a goal at a node, or a budget of commands. Needs at nodes alone are of the true state.
+    All that is proven of S is the tightening of some rows against some limits: facets and thrust
+    (`Continuation`), the conditions of a goal at a node, or a budget of commands. Tightenings at nodes
+    alone are of the true state.
     """
 
     clearance: Clearance
     rows: Array
-    failing: bool = True  # these two as `CarriedRows` has them
+    faults: bool = True  # these two as `CarriedRows` has them
     between: bool = True
 
     @cached_property
     def table(self) -> CarriedRows:
         """Rows, carried back through S's loop."""
-        return CarriedRows.from_tracking(self.clearance.tracking, self.rows, self.failing, self.between)
+        return CarriedRows.from_tracking(self.clearance.tracking, self.rows, self.faults, self.between)
 
     @cached_property
     def path(self) -> Array:
         """Need of the path at both ends of every period, in the tail ever after, (2, periods + 1, r)."""
         clearance, plant = self.clearance, self.table.plant
-        need = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
-        need = np.concatenate([need, np.stack([need[1, -1:]] * 2)], axis=1)
-        tail = need[:, clearance.planned * clearance.q :]
+        tightening = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
+        tightening = np.concatenate([tightening, np.stack([tightening[1, -1:]] * 2)], axis=1)
+        tail = tightening[:, clearance.planned * clearance.q :]
         tail[:] = np.maximum.accumulate(tail[:, ::-1], axis=1)[:, ::-1]
-        displaced = np.abs(plant) @ clearance.tracking.system.state_offset_at_nodes
-        return np.asarray(need + clearance.round_off(plant) + displaced * (not self.between))
+        state_offset = np.abs(plant) @ clearance.tracking.system.state_offset_at_nodes
+        return np.asarray(tightening + clearance.round_off(plant) + state_offset * (not self.between))
 
-    def needs(self, handed: HandOver, first: int, last: int) -> Array:
-        """Return the needs at both ends of the periods from a node until another, (2, last - first, r)."""
+    def tightenings(self, handed: HandOver, first: int, last: int) -> Array:
+        """Return the tightenings at both ends of the periods between two nodes, (2, last - first, r)."""
         ages = np.arange(first, last + 1)[:, None] - np.arange(handed.first, handed.last + 1)
-        needs = self.table.tube(handed.states).at_ages(ages).max(axis=1)
+        tightenings = self.table.tube(handed.states).at_ages(ages).max(axis=1)
         if not self.between:
             far = ages[:, -1] > self.clearance.tracking.long
-            needs[far] = np.minimum(needs[far], self.table.long_after(handed.states))
+            tightenings[far] = np.minimum(tightenings[far], self.table.long_after(handed.states))
         period = np.minimum(np.arange(first, last), self.path.shape[1] - 1)
-        return np.stack([needs[:-1], needs[1:]]) + self.path[:, period]
+        return np.stack([tightenings[:-1], tightenings[1:]]) + self.path[:, period]
 
 
 @dataclass(eq=False)
 class LimitsAhead:
-    """Needs and room of a stack of sets along the limits ahead, shape (sets, entries).
+    """Tightenings and clearances of a stack of sets along the limits ahead, shape (sets, entries).
 
-    A need along the first entries, twice as many as `near` has, is the bound by the norm until it is worked
-    out; what is pushed by disturbances is apart. The last entries, `beyond`, stand for all times beyond the
-    memory.
+    A tightening along the first entries, twice as many as `near` has, is the bound by the norm until it
+    is worked out; what is pushed by disturbances is apart. The last entries, `beyond`, stand for all
+    times beyond the memory.
     """
 
     near: Array  # (sets, entries of the table)
     pushed: Array  # (entries of the table,)
     beyond: Array  # (sets, rows)
     taken: Array
-    room: Array
+    clearance: Array
     where: Where
     exact: Callable[[NDArray[np.int_]], Array]
-    """Exact needs of the table's entries with some indices, before what is pushed."""
+    """Exact tightenings of the table's entries with some indices, before what is pushed."""
 
     def __post_init__(self) -> None:
         self._worked_out = np.zeros(self.near.shape[1], dtype=bool)
 
     @property
     def is_final(self) -> NDArray[np.bool_]:
-        """Return True for the entries whose need is final, shape (entries,)."""
+        """Return True for the entries whose tightening is final, shape (entries,)."""
         return np.concatenate([self._worked_out] * 2 + [np.ones(self.beyond.shape[1], dtype=bool)])
 
     @property
-    def need(self) -> Array:
-        """Return the needs, rounded up."""
+    def tightening(self) -> Array:
+        """Return the tightenings, rounded up."""
         near = self.near + self.pushed
-        need = np.hstack([near, near, self.beyond])
-        return np.asarray(need * (1 + ROUNDING * np.sign(need)) + self.taken)
+        tightening = np.hstack([near, near, self.beyond])
+        return np.asarray(tightening * (1 + ROUNDING * np.sign(tightening)) + self.taken)
 
     def met(self) -> NDArray[np.bool_]:
-        """Return True where needs are less than the room, or nothing limits them."""
-        room = self.room
-        return (room > 0) & (self.need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+        """Return True where tightenings are less than the clearance, or nothing limits them."""
+        clearance = self.clearance
+        return (clearance > 0) & (self.tightening / np.where(clearance > 0, clearance, 1) < 1) | np.isinf(
+            clearance
+        )
 
     def work_out(self, entries: NDArray[np.bool_]) -> None:
-        """Replace bounds by the norm by exact needs, where these are less, of entries (entries,)."""
+        """Replace bounds by the norm by exact tightenings, where these are less, of entries (entries,)."""
         count = len(self.pushed)
         some = np.flatnonzero((entries[:count] | entries[count : 2 * count]) & ~self._worked_out)
         self._worked_out[some] = True
@@ -145,13 +150,13 @@ class Continuation(RecoverableSet):
     def disturbance(self) -> Array:
         """Need besides the state, round-off of the reference included, by age, shape (memory + 3, r)."""
         tracking, table = self.clearance.tracking, self.table
-        need = table.disturbance + self.clearance.round_off(table.plant)
+        tightening = table.disturbance + self.clearance.round_off(table.plant)
         if tracking.feedback_bound is not None:  # a bound that falls is the first one, of which more is taken
             falls = tracking.feedback_bound[0] - np.vstack(
                 [tracking.feedback_bound, tracking.feedback_bound[-1:]]
             )
-            need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
-        return need
+            tightening[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
+        return tightening
 
     @cached_property
     def beside_errors(self) -> Array:
@@ -160,7 +165,7 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def _per_size(self) -> Array:
-        """Bound on the need per unit of ``norm(W e)``, by lag, shape (memory + 2, r)."""
+        """Bound on the tightening per unit of ``norm(W e)``, by lag, shape (memory + 2, r)."""
         sizes = self.table.sizes * (1 + ROUNDING)
         return np.asarray(np.maximum(sizes, np.concatenate([sizes[:1], sizes[:-1]])) + self.table.bend)
 
@@ -186,7 +191,7 @@ class Continuation(RecoverableSet):
         """
         radius, others = sizes
         limits, table = self.clearance.limits, self.table
-        r, last = len(limits.rows), limits.room.shape[1] - 1
+        r, last = len(limits.rows), limits.available.shape[1] - 1
         least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
         handed, between = table.handed
         beside = handed @ others.max(axis=0, initial=0.0)
@@ -196,34 +201,36 @@ class Continuation(RecoverableSet):
         near = np.multiply.outer(radius, size) + others @ handed[lag, row].T
 
         def exact(some: NDArray[np.int_]) -> Array:
-            need = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(radius, bend[some])
-            return np.asarray(need + others @ between[lag[some], row[some]].T)
+            tightening = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(
+                radius, bend[some]
+            )
+            return np.asarray(tightening + others @ between[lag[some], row[some]].T)
 
         node, start = at[:, None] + lag, self._later(int(at[0]))
         end, rows = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
         period = np.hstack([node, node - 1, np.full((len(at), r), start)])
         where = end, np.clip(period, 0, last), rows
-        room, taken = limits.room[where], limits.tightening[where]
-        room[(period < at[0]) | (period > last)] = np.inf
-        room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
+        clearance, taken = limits.available[where], limits.tightening[where]
+        clearance[(period < at[0]) | (period > last)] = np.inf
+        clearance[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
-        return LimitsAhead(near, pushed, beyond, taken, room + taken, (end, period, rows), exact)
+        return LimitsAhead(near, pushed, beyond, taken, clearance + taken, (end, period, rows), exact)
 
     def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
-        """Return the share of the room left, the need, the room and the places of limits ahead.
+        """Return share of the clearance left, tightening, clearance and place of the limits ahead.
 
-        They are exact wherever the least share may be; elsewhere the need is a larger one, by the norm.
+        They are exact wherever the least share may be; elsewhere the tightening is a larger one, by the norm.
         """
         ahead = self._ahead(*tube)
         ahead.work_out(_least(self._left(ahead).min(axis=0), FIRST))
         share = self._left(ahead).min(axis=0)
         ahead.work_out(np.asarray(share <= share[ahead.is_final].min(initial=np.inf)))
-        return self._left(ahead), ahead.need, ahead.room, ahead.where
+        return self._left(ahead), ahead.tightening, ahead.clearance, ahead.where
 
     def _left(self, ahead: "LimitsAhead") -> Array:
-        """Return the shares of the room left; a booked limit that is met is no tightest one."""
-        share, rows = slack_share(ahead.need, ahead.room), ahead.where[2]
-        share[np.isinf(ahead.room) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+        """Return the shares of the clearance left; a booked limit that is met is no tightest one."""
+        share, rows = slack_share(ahead.tightening, ahead.clearance), ahead.where[2]
+        share[np.isinf(ahead.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share
 
     def _met(
@@ -253,13 +260,13 @@ class Continuation(RecoverableSet):
         if not shares[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
             spare = max((1 - float(shares[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
             shares = self._shares(at, sets, bow, sizes, spare)
-        share, need, room, (end, period, row) = shares
+        share, tightening, clearance, (end, period, row) = shares
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
         when, limit = int(period[tight]), int(row[entry])
         node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
         if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
-            when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
-        value, needed, available = (float(part[tight]) for part in (share, need, room))
+            when = node = (when + int(limits.available[:, when:, limit].min(axis=0).argmin())) // q * q
+        value, needed, available = (float(part[tight]) for part in (share, tightening, clearance))
         time = node * self.clearance.tracking.flow.h
         return Margin(value, limits.name(when // q, limit), time, needed, available)
 
@@ -284,7 +291,7 @@ class Continuation(RecoverableSet):
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
         for end in (0, 1):  # of the periods that begin and that end at a node
-            room = self.clearance.limits.room[end, node : node + len(per_size) - end]
-            lags = slice(end, end + len(room))
-            allowed = float(np.min((room - self.beside_errors[lags]) / per_size[lags], initial=allowed))
+            clearance = self.clearance.limits.available[end, node : node + len(per_size) - end]
+            lags = slice(end, end + len(clearance))
+            allowed = float(np.min((clearance - self.beside_errors[lags]) / per_size[lags], initial=allowed))
         return max(0.0, allowed)  # also where it is no number

@@ -193,7 +193,7 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
             start = free.tracking.true_error(start)
         margin = sets.margin_at(0, start)
-        short, step = missing(margin.limit, margin.need - margin.room), margin.time / problem.delta
+        short, step = missing(margin.limit, margin.tightening - margin.clearance), margin.time / problem.delta
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         text += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None
@@ -213,7 +213,7 @@ def _proven(
         s = (
             s.with_reference(reference, tracking) if s else construct_s(tracking, reference)
         )  # line 7: constructS
-        # Line 8: not one r_min over all time, but the room along a facet of every set at every time.
+        # Line 8: not one r_min over all time, but the clearance along a facet of every set at every time.
         facets = best_facets(tracking, reference, attempts.unsafe, attempts.start)
         clearance = Clearance(tracking, reference, attempts.unsafe, facets, problem.K, jump)
         recoverable = get_recover(problem.recoverable, clearance, bounds)  # line 9: GetRecover

@@ -21,9 +21,9 @@ def goal_rows(problem: Problem) -> tuple[Array, Array]:
 def inset(problem: Problem, goal: Goal, length: float) -> Goal:
     """Return a goal, rows as the problem's, whose inequalities are met by a length as `goal_rows` has it."""
     known = goal.conditions
-    room = length / _weights(problem, _unweighted(known))[2 * len(known.E) :]
+    clearance = length / _weights(problem, _unweighted(known))[2 * len(known.E) :]
     ends = np.cumsum([len(known.G), *(len(N) for N, _ in known.one_of)])
-    return Inset(goal, tuple(np.split(room, ends[:-1])))
+    return Inset(goal, tuple(np.split(clearance, ends[:-1])))
 
 
 def _unweighted(goal: GoalConditions) -> Array:

@@ -52,14 +52,16 @@ class Drift:
 
     periods: int  # how many, one after another
     start: Zonotope
-    facets: NDArray[np.int_]  # of every set with most room in each part from the step's start on, (o, parts)
-    room: Array  # distance from that facet at least [m], (o, parts)
+    facets: NDArray[
+        np.int_
+    ]  # of every set with most clearance in each part from the step's start on, (o, parts)
+    clearance: Array  # distance from that facet at least [m], (o, parts)
     middle: Array  # the same of the undisturbed drift from the start's middle, at the ends of the parts
 
     @property
     def clear(self) -> bool:
         """Return True if the drift is proven to stay clear of every unsafe set."""
-        return bool(np.all(self.room > 0))
+        return bool(np.all(self.clearance > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +169,13 @@ class FreeFlight:
         at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
         chord, upper, large = size[:-1] @ bend.T + pushed, at + reach, np.abs(at) + reach
         rounded = ROUNDING * (np.abs(ends) + np.maximum(large[:-1], large[1:]) + chord)
-        room = (-ends - (np.stack([upper[:-1], upper[1:]]) + chord) - rounded).min(axis=0)
+        clearance = (-ends - (np.stack([upper[:-1], upper[1:]]) + chord) - rounded).min(axis=0)
         last = np.cumsum([len(item.normals) for item in self.sets])[:-1].astype(int)
-        rooms, middles = (np.split(part, last, axis=1)[: shape[0]] for part in (room, -ends[1] - at[1:]))
-        facets = [part.argmax(axis=1) for part in rooms]
-        by_set = facets, [part.max(axis=1) for part in rooms], [part.max(axis=1) for part in middles]
+        clearances, middles = (
+            np.split(part, last, axis=1)[: shape[0]] for part in (clearance, -ends[1] - at[1:])
+        )
+        facets = [part.argmax(axis=1) for part in clearances]
+        by_set = facets, [part.max(axis=1) for part in clearances], [part.max(axis=1) for part in middles]
         return Drift(periods, start, *(np.array(each).reshape(shape) for each in by_set))
 
 
@@ -195,8 +199,14 @@ class PassiveSafety:
     @property
     def least(self) -> float | None:
         """Least distance [m] that is proven of the drift from the steps that are clear; None without any."""
-        rooms = [part.room.min() for parts in self.drifts if clear(parts) for part in parts if part.room.size]
-        return float(min(rooms)) * (1 - ROUNDING) if rooms else None
+        clearances = [
+            part.clearance.min()
+            for parts in self.drifts
+            if clear(parts)
+            for part in parts
+            if part.clearance.size
+        ]
+        return float(min(clearances)) * (1 - ROUNDING) if clearances else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a run claims of it."""
@@ -223,15 +233,15 @@ class PassiveSafety:
         step, drift = min(known, key=lambda item: float(item[1].middle.min()))
         o, part = np.unravel_index(int(np.argmin(drift.middle)), drift.middle.shape)
         if drift.middle[o, part] > 0:
-            step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].room <= 0, axis=0))))
-            part = np.argmax(np.any(drift.room <= 0, axis=0))
-            o = np.argmin(drift.room[:, part])
+            step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].clearance <= 0, axis=0))))
+            part = np.argmax(np.any(drift.clearance <= 0, axis=0))
+            o = np.argmin(drift.clearance[:, part])
         return {
             "step": step,
             "t_s": step * flight.delta,
             "unsafe_set": flight.sets[o].name,
             "after_s": float(part + 1) * flight.delta / flight.parts,
-            "distance_m": float(drift.room[o, part]),
+            "distance_m": float(drift.clearance[o, part]),
             "middle_m": float(drift.middle[o, part]),
         }
 

@@ -24,7 +24,7 @@ from .passive import DriftRequirement
 
 RECOVERABLE_KINDS = ("polytope", "ball")
 
-RECOURSE = ("in_view", "none")
+RECOURSE = ("replan", "none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,11 @@ class Problem:
     goal_velocity_tolerance : float or None
         Velocity [m/s] that counts as `goal_tolerance` does, which it needs; None for what `Arrival` says.
     goal_inset : float
-        Length [m] by which the reference meets the goal's inequalities: room for errors at the end. No claim
-        rests on it.
+        Length [m] by which the reference meets the goal's inequalities: clearance for errors at the end. No
+        claim rests on it.
     recoverable : {"polytope", "ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
-    recourse : {"none", "in_view"}
+    recourse : {"none", "replan"}
         Whether `synthesize` may plan the reference with the experimental controllers in view; with ``none``
         it is the one reference of the printed Algorithm 1.
     period : float or None
@@ -83,7 +83,7 @@ class Problem:
     objective : {"margin_then_fuel", "distance", "fuel"}
         What the planner seeks: the extra margin and then least velocity change; most distance; least fuel.
     extra_margin : float
-        Clearance [m] wanted beyond what S's own tube needs: the room left to U.
+        Clearance [m] wanted beyond what S's own tube needs: the clearance left to U.
     thrust_reserve : float
         Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
     thrust_share : float, optional

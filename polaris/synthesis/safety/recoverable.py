@@ -28,22 +28,22 @@ class Margin:
     Attributes
     ----------
     value : float
-        Share of the available room left over at the tightest place: 1 for the reference itself
+        Share of the available clearance left over at the tightest place: 1 for the reference itself
         undisturbed, 0 on the boundary, negative outside.
     limit : str
         Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
     time : float
         Time [s] at which the limit bites, under S; for a limit beyond the loop's memory, the start of
         its step.
-    need, room : float
+    tightening, clearance : float
         What the set needs there and what there is, disturbance included, in m or N.
     """
 
     value: float
     limit: str
     time: float
-    need: float
-    room: float
+    tightening: float
+    clearance: float
 
     @property
     def inside(self) -> bool:
@@ -51,8 +51,8 @@ class Margin:
         return self.value >= 0
 
     def __str__(self) -> str:
-        need, room = directed(self.need, ".4g", up=True), directed(self.room, ".4g")
-        return f"{self.limit} at t = {self.time:.6g} s: needs {need}, available {room}"
+        tightening, clearance = directed(self.tightening, ".4g", up=True), directed(self.clearance, ".4g")
+        return f"{self.limit} at t = {self.time:.6g} s: needs {tightening}, available {clearance}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class RecoverableSet(ABC):
     kind : str
         ``polytope`` or ``ball``.
     clearance : Clearance
-        Where the reference is, and how much room it has.
+        Where the reference is, and how much clearance it has.
     """
 
     kind: ClassVar[str]
@@ -121,11 +121,11 @@ def missing(margin_limit: str, short: float) -> str:
     return f"{directed(short, '.4g', up=True)}{unit}"
 
 
-def slack_share(need: Array, room: Array) -> Array:
-    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room.
+def slack_share(tightening: Array, clearance: Array) -> Array:
+    """Share of the clearance left over, ``1 - tightening / clearance``; minus infinity without clearance.
 
-    Rounded down: a need that is too small to show beside 1 still leaves less than everything.
+    Rounded down: a tightening that is too small to show beside 1 still leaves less than everything.
     """
-    some = room > 0
-    share = np.where(some, np.nextafter(1 - need / np.where(some, room, 1), -np.inf), -np.inf)
+    some = clearance > 0
+    share = np.where(some, np.nextafter(1 - tightening / np.where(some, clearance, 1), -np.inf), -np.inf)
     return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met

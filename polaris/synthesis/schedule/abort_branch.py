@@ -83,14 +83,14 @@ class AbortBranch:
     @cached_property
     def goal(self) -> Nearness:
         """Distance from the orbit, and S's commands, a fault included."""
-        return Nearness(self.safety, failing=True)
+        return Nearness(self.safety, faults=True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> AbortStep:
         """Return what is proven of aborts in a step along this branch, the one at a place in their list."""
         margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.bow)
         if not margin.inside:
             return AbortStep(
-                None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room
+                None, why=f"S is not proven to recover: {margin}", short=margin.tightening - margin.clearance
             )
         cell, off = self._reached(taken, asked.within)
         if cell is None:
@@ -116,8 +116,8 @@ class AbortBranch:
             last = min(last, taken.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
         if last < K:
             return None, np.inf
-        need = self.goal.goal_rows.needs(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
-        off = self.goal.distance(self.safety.reference.chi[K : last + 1], need)
+        tightening = self.goal.goal_rows.tightenings(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
+        off = self.goal.distance(self.safety.reference.chi[K : last + 1], tightening)
         there = np.flatnonzero(off <= self.goal.tolerance)
         return (K + int(there[0]) if len(there) else None), float(off.min())
 

@@ -93,7 +93,7 @@ class Nearness:
     """Distance of flights under S from the goal of its problem, and what counts as reached."""
 
     safety: Safety
-    failing: bool = False  # True if a fault that is isolated late may occur, where any is declared
+    faults: bool = False  # True if a fault that is isolated late may occur, where any is declared
 
     @cached_property
     def rows(self) -> tuple[Array, Array]:
@@ -103,12 +103,12 @@ class Nearness:
     @cached_property
     def goal_rows(self) -> PathRows:
         """Rows of the goal along the path."""
-        return PathRows(self.safety.clearance, self.rows[0], self.failing, between=False)
+        return PathRows(self.safety.clearance, self.rows[0], self.faults, between=False)
 
     @cached_property
     def commands(self) -> PathRows:
         """S's commands along the path."""
-        return PathRows(self.safety.clearance, self.safety.tracking.commands, self.failing)
+        return PathRows(self.safety.clearance, self.safety.tracking.commands, self.faults)
 
     @cached_property
     def tolerance(self) -> float:
@@ -116,20 +116,21 @@ class Nearness:
         problem, tracking, rows = self.safety.problem, self.safety.tracking, self.rows[0]
         if problem.goal_tolerance is not None:
             return problem.goal_tolerance
-        need = (
-            self.goal_rows.table.settled_need + self.safety.clearance.scheduled(rows, between=False)[-1, -1]
+        tightening = (
+            self.goal_rows.table.settled_tightening
+            + self.safety.clearance.scheduled(rows, between=False)[-1, -1]
         )
-        need = need + np.abs(rows) @ tracking.system.state_offset_at_nodes
+        tightening = tightening + np.abs(rows) @ tracking.system.state_offset_at_nodes
         hold = (
-            float(np.max(need, initial=0.0)) * (1 + slack_factor(tracking)) * (1 + GOAL_SHARE)
+            float(np.max(tightening, initial=0.0)) * (1 + slack_factor(tracking)) * (1 + GOAL_SHARE)
         )  # the jump apart
         return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
-    def distance(self, states: Array, need: Array, size: float = ROUNDING) -> Array:
+    def distance(self, states: Array, tightening: Array, size: float = ROUNDING) -> Array:
         """Return the distance of flights about states (nodes, n) that need so much along the rows [m]."""
         rows, sides = self.rows
         rounded = size * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-        over = states @ rows.T - sides + need + rounded
+        over = states @ rows.T - sides + tightening + rounded
         return distance(self.safety.problem.goal.conditions, over)
 
 
@@ -154,25 +155,25 @@ class Tail(Nearness):
             self.spells.append(Spell.from_tube(s, s.propagate(before, k), k))
         return self.spells
 
-    def needs(self, along: PathRows, nodes: int) -> Array:
-        """Return the needs of rows at so many nodes from T on, shape (nodes, r).
+    def tightenings(self, along: PathRows, nodes: int) -> Array:
+        """Return the tightenings of rows at so many nodes from T on, shape (nodes, r).
 
         The disturbance is followed along every row from the hand-over on: the set at T encloses what it has
         done until then by generators, which no row sees quite so small. Where errors grow with commands, the
         sets that S flies may need less than those that any hand-over allows, for as long as S remembers.
         """
         tracking, rows = self.safety.tracking, along.rows
-        each = [along.needs(handed, self.T, self.T + nodes)[0] for handed in self.held]
-        need: Array = np.min(each, axis=0)
-        need = need + SPARE * np.abs(need) * (not tracking.system.ideal)
+        each = [along.tightenings(handed, self.T, self.T + nodes)[0] for handed in self.held]
+        tightening: Array = np.min(each, axis=0)
+        tightening = tightening + SPARE * np.abs(tightening) * (not tracking.system.ideal)
         near = min(nodes - 1, tracking.memory)
         if tracking.feedback_bound is None:
-            return need
+            return tightening
         away = np.abs(rows) @ tracking.system.state_offset_at_nodes
         parts = [spell.tube.nodes.support(rows)[:-1] for spell in self.steps_until(near)]
-        flown = np.concatenate([need[:0], *parts])[:near]
+        flown = np.concatenate([tightening[:0], *parts])[:near]
         flown = flown * (1 + ROUNDING) + SPARE * np.abs(flown) + away
-        return np.concatenate([np.minimum(need[:near], flown), need[near:]])
+        return np.concatenate([np.minimum(tightening[:near], flown), tightening[near:]])
 
     def correcting(self, nodes: int) -> float:
         """Bound S's velocity change over so many periods after T, each for itself [m/s]."""
@@ -209,9 +210,9 @@ class Tail(Nearness):
         if not in_hills_frame(system) or system.mean_motion is None:
             return None
         row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
-        both = PathRows(self.safety.clearance, np.vstack([row, -row]), failing=False, between=False)
+        both = PathRows(self.safety.clearance, np.vstack([row, -row]), faults=False, between=False)
         size = ROUNDING * (np.abs(both.rows) @ np.abs(x))
-        largest = np.max(both.rows @ x + size + self.needs(both, node + 1)[-1])
+        largest = np.max(both.rows @ x + size + self.tightenings(both, node + 1)[-1])
         return float(6 * np.pi * largest * (1 + ROUNDING))
 
     def approach(self) -> GoalDistance:
@@ -220,7 +221,7 @@ class Tail(Nearness):
         seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]
         states = np.concatenate([reference.chi[problem.K][None], *(cell[1:] for cell in cells)])
-        distances = self.distance(states, self.needs(self.goal_rows, len(states)))
+        distances = self.distance(states, self.tightenings(self.goal_rows, len(states)))
         within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
         best = int(within[0]) if len(within) else int(np.argmin(distances))
         middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
@@ -246,9 +247,11 @@ class Tail(Nearness):
         if lasting is None:
             return alone, 0.0
         rows, each = lasting
-        states = PathRows(clearance, np.vstack([rows, -rows]), self.failing)
-        needs = [states.needs(held, self.T + nodes - 1, self.T + nodes)[1, -1] for held in self.held]
-        size = np.min(needs, axis=0).reshape(2, -1).max(axis=0)
+        states = PathRows(clearance, np.vstack([rows, -rows]), self.faults)
+        tightenings = [
+            states.tightenings(held, self.T + nodes - 1, self.T + nodes)[1, -1] for held in self.held
+        ]
+        size = np.min(tightenings, axis=0).reshape(2, -1).max(axis=0)
         mean = each + float(np.sum(system.weights * system.on_time.bit))
         mean, once = (system.longest * bound for bound in (mean, float(size @ size) / 2))
         return (mean, once) if mean < alone else (alone, 0.0)
@@ -266,8 +269,8 @@ class Tail(Nearness):
     def estimate(self, nodes: int) -> Array:
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
         tracking, rows = self.safety.tracking, self.safety.tracking.estimate_error_rows
-        both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.failing, between=False)
-        each = [both.needs(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
+        both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.faults, between=False)
+        each = [both.tightenings(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
         return np.asarray(
             np.min(each, axis=0).reshape(2, -1).max(axis=0)
             + tracking.unremembered(self.commanded_before(nodes))
@@ -299,7 +302,7 @@ class Tail(Nearness):
         thrust = self.long_flight(nodes, tops)
         rate, once = (part / system.mass * (1 + slack_factor(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
-        ahead = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.fired)
+        ahead = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.pulse_thrust)
         ahead = ahead * (1 + slack_factor(tracking)) + once * h  # a pulse ends before its period does
         until = spending.settled + ahead
         before = system.carried_impulse / system.mass

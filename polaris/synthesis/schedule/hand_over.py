@@ -14,7 +14,7 @@ from ...model.system import Array
 from ...planning.reference import Reference
 from ..controllers.controllers import AffineController, Controller, propagate_states
 from ..safety.carried_rows import CarriedRows
-from ..safety.clearance import facet_room
+from ..safety.clearance import facet_clearance
 from ..safety.feedforward import Feedforward
 from ..tracker.tracking import Tracking
 
@@ -46,9 +46,9 @@ class HandOvers:
             self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))])
         )
 
-    def _by_set(self, needs: Array) -> list[Array]:
+    def _by_set(self, tightenings: Array) -> list[Array]:
         ends = np.cumsum([len(body.normals) for body in self.unsafe])
-        return np.split(needs, ends[:-1], axis=-1) if self.unsafe else []
+        return np.split(tightenings, ends[:-1], axis=-1) if self.unsafe else []
 
     @cached_property
     def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
@@ -69,8 +69,8 @@ class HandOvers:
 
     def feedforward(self, reference: Reference) -> list[Array]:
         """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
-        needs = Feedforward(self.tracking, reference, reference.cells).response(self._rows.rows)
-        return self._by_set(needs.max(axis=1)[: self.K])
+        tightenings = Feedforward(self.tracking, reference, reference.cells).response(self._rows.rows)
+        return self._by_set(tightenings.max(axis=1)[: self.K])
 
     def tighten(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
         """Return what S needs along a reference, and how much the best facet of each cell lacks of it.
@@ -84,16 +84,16 @@ class HandOvers:
         Returns
         -------
         list of tuple
-            Per unsafe set the need (K, F) and the lack (K, 1) [m].
+            Per unsafe set the tightening (K, F) and the lack (K, 1) [m].
         """
         pairs, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
-        for i, (body, need) in enumerate(zip(self.unsafe, self.feedforward(reference), strict=True)):
-            largest = np.zeros_like(need)
+        for i, (body, tightening) in enumerate(zip(self.unsafe, self.feedforward(reference), strict=True)):
+            largest = np.zeros_like(tightening)
             for k, table in tables.items():
                 largest[k:] = np.maximum(largest[k:], table[i][: self.K - k])
-            room = facet_room(self.tracking, reference, body)
-            lack = (largest + need - room.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
-            pairs.append((largest + need, np.maximum(lack, 0.0)))
+            clearance = facet_clearance(self.tracking, reference, body)
+            lack = (largest + tightening - clearance.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
+            pairs.append((largest + tightening, np.maximum(lack, 0.0)))
         return pairs
 
 

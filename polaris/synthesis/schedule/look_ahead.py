@@ -36,7 +36,7 @@ class _Path:
     """A place with its account: `spent` switches, the return to S included."""
 
     place: _Place
-    worth: float = 0.0
+    objective: float = 0.0
     switches: int = 0
 
     @property
@@ -52,7 +52,7 @@ class LookAhead:
     K: int
     prove: Prove  # see `Prove`
     size: Callable[[Zonotope], float]  # reach from the reference: of two of equal worth, the nearer is kept
-    worth: tuple[float, ...]  # of one step under each mode; 0 for S
+    objective: tuple[float, ...]  # of one step under each mode; 0 for S
     beam: int  # schedules kept at each step for each number of switches and mode
 
     def best(
@@ -70,9 +70,9 @@ class LookAhead:
         for d in sorted({dwell, *tried, *range(dwell, min(EACH, self.K) + 1)}, reverse=True):
             uncapped = self._greedy(root, d, self.K)
             paths = [uncapped]
-            if uncapped.spent > highest or len(self.worth) > 2:
+            if uncapped.spent > highest or len(self.objective) > 2:
                 # With one controller a lower cap cuts the end off; with several it may change the beginning.
-                least = 0 if len(self.worth) > 2 else highest
+                least = 0 if len(self.objective) > 2 else highest
                 paths += [self._greedy(root, d, c) for c in range(least, min(highest, uncapped.spent) + 1)]
             best = max([best, *(path for path in paths if path.spent <= highest)], key=_merit)
             if d in tried or d <= EACH:
@@ -100,7 +100,7 @@ class LookAhead:
         path, held = _Path(root), dwell
         while path.place.k < self.K:
             mode = path.place.mode
-            for following in range(1, len(self.worth)):
+            for following in range(1, len(self.objective)):
                 stays = following == mode
                 if stays or held >= dwell:
                     longer = self._go(path, following, 1 if stays else dwell)
@@ -120,18 +120,18 @@ class LookAhead:
         It is given up where U for all the rest would not take it over the bar of its switches. What waits
         with s switches does so whatever has more, and whatever the cap is.
         """
-        highest = max(self.worth)
+        highest = max(self.objective)
         waiting: list[dict[tuple[int, int], list[_Path]]] = [{} for _ in range(self.K + 1)]
         waiting[0][0, SAFETY] = [_Path(root)]
         for k in range(self.K):
             added = []
             rest = (self.K - k) * highest
             groups = {
-                key: [path for path in paths if path.worth + rest > bars[path.spent]]
+                key: [path for path in paths if path.objective + rest > bars[path.spent]]
                 for key, paths in waiting[k].items()
             }
             for path in self._kept(groups):
-                for mode in range(len(self.worth)):
+                for mode in range(len(self.objective)):
                     stays = mode == path.place.mode and k > 0
                     spent = path.switches + (k > 0 and not stays) + (mode != SAFETY)
                     # From S only a return to U, for two switches more, could still add anything.
@@ -157,8 +157,8 @@ class LookAhead:
             sizes = {id(path): self.size(path.place.reached) for path in paths}
             front = fronts.setdefault(mode, [])
             fresh = []
-            for path in sorted(paths, key=lambda p: (-p.worth, sizes[id(p)])):
-                here = path.worth, sizes[id(path)]
+            for path in sorted(paths, key=lambda p: (-p.objective, sizes[id(p)])):
+                here = path.objective, sizes[id(path)]
                 if not any(w >= here[0] and s <= here[1] for w, s in front):
                     front.append(here)
                     fresh.append(path)
@@ -180,8 +180,8 @@ class LookAhead:
             if place is None:
                 return None
         assert place is not None
-        gained = (place.k - path.place.k) * self.worth[mode]
-        return _Path(place, path.worth + gained, path.switches + switched)
+        gained = (place.k - path.place.k) * self.objective[mode]
+        return _Path(place, path.objective + gained, path.switches + switched)
 
 
 def dwell_times(dwell: int, K: int) -> tuple[int, ...]:
@@ -194,13 +194,13 @@ def dwell_times(dwell: int, K: int) -> tuple[int, ...]:
 
 def _merit(path: _Path) -> tuple[float, int]:
     """Rank a path by most worth, then by fewest switches."""
-    return path.worth, -path.switches
+    return path.objective, -path.switches
 
 
 def _raise(bars: list[float], paths: list[_Path]) -> None:
     """Note what was found; S alone may follow each of them to the end."""
     for path in paths:
         for s in range(path.spent, len(bars)):
-            if bars[s] >= path.worth:
+            if bars[s] >= path.objective:
                 break
-            bars[s] = path.worth
+            bars[s] = path.objective

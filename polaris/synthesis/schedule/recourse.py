@@ -22,7 +22,7 @@ from ...model.errors import NotCertified, PolarisError, ScenarioError
 from ...model.scene.distances import stretches
 from ...model.system import Array
 from ...planning.following import Followed, FollowingSearch
-from ...planning.problem import IN_VIEW, Plan, PlanProblem
+from ...planning.problem import REPLAN, Plan, PlanProblem
 from ...planning.recheck import certified
 from ...planning.reference import Reference
 from ...planning.rows import Key, PlanRows
@@ -39,7 +39,7 @@ from .schedule import Schedule
 
 STICKING = (20.0, 3.0)
 """Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
-SOFT = 5.0  # the same where U's own command leaves S no room above it: the reference goes on with less
+SOFT = 5.0  # the same where U's own command leaves S no clearance above it: the reference goes on with less
 DEPARTS = 1e-2  # share of full thrust from which on a departure from U's path is one
 SHORT = 1e4  # price of a lacking length, beside that of fuel
 PROGRAMS = 120  # most windows tried from each start
@@ -92,8 +92,8 @@ class ReferenceSearch:
     it, U's own tube, which fades.
     """
 
-    def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Objective) -> None:
-        self.safety, self.law, self.mode, self.worth = printed.safety, law, mode, worth
+    def __init__(self, printed: Schedule, law: AffineController, mode: int, objective: Objective) -> None:
+        self.safety, self.law, self.mode, self.objective = printed.safety, law, mode, objective
         safety, problem = printed.safety, printed.safety.problem
         tracking, system, self.K, s = safety.tracking, problem.system, problem.K, safety.controller
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
@@ -148,24 +148,24 @@ class ReferenceSearch:
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)
         for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
-            need = np.zeros_like(caused)
+            tightening = np.zeros_like(caused)
             for k in () if self.fades else np.flatnonzero(~mask):
                 for at in (k, k + 1):  # S may take over at either end of the step
-                    need[at:] = np.maximum(need[at:], table[row[k] + at - k, : self.K - at])
-            beyond = np.maximum(need + caused, self.lacking[i]) - self.asked.margins[i]
+                    tightening[at:] = np.maximum(tightening[at:], table[row[k] + at - k, : self.K - at])
+            beyond = np.maximum(tightening + caused, self.lacking[i]) - self.asked.margins[i]
             self.rows.booking[i][:] = np.maximum(beyond, 0.0)[cells]
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
         key = mask.tobytes()
-        if key not in self.known and not self.worth.allows(mask):
+        if key not in self.known and not self.objective.allows(mask):
             return np.inf, None
         if key not in self.known:
             self._priced(np.where(mask, 0.0, np.inf), mask)
             path, cost = self.search.best({}), np.inf
             if path is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
-                cost = -self.worth.value({0: s, self.mode: 1.0 - s}, path.fuel, switches)
+                cost = -self.objective.value({0: s, self.mode: 1.0 - s}, path.fuel, switches)
             self.known[key] = cost, path
         return self.known[key]
 
@@ -260,8 +260,8 @@ class ReferenceSearch:
         sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller, known)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.tighten(reference, {k: sets[k] for k in sorted(ends)})
-        for i, (need, lack) in enumerate(parts):
-            more = np.where(lack > 0, need + (SPARE - 1) * lack, 0.0)
+        for i, (tightening, lack) in enumerate(parts):
+            more = np.where(lack > 0, tightening + (SPARE - 1) * lack, 0.0)
             self.lacking[i] = np.maximum(self.lacking[i], more)
         return short or any(np.any(lack > 0) for _, lack in parts)
 
@@ -276,7 +276,7 @@ class ReferenceSearch:
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
                     more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]
-                    np.maximum(more, SPARE * (margin.need - margin.room), out=more)
+                    np.maximum(more, SPARE * (margin.tightening - margin.clearance), out=more)
             reached = step.tube.end
         for i, margins in enumerate(self.asked.margins):
             more = np.where(lacking[i] > 0, margins + lacking[i], 0.0)
@@ -287,7 +287,7 @@ class ReferenceSearch:
         """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
         approach, goal = schedule.approach, self.asked.goal
         arrives = approach.reached is True
-        if schedule.share() < self.worth.share or arrives or not goal.conditions.inequalities:
+        if schedule.share() < self.objective.share or arrives or not goal.conditions.inequalities:
             return False
         guide, lacking = self.search.guide, self.lacking
         deeper = inset(self.safety.problem, goal, approach.distance)
@@ -320,7 +320,7 @@ class ReferenceSearch:
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
         none = np.zeros((len(self.asked.unsafe), self.K))
         try:
-            return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+            return certified(self.asked, nu, none, path.fuel, -np.inf, REPLAN)
         except NotCertified:
             return None
 
@@ -338,10 +338,10 @@ def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
                 yield mode, law
 
 
-def views(printed: Schedule, worth: Objective) -> list[ReferenceSearch]:
+def views(printed: Schedule, objective: Objective) -> list[ReferenceSearch]:
     """Return the searches for windows along the paths of all laws that a reference can follow."""
     searches = []
     for mode, law in followable(printed):
         with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
-            searches.append(ReferenceSearch(printed, law, mode, worth))
+            searches.append(ReferenceSearch(printed, law, mode, objective))
     return searches

@@ -79,10 +79,10 @@ class Schedule:
         Wall time of the synthesis by stage.
     library : sequence of Schedule
         Along other references, proven on the way to this one: as long safe, and they arrive if it does.
-    worth : Prices, optional
+    objective : Prices, optional
         Objective of a flight at the scenario's prices, a function of its shares of the time by mode, its
         velocity change [m/s] and its number of switches; known where references were planned with U in view.
-    statement : SampledBound, optional
+    sampled_bound : SampledBound, optional
         What sampled flights say of the steps that black boxes fly.
     branches : KnownBranches, optional
         Branches of aborts with thrust that were planned before; others are planned when they are asked for.
@@ -94,8 +94,8 @@ class Schedule:
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
     library: Sequence["Schedule"] = ()
-    worth: Prices | None = None
-    statement: SampledBound | None = None
+    objective: Prices | None = None
+    sampled_bound: SampledBound | None = None
     branches: KnownBranches | None = None
 
     def _brief(self) -> Mapping[str, object]:
@@ -115,11 +115,11 @@ class Schedule:
     def guarantee(self) -> str:
         """Return ``proved``, ``statistical`` or ``none`` of safety; until when says ``safety.end``.
 
-        A black box in any step makes all of it ``statistical``, and ``none`` without a `statement`.
+        A black box in any step makes all of it ``statistical``, and ``none`` without a `sampled_bound`.
         """
         if not self.sampled_steps:
             return "proved"
-        return "none" if self.statement is None else "statistical"
+        return "none" if self.sampled_bound is None else "statistical"
 
     @property
     def sampled_steps(self) -> int:
@@ -141,7 +141,7 @@ class Schedule:
             until=end.until if np.isfinite(end.until) else None,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
-            sampled=None if self.statement is None else asdict(self.statement),
+            sampled=None if self.sampled_bound is None else asdict(self.sampled_bound),
             networks=[
                 (law.name, law.policy.network.precision)
                 for law in self.controllers

@@ -37,7 +37,7 @@ class ShareBound:
     """
 
     share: float
-    worth: float  # the same of the shares of all modes, each weighted by the worth of its steps
+    objective: float  # the same of the shares of all modes, each weighted by the worth of its steps
     programs: int = 0  # linear programs solved and flights looked at
     demands: int = 0  # sets of steps that were proven too few
     ended: str = "none"  # reached, effort_limit or none
@@ -105,10 +105,10 @@ class Master:
         flown = answer.x[: self.K * self.modes].reshape(self.K, self.modes)
         return fewest, tuple(int(mode) for mode in flown.argmax(axis=1))
 
-    def objective_bound(self, worths: Sequence[float]) -> float:
+    def objective_bound(self, objectives: Sequence[float]) -> float:
         """Proven bound on the mean worth of a step, by that of each mode; 0 if there is no schedule."""
-        largest = max(worths)
-        least = self._cheapest([1.0 - worth / largest for worth in worths])[0]
+        largest = max(objectives)
+        least = self._cheapest([1.0 - objective / largest for objective in objectives])[0]
         return largest * max(1.0 - least / self.K, 0.0)
 
 
@@ -117,9 +117,9 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
     safety = schedule.safety
     problem, laws = safety.problem, schedule.controllers[1:]
     own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
-    worths = rules.mode_values(len(laws) + 1)
+    objectives = rules.mode_values(len(laws) + 1)
     if limit == 0 or len(own) < len(laws) or problem.K > STEPS:
-        return ShareBound(1.0, max(worths))
+        return ShareBound(1.0, max(objectives))
     flights, master = UndisturbedFlights(safety, own), Master(problem.K, len(laws) + 1, rules)
     demands, least, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
@@ -133,5 +133,7 @@ def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareB
         master.demand(flights.widened(held))
         demands += 1
     share = 1.0 - min(least, problem.K) / problem.K
-    worth = share * max(worths) if len(set(worths[1:])) <= 1 else master.objective_bound(worths)
-    return ShareBound(share, min(worth, share * max(worths)), flights.programs, demands, ended)
+    objective = (
+        share * max(objectives) if len(set(objectives[1:])) <= 1 else master.objective_bound(objectives)
+    )
+    return ShareBound(share, min(objective, share * max(objectives)), flights.programs, demands, ended)

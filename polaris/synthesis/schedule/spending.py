@@ -183,10 +183,10 @@ def commanded(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -
     The rows are `Tracking.commands`. Each of the sets holds all errors that S may take over.
     """
     clearance, tracking = rows.clearance, rows.clearance.tracking
-    need = np.min([rows.needs(each, first, last) for each in held], axis=0)
+    tightening = np.min([rows.tightenings(each, first, last) for each in held], axis=0)
     noise = command_noise(tracking, clearance.cells, clearance.planned)
     cell = np.minimum(np.arange(first, last) // clearance.q, clearance.cells - 1)
-    both = need.reshape(*need.shape[:2], 2, noise.shape[1])
+    both = tightening.reshape(*tightening.shape[:2], 2, noise.shape[1])
     return np.asarray(both.max(axis=2) + (np.abs(clearance.reference.nu) + noise)[cell])
 
 

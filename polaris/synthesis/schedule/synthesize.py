@@ -72,10 +72,10 @@ def synthesize(
         clock.laps["safety controller"] -= sum(safety.seconds.values())
     search = ScheduleSearch.from_scenario(scenario, safety, experimental, rules, progress, fits, clock)
     clock.lap("experimental controllers")
-    in_view = recourse and safety.problem.recourse != "none"
-    best = best_schedule(search, in_view)
+    replan = recourse and safety.problem.recourse != "none"
+    best = best_schedule(search, replan)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.feedback_bound is not None
-    best = best_share(search, best, in_view) if free else best
+    best = best_share(search, best, replan) if free else best
     if best.powered is not None:
         best.powered.require()
         clock.lap("powered abort")
@@ -100,13 +100,13 @@ def best_share(search: ScheduleSearch, first: Schedule, recourse: bool) -> Sched
     best, problem = first, search.safety.problem
     errors = problem.system.thrusters.table(problem.system.m).max()
     shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())
-    worth = Objective.beside(first, search.rules, search.safety)  # `first` may fly another reference
+    objective = Objective.beside(first, search.rules, search.safety)  # `first` may fly another reference
     for share in shares if laws_turn(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share), like=search.safety)
             search.clock.lap("thrust shares")
             other = best_schedule(with_safety(search, safety), recourse)
-            best = max(best, other, key=lambda schedule: worth.alone(schedule, recourse))
+            best = max(best, other, key=lambda schedule: objective.alone(schedule, recourse))
     search.clock.lap("thrust shares")
     return best
 
@@ -179,20 +179,20 @@ def with_recourse(search: ScheduleSearch, printed: Schedule) -> Schedule:
             return None
         return switching_logic(replace(with_safety(search, safety), intended=intended))
 
-    worth, late = Objective.beside(printed, search.rules, printed.safety), False
+    objective, late = Objective.beside(printed, search.rules, printed.safety), False
     best, others = printed, list[Schedule]()
 
     def compare(other: Schedule) -> None:
         """Keep the better one, and the other without its tubes."""
         nonlocal best
-        worse, best = (best, other) if worth(other) > worth(best) else (other, best)
+        worse, best = (best, other) if objective(other) > objective(best) else (other, best)
         others.append(Reflown.from_schedule(search, worse))
 
     for other in with_clearance(search, printed):
         compare(other)
     for dearer in DEARER:
         dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
-        searches = views(printed, replace(worth, rules=dear))
+        searches = views(printed, replace(objective, rules=dear))
         for other in (each for view in searches for each in view.schedules(prove)):
             compare(other)
         late |= any(view.cut_by_clock for view in searches)
@@ -204,7 +204,7 @@ def with_recourse(search: ScheduleSearch, printed: Schedule) -> Schedule:
         warnings.warn(f"{text}: another machine or run may find another one", ClockWarning, stacklevel=3)
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, library=library, worth=worth.prices)
+    return replace(best, library=library, objective=objective.prices)
 
 
 class Reflown(Sequence[Step]):
@@ -244,7 +244,7 @@ def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule
     """Yield the schedule along a reference that clears unsafe sets by what U lacked along the first one."""
     problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
     refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)
-    lack = max((margin.need - margin.room for margin in refused), default=0.0)
+    lack = max((margin.tightening - margin.clearance for margin in refused), default=0.0)
     if lack > 0:
         extra = problem.extra_margin + lack
         with suppress(SynthesisInfeasible, NotCertified):
@@ -280,10 +280,10 @@ def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
     if not kept and witness is not None:
         raise passive_safety_error(witness)
     if not kept:
-        need = directed(least * (1 + CHECKED), ".4g", up=True)
+        tightening = directed(least * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
             f"no schedule within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the smallest proven"
-            f" delta-v is {need} m/s; raise the budget, or give more time or a wider goal"
+            f" delta-v is {tightening} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Objective.beside(over[0], search.rules, search.safety))
 

@@ -155,14 +155,14 @@ class _Clear:
         only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
         for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
             a, b = np.einsum("fd,kdg->kfg", rows, G), offsets[: len(c)]
-            need, largest = b - c @ rows.T, np.abs(a).sum(axis=2)
-            need = need - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + largest)
-            can, open_ = largest >= need, np.all(-largest < need, axis=1)
+            tightening, largest = b - c @ rows.T, np.abs(a).sum(axis=2)
+            tightening = tightening - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + largest)
+            can, open_ = largest >= tightening, np.all(-largest < tightening, axis=1)
             self.never |= bool(np.any(~np.any(can, axis=1)))
             one = open_ & (np.sum(can, axis=1) == 1)
-            only.append((a[one][can[one]] / self.unit, need[one][can[one]] / self.unit))
+            only.append((a[one][can[one]] / self.unit, tightening[one][can[one]] / self.unit))
             for k in np.flatnonzero(open_ & (np.sum(can, axis=1) > 1)):
-                self.ways.append((a[k, can[k]] / self.unit, need[k, can[k]] / self.unit))
+                self.ways.append((a[k, can[k]] / self.unit, tightening[k, can[k]] / self.unit))
         self.only = tuple(np.concatenate(parts) for parts in zip(*only, strict=True))
         ones = np.ones(2 * G.shape[2])
         self.lp = GrowingLP(ones, 0 * ones, ones)
@@ -171,8 +171,8 @@ class _Clear:
         """Return True if a node is inside a set whatever is flown, or all choices of facets are refuted."""
         return self.never or bool(self.ways or len(self.only[1])) and self._refuted()
 
-    def _state(self, a: Array, need: Array) -> None:
-        self.lp.add(np.hstack([a, -a]), need, np.inf)
+    def _state(self, a: Array, tightening: Array) -> None:
+        self.lp.add(np.hstack([a, -a]), tightening, np.inf)
 
     def _refuted(self) -> bool:
         """Return True if no path keeps the facets stated, and one of every other node's."""
@@ -183,17 +183,17 @@ class _Clear:
         if answer is None:
             return self._certain()
         g, known = np.subtract(*np.split(answer[1], 2)), self.lp.rows
-        a, need = self.only
-        short = need - a @ g > OPEN
+        a, tightening = self.only
+        short = tightening - a @ g > OPEN
         if np.any(short):
-            self._state(a[short], need[short])
+            self._state(a[short], tightening[short])
             return self._back(self._refuted(), known)
-        lack = [float(np.min(need - a @ g)) for a, need in self.ways]
+        lack = [float(np.min(tightening - a @ g)) for a, tightening in self.ways]
         if max(lack, default=0.0) <= OPEN:
             return False
-        a, need = self.ways[int(np.argmax(lack))]
-        for f in np.argsort(need - a @ g):
-            self._state(a[f : f + 1], need[f : f + 1])
+        a, tightening = self.ways[int(np.argmax(lack))]
+        for f in np.argsort(tightening - a @ g):
+            self._state(a[f : f + 1], tightening[f : f + 1])
             if not self._back(self._refuted(), known):
                 return False
         return True
@@ -204,9 +204,11 @@ class _Clear:
 
     def _certain(self) -> bool:
         """Return True if a sum of rows, weighed by the solver's answer, asks for more than there is."""
-        ray, rows, need = self.lp.ray(), *self.lp.stated()
+        ray, rows, tightening = self.lp.ray(), *self.lp.stated()
         for weights in (np.maximum(ray, 0.0), np.maximum(-ray, 0.0)):
             available = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
-            if weights @ need - available > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
+            if weights @ tightening - available > ROUNDING * (
+                weights @ (np.abs(tightening) + np.abs(rows).sum(axis=1))
+            ):
                 return True
         return False

@@ -24,7 +24,7 @@ class CarriedImpulse:
     @classmethod
     def from_system(cls, system: Craft, h: float) -> "CarriedImpulse | None":
         """Return the carried impulse where the loop remembers it."""
-        carried = system.timing.carried
+        carried = system.timing.carried_impulse
         return cls(carried, system.thrusters.along) if carried and remembers(system) else None
 
     def extend(self, loop: Loop) -> Loop:

@@ -34,7 +34,7 @@ class Contraction:
         Planning step [s].
     level : float, optional
         Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
-        of thrusters grow with it (`profile`). Without it they are booked for all
+        of thrusters grow with it (`feedback_bound`). Without it they are booked for all
         that the thrusters have, at all times.
     """
 
@@ -125,5 +125,5 @@ class Contraction:
         return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
 
     def forgotten(self, rows: Array, radius: float) -> Array:
-        """Return the need of errors up to ``norm(W e) = radius`` along rows beyond the memory, shape (r,)."""
+        """Return the tightening of rows after settling for errors up to ``norm(W e) = radius``, (r,)."""
         return np.asarray(self.per_size(rows) * self.decay[-1] * radius)

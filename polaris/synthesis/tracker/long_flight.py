@@ -122,7 +122,7 @@ class Inputs:
         """Return the inputs of a loop that holds the matrix of its craft, commands having a middle (m,)."""
         (m, N), held, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
         turned = np.eye(m)[:, rows] * middle[columns]  # what the matrix makes of the middle
-        applied = turned * (rows == columns) if self.craft.timing.carried else turned
+        applied = turned * (rows == columns) if self.craft.timing.carried_impulse else turned
         late, number = carried_across(loop, self.craft), self.group[held - 1] + 1
         enter = np.insert(self.enter, [held], late - self.F @ late, axis=1)
         own, added = np.insert(self.own, [held], self.K @ late, axis=1), np.arange(late.shape[1])
@@ -145,7 +145,7 @@ class Inputs:
         if not self.matrix:
             return np.asarray(weights + both)
         across = both - errors.along
-        if craft.timing.carried:  # thrust across is made in other periods than what it is a share of
+        if craft.timing.carried_impulse:  # thrust across is made in other periods than what it is a share of
             applied = weights + across / (1 - errors.along)
             return np.concatenate([applied, errors.along * applied])
         return np.concatenate([weights, both])
@@ -257,7 +257,7 @@ class Inputs:
 
 def carried_across(loop: Loop, craft: Craft) -> Array:
     """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
-    moves = craft.timing.carried > 0 and np.any(craft.on_time.bit)
+    moves = craft.timing.carried_impulse > 0 and np.any(craft.on_time.bit)
     return loop.made * craft.on_time.bit if moves else loop.made[:, :0]
 
 

@@ -86,10 +86,10 @@ def largest(after: Storage, start: Zonotope) -> float:
         places = np.arange(len(p))[:, None] + 1.0
         v = np.cos(places * (1 + np.arange(VECTOR)) + places**2)  # any directions
         for _ in range(TURNS):
-            worth = M @ v
-            worth[:, 0] += p
-            size = np.linalg.norm(worth, axis=1)
-            v = worth / np.maximum(size[:, None], 1e-300)
+            products = M @ v
+            products[:, 0] += p
+            size = np.linalg.norm(products, axis=1)
+            v = products / np.maximum(size[:, None], 1e-300)
         for factor in LOOSER ** np.arange(1, TURNS):
             with suppress(np.linalg.LinAlgError):
                 half = np.linalg.solve(np.linalg.cholesky(np.diag(size * factor) - M), p)
@@ -181,17 +181,17 @@ class RelaxedFlight:
             shares = np.linalg.norm(entered[inputs.held :], axis=1) / errors[inputs.held :]
             made = shares[len(shares) // 2 :].reshape(-1, m).sum(axis=0)
             answer = (inputs.spends / size + made @ inputs.squares)[:, None] * commands[i]
-            worth = entered + inputs.own.T @ answer
-            groups = np.asarray(np.bincount(inputs.group, (worth**2).sum(axis=1)), dtype=float)
-            self.values[i] = worth / np.maximum(np.sqrt(groups)[inputs.group][:, None], 1e-300)
+            products = entered + inputs.own.T @ answer
+            groups = np.asarray(np.bincount(inputs.group, (products**2).sum(axis=1)), dtype=float)
+            self.values[i] = products / np.maximum(np.sqrt(groups)[inputs.group][:, None], 1e-300)
             first = np.unique(inputs.group, return_index=True)[1]
             sums[place].append((size - np.abs(middle), groups, errors[first] ** 2))
             later = inputs.F.T @ later - inputs.K.T @ answer
-        worth = self.G.T @ later
-        self.first = worth / np.maximum(np.linalg.norm(worth, axis=1, keepdims=True), 1e-300)
+        products = self.G.T @ later
+        self.first = products / np.maximum(np.linalg.norm(products, axis=1, keepdims=True), 1e-300)
         each = [[np.mean(part, axis=0) for part in zip(*step, strict=True)] for step in sums]
         limits = [FLOOR * np.resize(x.inputs[0].craft.u_max, x.middle.shape[1]) for x in self.steps]
-        values = [np.sqrt(worth / size) for _, worth, size in each]
+        values = [np.sqrt(products / size) for _, products, size in each]
         least, inputs = LEAST * np.mean(values, axis=0) + 1e-300, self.steps[0].inputs[0]
         known = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
         least[known] = np.maximum(least[known], FLOOR * np.mean(values, axis=0)[known].max(initial=0.0))

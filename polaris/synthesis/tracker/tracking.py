@@ -120,7 +120,7 @@ class Tracking(Contraction):
         Sets of errors of true states leave out impulses that are carried; the loop holds them.
         """
         system = self.system
-        along = system.thrusters.along * system.timing.carried * np.abs(system.B).sum(axis=1)
+        along = system.thrusters.along * system.timing.carried_impulse * np.abs(system.B).sum(axis=1)
         away = (system.carried_away + along) * (1 + ROUNDING)
         return np.asarray(away if remembers(system) else 0 * away)
 
@@ -172,7 +172,7 @@ class Tracking(Contraction):
         rows = self.commands[: len(u_max)]
         handed = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
         return feedback_bound(
-            norms, self.level * u_max, left, u_max, lambda P: self._needs(rows, P) + handed + self.noise
+            norms, self.level * u_max, left, u_max, lambda P: self._tightenings(rows, P) + handed + self.noise
         )
 
     @property
@@ -193,7 +193,9 @@ class Tracking(Contraction):
                         )
                     elif system.observer is None:
                         differences.append(
-                            OutageDifference.within(outage_errors(system, fault, h, self.difference_need))
+                            OutageDifference.within(
+                                outage_errors(system, fault, h, self.difference_tightening)
+                            )
                         )
                     elif self.loop.settled is None:
                         differences.append(OutageDifference.within(unlearned(system, fault, self.tightening)))
@@ -211,7 +213,7 @@ class Tracking(Contraction):
         blind = craft_loop(replace(system, observer=replace(seen, gain=0 * seen.gain)), self.flow.h)
         return unmade(self.tightening.closed, blind.close(self.gain), system.u_max, self.remembered, count)
 
-    def difference_need(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
+    def difference_tightening(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
         """Return what differences of loop states need along rows up to l periods later.
 
         Shape (memory + 3, r, sets), by age and ever after, what lies between nodes included.
@@ -226,46 +228,48 @@ class Tracking(Contraction):
         between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
         return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
 
-    def transient_need(self, rows: Array) -> Array:
+    def transient_tightening(self, rows: Array) -> Array:
         """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
         if not self.transients:
             return np.zeros((self.memory + 3, len(rows)))
-        return np.asarray(self.difference_need(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
+        return np.asarray(self.difference_tightening(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
         return np.pad(rows, ((0, 0), (0, self.loop.N - rows.shape[1])))
 
-    def _since(self, profile: Array | None) -> Array:
+    def _since(self, feedback_bound: Array | None) -> Array:
         """Bound on S's commands for as many periods as the loop remembers; the last one holds for ever."""
         count = self.tightening.horizon + 2
-        if profile is None:
+        if feedback_bound is None:
             return np.tile(self.system.u_max, (count, 1))
-        return profile[np.minimum(np.arange(count), len(profile) - 1)]
+        return feedback_bound[np.minimum(np.arange(count), len(feedback_bound) - 1)]
 
-    def _by_age(self, needs: Array) -> Array:
+    def _by_age(self, tightenings: Array) -> Array:
         """Needs by node and ever after, (N + 3, ...), for the periods of the memory and ever after."""
-        count = min(self.memory + 2, len(needs) - 1)
-        ever = needs[count:].max(axis=0)
-        return np.concatenate([needs[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))])
+        count = min(self.memory + 2, len(tightenings) - 1)
+        ever = tightenings[count:].max(axis=0)
+        return np.concatenate(
+            [tightenings[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))]
+        )
 
-    def responses(self, rows: Array, profile: Array | None) -> Array:
+    def responses(self, rows: Array, feedback_bound: Array | None) -> Array:
         """Return what rows need at node L after a hand-over, the state then apart, and ever after.
 
         Parameters
         ----------
         rows : ndarray, shape (r, n) or (r, N)
             Of the tracking error, or of the loop state.
-        profile : ndarray, shape (memory + 2, m), optional
+        feedback_bound : ndarray, shape (memory + 2, m), optional
             Bound on what is commanded since; the limits of the thrusters without one.
 
         Returns
         -------
         ndarray, shape (memory + 3, r)
         """
-        return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(profile)))
+        return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(feedback_bound)))
 
-    def settled_need(self, rows: Array) -> Array:
+    def settled_tightening(self, rows: Array) -> Array:
         """Return what rows need for ever once S has commanded no more than the end of its profile, (r,)."""
         rows, limits = self.whole(rows), self.tightening
         last = self._since(self.feedback_bound)[-1]
@@ -309,23 +313,26 @@ class Tracking(Contraction):
         before = np.concatenate([rates[:1], rates[:-1]])
         return np.asarray(self.tightening.bend(rows) @ np.maximum(rates, before))
 
-    def disturbance(self, rows: Array, failing: bool = True) -> Array:
+    def disturbance(self, rows: Array, faults: bool = True) -> Array:
         """Return what rows need besides the state at a hand-over, by age and ever after, (memory + 3, r).
 
         Entry L belongs to node L after the hand-over. Between two nodes a row needs at most the chord of
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
         without the `noise` of their own period.
         """
-        return self._needs(rows, self.feedback_bound, failing)
+        return self._tightenings(rows, self.feedback_bound, faults)
 
-    def _needs(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
+    def _tightenings(self, rows: Array, feedback_bound: Array | None, faults: bool = True) -> Array:
         """Bound what rows need under commands within a profile, see `disturbance`."""
         plant = rows[:, : self.system.n]
-        needs = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
-        if failing and self.system.transients:
-            ages = np.minimum(np.arange(len(needs)) + 2, len(needs) - 1)
-            needs = needs + self.transient_need(rows)[ages]
-        return needs
+        tightenings = (
+            self.responses(rows, feedback_bound)
+            + self.tightening.between(plant, self._since(feedback_bound))[0]
+        )
+        if faults and self.system.transients:
+            ages = np.minimum(np.arange(len(tightenings)) + 2, len(tightenings) - 1)
+            tightenings = tightenings + self.transient_tightening(rows)[ages]
+        return tightenings
 
     def response(self, channel: Channel, rows: Array) -> Response:
         """Return what a channel adds along rows of the error or of the loop state, (r, n) or (r, N)."""

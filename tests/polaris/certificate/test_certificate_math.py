@@ -72,11 +72,7 @@ from tests.polaris.tiny import TINY
 ANY = ('experimental.0={kind="any_thrust",name="any"}', "tracking.Q=[1,1,1,1]", "tracking.R=[8,8]")
 SCENES = {
     "clipped": ("tracking.R=[60,60]",),
-    "clipped, given period": (
-        "tracking.R=[60,60]",
-        "feedback={period_s=0.1}",
-        "recoverable.recourse=in_view",
-    ),
+    "clipped, given period": ("tracking.R=[60,60]", "feedback={period_s=0.1}", "recoverable.recourse=replan"),
     "any thrust": (*ANY, "horizon.step_s=0.25", "planner.thrust_reserve=0.5"),
 }
 
@@ -132,14 +128,14 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     path = argument.reference()
     sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
     memory = Settling.for_craft(argument.craft, widest(sets), argument.document.q)
-    needs = Tightening(argument.craft, memory, argument.gain)
-    disturbed = needs.disturbed
-    bows, gain = SetIntersample(needs, sets[0]), values(argument.gain)
+    tightenings = Tightening(argument.craft, memory, argument.gain)
+    disturbed = tightenings.disturbed
+    bows, gain = SetIntersample(tightenings, sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
     reached = (runs.states[:, :-1] - reference) @ gain.T
     count = min(len(reference), memory.periods)
-    parts = ((sets[0].support(needs.carried[i]), bows.next_to(i), disturbed[i]) for i in range(count))
+    parts = ((sets[0].support(tightenings.carried[i]), bows.next_to(i), disturbed[i]) for i in range(count))
     needed = np.array([[float(x) for x in sums(*each)] for each in parts])
     assert np.all(reached[:, :count].max(axis=0) <= needed + 1e-9)
     assert np.max(reached[:, :count].max(axis=0) / needed) > 0.7
@@ -251,9 +247,9 @@ def test_what_a_set_needs_between_nodes_is_covered():
     rows = np.vstack([np.eye(2), -np.eye(2), K, -K])
     start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
     loop = loop_of_errors(plant, matrix(K.tolist()))
-    needs = Tightening(loop, Settling.for_craft(loop, start.size(), 1), matrix(rows.tolist()))
-    bows = SetIntersample(needs, start)
-    parts = [(start.support(needs.carried[lag]), bows.next_to(lag)) for lag in range(13)]
+    tightenings = Tightening(loop, Settling.for_craft(loop, start.size(), 1), matrix(rows.tolist()))
+    bows = SetIntersample(tightenings, start)
+    parts = [(start.support(tightenings.carried[lag]), bows.next_to(lag)) for lag in range(13)]
     tube = np.array([[float(x) for x in sums(*each)] for each in parts])
     c, G, beyond, tight = values(start.c)[:, 0], values(start.G), 0.0, 0.0
     within = []
@@ -385,15 +381,15 @@ def test_a_number_on_the_edge_is_neither_confirmed_nor_refuted():
 def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     """Half of the room goes to the jump: an error of nothing leaves half of it, not all."""
     row = matrix([[1.0]])
-    needs = SimpleNamespace(
+    tightenings = SimpleNamespace(
         carried=[row] * 3,
         boxed=lambda size, lag: size.entries(),
         memory=SimpleNamespace(periods=2),
-        need_after_settling=lambda size: [arb(0)],
+        tightening_after_settling=lambda size: [arb(0)],
     )
     path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
-    limits = Limits(row, [[[NodeLimit(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
-    recovery = Recovery(SimpleNamespace(), limits, needs)
+    limits = Limits(row, [[[NodeLimit(0, arb(1), "wall", arb(1))]] * 2]).less_jump(tightenings, path)
+    recovery = Recovery(SimpleNamespace(), limits, tightenings)
     (target,) = limits.at_node(0, first=True)
     recovery._leaves(0.5, target, arb(0), "the start")
     with pytest.raises(Rejected) as error:
@@ -422,8 +418,8 @@ def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
     plant = Plant(matrix([[0.0, 1], [0, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(0.5))
     base, rest = Arc.from_state(plant, zero, arb_mat(1, 1)), Zonotope(zero, arb_mat(2, 0))
     group = Departure(1, [0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]], [])
-    for displaced, inside in (([0.9, 0.0], True), ([1.1, 0.0], False), ([0.0, 1.1], False)):
-        departures = Departures(plant, 0, [group], displaced)
+    for state_offset, inside in (([0.9, 0.0], True), ([1.1, 0.0], False), ([0.0, 1.1], False)):
+        departures = Departures(plant, 0, [group], state_offset)
         with nullcontext() if inside else pytest.raises(Rejected, match="where thrust may stop"):
             departures.check(0, base, rest, rest, rest, [arb(0), arb(0)])
 
@@ -536,7 +532,7 @@ def test_a_facet_leaves_room_at_both_ends_of_every_part_of_a_drift_in_which_it_i
     for middle, kept in ((1.0, True), (-1.0, False), (4.0, False)):
         states = [matrix([[x]]) for x in (2.0, middle, -4.0)]
         with nullcontext() if kept else pytest.raises(Rejected, match="the drift from step 0 to wall"):
-            Drifts._rooms(drifts, 0, 0, [0, 1], states, sizes)
+            Drifts._clearances(drifts, 0, 0, [0, 1], states, sizes)
 
 
 def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_it():

@@ -96,7 +96,7 @@ def test_flights_are_inside_the_sets_of_the_file_at_nodes_and_between(kind, tmp_
 
 def between(runs, schedule, parts):
     """Errors within every period of a double integrator under the thrust that was applied, held or pulsed."""
-    h, fired = schedule.safety.tracking.flow.h, np.array(schedule.safety.problem.system.timing.fired)
+    h, fired = schedule.safety.tracking.flow.h, np.array(schedule.safety.problem.system.timing.pulse_thrust)
     ends, u = np.linspace(-0.5, 0.5, parts + 1)[:, None], runs.inputs[:, :, None]
     if len(fired):
         on = np.abs(u) / fired / 2
@@ -398,7 +398,7 @@ CONTRARY = {
     "seed": [7],
     "synthesis.experimental_share": [0.9],
     "synthesis.share_at_most": [0.0],
-    "synthesis.share_bound.worth": [0.0],
+    "synthesis.share_bound.objective": [0.0],
     "synthesis.switches": [9],
     "synthesis.start_margin": [0.99],
     "synthesis.start_limit": ["nothing at all"],
@@ -462,8 +462,8 @@ BETTER = {
     "guarantee.abort.witness.after_s": [1e9],
     "guarantee.abort.witness.distance_m": [1.0],
     "steps.*.limit_time_s": [None, 0.0, 1e9],
-    "steps.*.need": [None, 0.0],
-    "steps.*.room": [None, 0.0, -1.0, 1e9],
+    "steps.*.tightening": [None, 0.0],
+    "steps.*.clearance": [None, 0.0, -1.0, 1e9],
 }
 """Values for the last number of its kind in a schedule, where one more is worse or as good."""
 DERIVED = "guarantee.goal", "guarantee.upkeep", "guarantee.abort.least_m"
@@ -495,7 +495,7 @@ def test_a_margin_of_a_step_under_s_is_no_more_than_derived(demanding):
     lie = Lie(demanding)
     k = max(k for k, step in enumerate(lie.schedule["steps"]) if step["mode"] == 0)
     step = lie.schedule["steps"][k]
-    step |= {"margin": 0.99, "need": (1 - 0.99) * step["room"]}
+    step |= {"margin": 0.99, "tightening": (1 - 0.99) * step["clearance"]}
     lie.judge({"margins", "recoverable"})
 
 

@@ -34,7 +34,7 @@ FOLLOWING = {
     "unaware": [],
     "setpoint": [QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
     "shared": [QUARTER, 'experimental.0.reference={kind="shared"}'],
-    "in view": [QUARTER, "recoverable.recourse=in_view"],
+    "in view": [QUARTER, "recoverable.recourse=replan"],
     "sampled": ["feedback={period_s=0.2}", "schedule.min_dwell_steps=2", "schedule.max_switches=3"],
 }
 """Variants of the tiny scene."""
@@ -203,7 +203,10 @@ def test_another_plan_than_an_unaware_one_is_refused(forgers, what):
     elif what == "cut short":
         states, inputs = states[:-1], inputs[:-1]
     else:  # not given at all: U would follow the safe reference
-        del lie.certificate["controllers"][1]["own_states"], lie.certificate["controllers"][1]["own_inputs"]
+        del (
+            lie.certificate["controllers"][1]["reference_states"],
+            lie.certificate["controllers"][1]["reference_inputs"],
+        )
         lie.judge({"controllers"})
         return
     lie.own(1, states, inputs)

@@ -183,7 +183,7 @@ def test_rounding_of_a_normal_never_widens_a_keep_in_set():
     class Certificate:
         C = ((1.0, 0.0), (0.0, 1.0))
 
-    spec = {"name": "room", "kind": "polytope", "normals": [[0.0, 1.0]], "offsets_m": [-5000.0]}
+    spec = {"name": "clearance", "kind": "polytope", "normals": [[0.0, 1.0]], "offsets_m": [-5000.0]}
     with pytest.raises(Rejected):
         _check_keep_in(Certificate, [Item([5e-10, 1.0], 1e6)], spec)
     _check_keep_in(Certificate, [Item([0.0, 1.0], -5000.0)], spec)

@@ -30,7 +30,7 @@ SOURCES = {
     "jitter": ["timing.jitter_s=0.005"],
     "magnitude": ["thrusters.magnitude_error=0.03"],
     "mass": ["thrusters.mass_error=0.005"],
-    "constant magnitude": ["thrusters.magnitude_error=0.03", "thrusters.varies=never"],
+    "constant magnitude": ["thrusters.magnitude_error=0.03", "thrusters.errors_vary=never"],
     "bit": ["thrusters.impulse_bit_N_s=0.004"],
     "carried bit": ["thrusters.impulse_bit_N_s=0.004", "thrusters.remainder=carried"],
     "coarse carried bit": ["thrusters.impulse_bit_N_s=0.05", "thrusters.remainder=carried"],

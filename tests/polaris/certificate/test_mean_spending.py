@@ -29,7 +29,7 @@ from tests.polaris.synthesis.schedule.test_hand_over import (
     CASES,
     PARTS,
     Flight,
-    checker_needs,
+    checker_tightenings,
     tracking,
 )
 
@@ -57,8 +57,8 @@ class Flown:
         elif system.timing.missed:
             noise = system.estimate_off(system.u_max)
         else:
-            noise = np.array(system.timing.measured) + system.state_offset - system.carried_away
-        left = np.full(self.m, system.timing.carried)
+            noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
+        left = np.full(self.m, system.timing.carried_impulse)
         self.sampled = np.concatenate([noise * self.has("noise"), left * self.has("carried")])
         self.thrusts = thrusts
 
@@ -96,9 +96,9 @@ class Flown:
 
 def loop(s, only=None):
     """Return what the checker makes of a tracker with all errors or one kind of them, and its needs."""
-    needs = checker_needs(s, None)
-    craft, off = needs.craft, needs.craft.lagged(needs.craft.plant.u_max)
-    tops = [x.upper() for x in sums(needs.peak, craft.noise(off))]
+    tightenings = checker_tightenings(s, None)
+    craft, off = tightenings.craft, tightenings.craft.lagged(tightenings.craft.plant.u_max)
+    tops = [x.upper() for x in sums(tightenings.peak, craft.noise(off))]
     if only is not None:
         left = {} if only == "thrusters" else {"along": 0.0, "across": 0.0, "bits": ()}
         craft = replace(
@@ -109,14 +109,14 @@ def loop(s, only=None):
             off=craft.off if only == "noise" else [arb(0)] * len(craft.off),
         )
     seen = craft.gain * craft.carry * diagonal(craft.missed(off))
-    return MeanCommands(craft, craft.plant.thruster_error(tops), seen), needs, tops
+    return MeanCommands(craft, craft.plant.thruster_error(tops), seen), tightenings, tops
 
 
 def bounds(s, only=None):
     """Return what a period costs, what is spent once, and the weights and most of commands."""
-    commands, needs, tops = loop(s, only)
+    commands, tightenings, tops = loop(s, only)
     one = identity(commands.F.nrows())
-    both = Tightening(needs.craft, needs.memory, above(one, -one)).peak
+    both = Tightening(tightenings.craft, tightenings.memory, above(one, -one)).peak
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
     lasting = commands.lasting()
     once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2
@@ -196,7 +196,7 @@ def test_squares_of_errors_and_what_is_spent_hold_for_layouts_and_without(seed):
     system = replace(s.system, thrusters=own, nozzles=nozzles, timing=timing)
     zero = np.zeros(4)
     inputs = Inputs.from_loop(s.tightening.closed, system, (system.u_max, system.u_max), zero, zero)
-    craft = checker_needs(s, None).craft
+    craft = checker_tightenings(s, None).craft
     errors = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
     errors |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}
     craft = replace(craft, plant=replace(craft.plant, on_time=None, **errors))

@@ -23,7 +23,7 @@ from polaris.certificate.kernel.zonotopes import Zonotope
 from polaris.certificate.model.craft.settling import Settling
 from polaris.certificate.model.craft.tightening import SetIntersample, Tightening
 from polaris.certificate.model.limits import Limits, NodeLimit
-from polaris.certificate.model.transients import transient_need
+from polaris.certificate.model.transients import transient_tightening
 from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
@@ -51,7 +51,7 @@ def check(found, step, after=0):
 
 def test_wide_limits_are_met():
     limits = recovery()
-    assert limits.needs.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
+    assert limits.tightenings.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
     check(limits, 0)
     check(limits, 3)
 
@@ -69,26 +69,26 @@ def test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed(
     """Without a claimed share the limits beyond the memory are those of all sets together."""
     flight = Continuation(None, None, None)
     flight.__dict__["recovery"] = limits = recovery((cell, 1))
-    assert limits.needs.memory.periods < (CELLS - 1) * Q
+    assert limits.tightenings.memory.periods < (CELLS - 1) * Q
     with pytest.raises(Rejected):
         flight.keeps({0: Zonotope(column([arb(0)]), identity(1))})
 
 
 def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
     """Between its nodes ``e^t - GAIN (e^t - 1)`` leaves its chord by so much, half way."""
-    needs = recovery().needs
+    tightenings = recovery().tightenings
     phi, middle = (math.exp(t) - GAIN * math.expm1(t) for t in (H, H / 2))
     assert 0 < phi < 1 < phi + middle
     half_way = abs((1 + phi) / 2 - middle)
-    for lag in range(1, needs.memory.periods):
+    for lag in range(1, tightenings.memory.periods):
         for begun in (lag - 1, lag):
-            assert needs.bend[lag][0, 0] >= phi**begun * half_way > 0
+            assert tightenings.bend[lag][0, 0] >= phi**begun * half_way > 0
 
 
 def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
     limits, start = recovery(), Zonotope(column([arb(0)]), identity(1))
-    room = limits.needs.disturbed[-1][0] * 1.2 + 1e-3
-    limits.limits.targets[CELLS - 3][1] = [NodeLimit(0, room, "wall", room)]
+    clearance = limits.tightenings.disturbed[-1][0] * 1.2 + 1e-3
+    limits.limits.targets[CELLS - 3][1] = [NodeLimit(0, clearance, "wall", clearance)]
     limits.check_sets({0: start}, {0: 0.1})
     with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
         limits.check_sets({0: start}, {0: 0.5})
@@ -110,12 +110,12 @@ def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_l
     start = Zonotope(column([arb(0)]), identity(1))
     for lag in range(4):
         limits = recovery()
-        exact = start.support(limits.needs.carried[lag])[0] + limits.needs.disturbed[lag][0]
-        bow = SetIntersample(limits.needs, start).next_to(lag)[0]
+        exact = start.support(limits.tightenings.carried[lag])[0] + limits.tightenings.disturbed[lag][0]
+        bow = SetIntersample(limits.tightenings, start).next_to(lag)[0]
         for share, kept in ((1 + 1e-6, True), (0.99, False)):
-            room = exact + bow * share
+            clearance = exact + bow * share
             cell, place = divmod(lag, Q)
-            limits.limits.targets[cell][place] = [NodeLimit(0, room, "wall", room)]
+            limits.limits.targets[cell][place] = [NodeLimit(0, clearance, "wall", clearance)]
             with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
                 limits.check_sets({0: start}, {})
 
@@ -150,39 +150,44 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
 @pytest.mark.parametrize("node", [0, 3, 100])
 def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not(node):
     """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
-    needs, needed = recovery().needs, []
+    tightenings, needed = recovery().tightenings, []
     start = Zonotope(column([arb(0)]), identity(1))
     for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
-        document = SimpleNamespace(at_nodes=[away], profile=[], error_by_step=[], steps=2, q=3, cells=2)
-        path, tracker = SimpleNamespace(jump=column([arb(jump)])), SimpleNamespace(craft=needs.craft)
+        document = SimpleNamespace(
+            at_nodes=[away], feedback_bound=[], error_by_step=[], steps=2, q=3, cells=2
+        )
+        path, tracker = SimpleNamespace(jump=column([arb(jump)])), SimpleNamespace(craft=tightenings.craft)
         flight, handed = Continuation(document, path, tracker), (HandOver(start, 6, 6),)
         arrival = Arrival(flight, handed, arb(0))
-        both = [float(flight.need(needs, handed, 6 + node, around)[0]) for around in (False, True)]
-        needed.append((*both, float(arrival.holding(needs))))
+        both = [
+            float(flight.tightening(tightenings, handed, 6 + node, around)[0]) for around in (False, True)
+        ]
+        needed.append((*both, float(arrival.holding(tightenings))))
     (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = needed
     assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
     assert asked_too == asked
-    left = 0.2 * abs(float(needs.craft.F[0, 0])) ** node  # of a step of the reference at T
+    left = 0.2 * abs(float(tightenings.craft.F[0, 0])) ** node  # of a step of the reference at T
     assert jumped >= still + left * (1 - 1e-9) and more >= asked + left * (1 - 1e-9)
 
 
 def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
     """Of bounds at a node the chord to the next is taken, and a period begins at either."""
     grown = [1.0, 3.0, 2.0, 5.0, 4.0, 0.0]
-    needs = SimpleNamespace(
+    tightenings = SimpleNamespace(
         rows=identity(1),
         carried=grown,
         boxed=lambda box, lag: [arb(grown[lag])],
-        need_after_settling=lambda box: [arb(0.5)],
+        tightening_after_settling=lambda box: [arb(0.5)],
     )
-    steps = [float(largest) for (largest,) in transient_need(needs, [column([arb(1)])])]
+    steps = [float(largest) for (largest,) in transient_tightening(tightenings, [column([arb(1)])])]
     assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
 
 
 def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
     """A unit in every period of a scalar loop adds up to a geometric series."""
-    needs = recovery().needs
-    factor, periods = needs.craft.F[0, 0], needs.memory.periods
+    tightenings = recovery().tightenings
+    factor, periods = tightenings.craft.F[0, 0], tightenings.memory.periods
     assert (
-        0 < factor < 1 and needs.tail_bound(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()
+        0 < factor < 1
+        and tightenings.tail_bound(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()
     )

@@ -84,7 +84,10 @@ class Scene:
         (safe, nu), (states, inputs) = self.own
         kind = "saturated_affine" if self.clips else "affine"
         law = Law("own", kind, self.gain.tolist(), states[:-1].tolist(), inputs.tolist())
-        craft, left = self.craft, bool(self.system.timing.carried) * 2 + bool(self.system.observer) * 4
+        craft, left = (
+            self.craft,
+            bool(self.system.timing.carried_impulse) * 2 + bool(self.system.observer) * 4,
+        )
         box = [x if under_way or i >= len(craft.box) - left else arb(0) for i, x in enumerate(craft.box)]
         pilot = ControllerModel.for_law(law, replace(craft, box=box), self.document)
         path = Path.propagate(
@@ -120,9 +123,9 @@ class Scene:
         """Bounds on disturbances, noise, impulses that are left, and the first error of the estimate."""
         system, craft = self.system, self.craft
         seen = system.observer
-        noise = np.array(system.timing.measured) if seen is None else np.array(seen.noise)
+        noise = np.array(system.timing.measured_error) if seen is None else np.array(seen.noise)
         first = np.zeros(4) if seen is None else np.array([float(x) for x in craft.box[-4:]])
-        return system.w_max, noise, system.timing.carried, first
+        return system.w_max, noise, system.timing.carried_impulse, first
 
     def fly(self, x0, w, noise, rest, err, first):
         """Fly runs from errors x0; returns loop states at all nodes, and the commands of all periods.
@@ -189,7 +192,7 @@ class Scene:
             for back in range(ages):
                 line = added[-1 - back][begin:end].sum(axis=0)
                 parts.append(line @ np.linalg.matrix_power(whole, back).T)
-        if self.system.timing.carried:
+        if self.system.timing.carried_impulse:
             parts.append(rest)
         if self.system.observer is not None:
             parts.append(misjudged)

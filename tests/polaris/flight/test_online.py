@@ -202,8 +202,8 @@ def test_no_thrust_within_the_limits_breaks_a_flight(flown, tmp_path, monitor, p
             w = rng.normal(size=system.D.shape[1])
             x = Ad @ x + Bd @ np.array(answer.command) + Dd @ w * (0.99 * system.w_max / np.linalg.norm(w))
             rows, offsets, _ = grid.facets
-            room = grid.nearest(rows @ x - offsets[node + 1])
-            assert room > 0, (flight, node, room)
+            clearance = grid.nearest(rows @ x - offsets[node + 1])
+            assert clearance > 0, (flight, node, clearance)
             by_u, switches, before = by_u + answer.mode, switches + (answer.mode != before), answer.mode
     assert by_u > 100 and switches > 30
 
@@ -311,7 +311,7 @@ def test_attacks_fly_the_monitor_of_the_code_and_find_one_that_is_too_bold(flown
         attacks.failure is None and np.isfinite(attacks.least[: len(schedule.safety.clearance.unsafe)]).all()
     )
     assert code.answers.keys() <= {(0, 0), (0, REFUSED), (1, 0), (1, CLIPPED)}
-    verdict = forged(flown, tmp_path / "bold", lambda t: {"room": with_room(t, 3.0)}, precision)
+    verdict = forged(flown, tmp_path / "bold", lambda t: {"clearance": with_clearance(t, 3.0)}, precision)
     assert verdict.outcome == "REJECTED"
     attack = falsify(schedule, 300, 3, code=FlightCode(tmp_path / "bold"))
     assert attack.failure is not None and attack.failure.kind in ("unsafe set", "saturation")
@@ -339,9 +339,9 @@ def scaled(table, by):
     return [scaled(one, by) for one in table] if isinstance(table, list) else table * by
 
 
-def with_room(tables, by):
+def with_clearance(tables, by):
     """More room at every limit that there is."""
-    return [[[x + by * (i % 2 == 0) for i, x in enumerate(row)] for row in cell] for cell in tables.room]
+    return [[[x + by * (i % 2 == 0) for i, x in enumerate(row)] for row in cell] for cell in tables.clearance]
 
 
 def lowered(tables, lag, by):
@@ -349,13 +349,13 @@ def lowered(tables, lag, by):
 
 
 FORGERIES = {
-    "more room": lambda t: {"room": with_room(t, 1e-3)},
-    "more room in one step": lambda t: {"room": [with_room(t, 1.0)[0], *t.room[1:]]},
-    "rooms of the step after": lambda t: {"room": [*t.room[1:], t.room[-1]]},
+    "more room": lambda t: {"clearance": with_clearance(t, 1e-3)},
+    "more room in one step": lambda t: {"clearance": [with_clearance(t, 1.0)[0], *t.clearance[1:]]},
+    "rooms of the step after": lambda t: {"clearance": [*t.clearance[1:], t.clearance[-1]]},
     "rooms that grow": lambda t: {
-        "room": [[[a, b + 0.01, c, d + 0.01] for a, b, c, d in cell] for cell in t.room]
+        "clearance": [[[a, b + 0.01, c, d + 0.01] for a, b, c, d in cell] for cell in t.clearance]
     },
-    "fewer rooms": lambda t: {"room": t.room[:-1]},
+    "fewer rooms": lambda t: {"clearance": t.clearance[:-1]},
     "less booked in the first period": lambda t: {"booked": lowered(t, 0, 0.1)},
     "less booked at the next node": lambda t: {"booked": lowered(t, 1, 0.1)},
     "less booked at the last node": lambda t: {"booked": lowered(t, len(t.booked) - 1, 0.1)},
@@ -394,14 +394,14 @@ def test_an_honest_code_is_confirmed_and_its_margin_is_near(flown, tmp_path, pre
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, monkeypatch, precision):
     """Against balls, along every limit at every node that a decision looks at, errors of all signs."""
-    kept, place = [], "polaris.certificate.code.online._check_rooms"
+    kept, place = [], "polaris.certificate.code.online._check_clearances"
     monkeypatch.setattr(place, kept.append)
     assert verify(flown / "run", flown / precision).outcome == "VERIFIED"
     flight, tables, lost = kept[0].flight, kept[0].tables, np.array(kept[0].rounding_loss, dtype=float)
     monkeypatch.setattr(flint.ctx, "prec", PRECISION)
     craft, doc, rng = flight.tracker.craft, flight.document, np.random.default_rng(4)
     step, q, seen = OnlineStep(tables, precision), doc.q, np.zeros_like(lost)
-    given, signs = flight.recovery.needs.given, [(kind, side - 1.0) for kind, side, _ in kept[0].stored]
+    given, signs = flight.recovery.tightenings.given, [(kind, side - 1.0) for kind, side, _ in kept[0].stored]
     for draw in range(300):
         cell, part = divmod(int(rng.integers(0, doc.steps * q)), q)
         node = flight.path.arcs[cell].nodes[part]

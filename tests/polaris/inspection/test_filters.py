@@ -82,12 +82,12 @@ def feasible(wide, bound, limit=Q.thrust_max):
     if (bound[length == 0] > 0).any() or (bound == np.inf).any():
         return False
     some = (length > 0) & (bound > -np.inf)
-    rows, need = wide[some] / length[some, None], bound[some] / length[some]
+    rows, tightening = wide[some] / length[some, None], bound[some] / length[some]
     size = wide.shape[1]
     answer = linprog(
         np.r_[np.zeros(size), 1.0],
-        -np.c_[rows, np.ones(len(need))],
-        -need,
+        -np.c_[rows, np.ones(len(tightening))],
+        -tightening,
         bounds=[(-limit, limit)] * size + [(-1, None)],
     )
     return answer.status == 0 and answer.fun <= -1e-9

@@ -57,7 +57,7 @@ def odd_program(rng, least_angle=1e-6):
         G[i] = rng.choice([-1.0, 1.0]) * G[j] + angle * rng.standard_normal(v)
     length = np.linalg.norm(G, axis=1)
     G[length > 0] /= length[length > 0, None]
-    need = [
+    tightening = [
         rng.uniform(-1, 1.5, M),
         np.round(rng.uniform(-4, 6, M)) / 4,
         rng.choice([-0.5, 0.0, 0.3, 2.0, 1e12, np.inf], M),
@@ -66,7 +66,7 @@ def odd_program(rng, least_angle=1e-6):
     if rng.random() < 0.2:
         G[rng.integers(M)] = 0.0
     rank = rng.choice([-3, 0, 2, 5, 40], M) if rng.random() < 0.7 else np.zeros(M, dtype=int)
-    return G * scale[:, None], need * scale * limit, rng.standard_normal(v) * limit, limit, rank
+    return G * scale[:, None], tightening * scale * limit, rng.standard_normal(v) * limit, limit, rank
 
 
 def of_length_1(G, bound, rank):
@@ -75,18 +75,20 @@ def of_length_1(G, bound, rank):
     return G[some] / length[:, None], bound[some] / length, rank[some]
 
 
-def witnessed(G, need, rank, short, m):
+def witnessed(G, tightening, rank, short, m):
     """As `could_be_less`, nothing given away; only what an input shows that really keeps what counts more."""
     own, earlier = rank == rank[m], rank < rank[m]
     allowed = np.where(earlier, short, np.where(own, np.maximum(short, short[m]), np.inf))
     allowed[m] = np.inf
     kept = np.isfinite(allowed)
-    rows, least = (G[kept], (need - allowed)[kept]) if kept.any() else (np.zeros((1, G.shape[1])), [-1.0])
+    rows, least = (
+        (G[kept], (tightening - allowed)[kept]) if kept.any() else (np.zeros((1, G.shape[1])), [-1.0])
+    )
     sharp = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
     answer = linprog(-G[m], -rows, -np.asarray(least), bounds=[(-1, 1)] * G.shape[1], options=sharp)
     if answer.x is None or (least - rows @ np.clip(answer.x, -1, 1)).max() > EXACT:
         return None
-    return short[m] - max(need[m] - G[m] @ np.clip(answer.x, -1, 1), 0.0)
+    return short[m] - max(tightening[m] - G[m] @ np.clip(answer.x, -1, 1), 0.0)
 
 
 def check_odd(programs):
@@ -96,9 +98,9 @@ def check_odd(programs):
         u = least_violation(G, bound, desired, limit, rank)
         assert u is not None and np.abs(u).max() <= limit
         G, bound, rank = of_length_1(G, bound, rank)
-        short, need = shortages(G, bound, limit, u)
+        short, tightening = shortages(G, bound, limit, u)
         for m in np.flatnonzero(short > 1e-6):
-            less = witnessed(G, need, rank, short, m)
+            less = witnessed(G, tightening, rank, short, m)
             looked += less is not None
             assert less is None or less < 1.01 * STATED, (less, m)
     return looked
@@ -106,11 +108,11 @@ def check_odd(programs):
 
 def shortages(G, bound, limit, u):
     """In parts of the limit, and the bounds they are measured from."""
-    need = np.minimum(bound / limit, np.abs(G).sum(axis=1) * (1 - SPARE))
-    return np.maximum(need - G @ u / limit, 0.0), need
+    tightening = np.minimum(bound / limit, np.abs(G).sum(axis=1) * (1 - SPARE))
+    return np.maximum(tightening - G @ u / limit, 0.0), tightening
 
 
-def could_be_less(G, need, rank, short, m):
+def could_be_less(G, tightening, rank, short, m):
     """By how much the shortage of row m could be less without making any that counts more larger.
 
     Those of earlier ranks count more, and those of its own rank that are as large; smaller ones of its rank
@@ -121,10 +123,10 @@ def could_be_less(G, need, rank, short, m):
     allowed[m] = np.inf
     kept = np.isfinite(allowed)
     rows = -G[kept] if kept.any() else None
-    limits = (allowed + 1e-7 - need)[kept] if kept.any() else None
+    limits = (allowed + 1e-7 - tightening)[kept] if kept.any() else None
     answer = linprog(-G[m], rows, limits, bounds=[(-1, 1)] * G.shape[1])
     assert answer.status == 0
-    return short[m] - max(need[m] + answer.fun, 0.0)
+    return short[m] - max(tightening[m] + answer.fun, 0.0)
 
 
 @given(st.integers(0, 10**6))
@@ -134,10 +136,10 @@ def test_no_shortage_can_be_made_less_but_at_the_cost_of_what_counts_more(seed):
     u = least_violation(G, bound, desired, limit, rank)
     assert u is not None and np.abs(u).max() <= limit
     some = G.any(axis=1)
-    short, need = shortages(G[some], bound[some], limit, u)
+    short, tightening = shortages(G[some], bound[some], limit, u)
     for m in np.flatnonzero(short > 1e-6):
-        assert could_be_less(G[some], need, rank[some], short, m) < CLOSE
-        less = witnessed(G[some], need, rank[some], short, m)
+        assert could_be_less(G[some], tightening, rank[some], short, m) < CLOSE
+        less = witnessed(G[some], tightening, rank[some], short, m)
         assert less is None or less < 1.01 * STATED
     np.testing.assert_array_equal(u, least_violation(G, bound, desired, limit, rank))
 
@@ -149,9 +151,9 @@ def test_many_random_programs():
         G, bound, desired, limit, rank = random_program(rng)
         u = least_violation(G, bound, desired, limit, rank)
         some = G.any(axis=1)
-        short, need = shortages(G[some], bound[some], limit, u)
+        short, tightening = shortages(G[some], bound[some], limit, u)
         for m in np.flatnonzero(short > 1e-6):
-            assert could_be_less(G[some], need, rank[some], short, m) < CLOSE
+            assert could_be_less(G[some], tightening, rank[some], short, m) < CLOSE
 
 
 def test_a_row_with_a_small_multiplier_is_not_settled_for_good():
@@ -161,9 +163,9 @@ def test_a_row_with_a_small_multiplier_is_not_settled_for_good():
         G, bound, desired, limit, rank = random_program(rng)
     u = least_violation(G, bound, desired, limit, rank)
     G, bound, rank = of_length_1(G, bound, rank)
-    short, need = shortages(G, bound, limit, u)
+    short, tightening = shortages(G, bound, limit, u)
     assert 0.8 < short[11] < 0.86  # was 0.95
-    assert could_be_less(G, need, rank, short, 11) < CLOSE
+    assert could_be_less(G, tightening, rank, short, 11) < CLOSE
 
 
 def test_odd_programs():
@@ -185,12 +187,12 @@ def test_rows_parallel_to_rounding_get_an_answer_that_keeps_the_first_rank():
         u = least_violation(G, bound, desired, limit, rank)
         assert u is not None and np.abs(u).max() <= limit
         G, bound, rank = of_length_1(G, bound, rank)
-        need = shortages(G, bound, limit, u)[1]
+        tightening = shortages(G, bound, limit, u)[1]
         rows = rank == rank.min(initial=40)
         if not rows.any():
             continue
-        alone = lowest(G[rows], need[rows], np.ones(rows.sum(), dtype=bool))
-        short = (need[rows] - G[rows] @ u / limit).max()
+        alone = lowest(G[rows], tightening[rows], np.ones(rows.sum(), dtype=bool))
+        short = (tightening[rows] - G[rows] @ u / limit).max()
         assert short <= alone[0][-1] + SPARE + MET
 
 
@@ -198,19 +200,19 @@ def test_rows_parallel_to_rounding_get_an_answer_that_keeps_the_first_rank():
 def test_the_exact_program_agrees_with_another_solver(M):
     rng = np.random.default_rng(M)
     for v in (3, 9):
-        G, need, free = rng.standard_normal((M, v)), rng.uniform(0, 2, M), rng.random(M) < 0.6
+        G, tightening, free = rng.standard_normal((M, v)), rng.uniform(0, 2, M), rng.random(M) < 0.6
         free[0] = True
         G /= np.linalg.norm(G, axis=1, keepdims=True)
-        need[~free] = 0.1
+        tightening[~free] = 0.1
         cost, limits = np.append(np.zeros(v), 1.0), [(-1, 1)] * v + [(0, None)]
-        answer = linprog(cost, -np.column_stack([G, free]), -need, bounds=limits)
-        solution = lowest(G, need, free)
+        answer = linprog(cost, -np.column_stack([G, free]), -tightening, bounds=limits)
+        solution = lowest(G, tightening, free)
         assert (solution is None) == (answer.status == 2)
         if solution is not None:
             x, y = solution
             assert x[-1] == pytest.approx(answer.fun, abs=1e-9)
-            assert (need - G @ x[:-1] - free * x[-1]).max() < 1e-15 * 10
-            assert y @ need - np.abs(y @ G).sum() == pytest.approx(x[-1], abs=1e-12)
+            assert (tightening - G @ x[:-1] - free * x[-1]).max() < 1e-15 * 10
+            assert y @ tightening - np.abs(y @ G).sum() == pytest.approx(x[-1], abs=1e-12)
 
 
 def test_where_the_solver_fails_no_rank_is_left_out(monkeypatch):

@@ -86,13 +86,16 @@ def test_optimality_conditions(seed, M):
             assert primal < CLOSE and stationarity < CLOSE
         for k in np.flatnonzero(batch.status >= SHORT):
             rows = G[k] / np.linalg.norm(G[k], axis=1, keepdims=True)
-            need = bound[k] / np.linalg.norm(G[k], axis=1)
+            tightening = bound[k] / np.linalg.norm(G[k], axis=1)
             answer = linprog(
-                np.r_[0, 0, 0, 1], -np.c_[rows, np.ones(M)], -need, bounds=[(-1, 1)] * 3 + [(None, None)]
+                np.r_[0, 0, 0, 1],
+                -np.c_[rows, np.ones(M)],
+                -tightening,
+                bounds=[(-1, 1)] * 3 + [(None, None)],
             )
             assert answer.fun > -1e-9, "called infeasible, but is not"
             # The worst violation is the least possible; what full thrust cannot give counts as full thrust.
-            reach = np.minimum(need, np.abs(rows).sum(axis=1))
+            reach = np.minimum(tightening, np.abs(rows).sum(axis=1))
             least = linprog(
                 np.r_[0, 0, 0, 1], -np.c_[rows, np.ones(M)], -reach, bounds=[(-1, 1)] * 3 + [(None, None)]
             )
@@ -109,7 +112,7 @@ def test_agrees_with_a_general_solver():
     assert len(chosen) >= 5
     for k in chosen:
         rows = G[k] / np.linalg.norm(G[k], axis=1, keepdims=True)
-        need = bound[k] / np.linalg.norm(G[k], axis=1)
+        tightening = bound[k] / np.linalg.norm(G[k], axis=1)
         answer = minimize(
             lambda u, k=k: np.sum((u - desired[k]) ** 2),
             np.clip(desired[k], -1, 1),
@@ -117,13 +120,13 @@ def test_agrees_with_a_general_solver():
             bounds=[(-1, 1)] * 3,
             constraints={
                 "type": "ineq",
-                "fun": lambda u, r=rows, b=need: r @ u - b,
+                "fun": lambda u, r=rows, b=tightening: r @ u - b,
                 "jac": lambda u, r=rows: r,
             },
             method="SLSQP",
             options={"ftol": 1e-14, "maxiter": 200},
         )
-        if answer.success and (rows @ answer.x - need).min() > -1e-9:
+        if answer.success and (rows @ answer.x - tightening).min() > -1e-9:
             np.testing.assert_allclose(batch.u[k], answer.x, atol=1e-5)
 
 

@@ -57,18 +57,18 @@ class Attack:
         D, share = self.data.period, self.data.share
         return value.h, value.gradient[..., 3:], -natural - share * value.h / D + M * D / 2, M
 
-    def just_enough(self, G, need, one, two):
+    def just_enough(self, G, tightening, one, two):
         """Inputs between two given ones, moved to equality ``G a = need`` within the box; nan if none."""
         limit = np.sign(G) * self.thrust
-        low = np.where(((G * one).sum(-1) <= need)[..., None], one, -limit)
-        high = np.where(((G * two).sum(-1) >= need)[..., None], two, limit)
+        low = np.where(((G * one).sum(-1) <= tightening)[..., None], one, -limit)
+        high = np.where(((G * two).sum(-1) >= tightening)[..., None], two, limit)
         a, b = (G * low).sum(-1), (G * high).sum(-1)
         with np.errstate(all="ignore"):
-            part = np.clip((need - a) / (b - a), 0, 1)
+            part = np.clip((tightening - a) / (b - a), 0, 1)
         part = np.where(np.isfinite(part), part, 0.0)
         out = low + part[..., None] * (high - low)
-        out = np.where((need > b)[..., None], np.nan, out)
-        return np.where((need < a)[..., None], one, out)
+        out = np.where((tightening > b)[..., None], np.nan, out)
+        return np.where((tightening < a)[..., None], one, out)
 
     def fly(self, z, acceleration):
         """States at the times, shape (GRID, ...)."""
@@ -77,8 +77,8 @@ class Attack:
 
     def shortfall(self, z, sun, one, two):
         """Return the largest fall of h below ``(1 - share t / D) h`` (0 for dropped rows), and who flew."""
-        h, G, need, M = self.rows(z, sun)
-        a = self.just_enough(G, need, one, two)
+        h, G, tightening, M = self.rows(z, sun)
+        a = self.just_enough(G, tightening, one, two)
         flown = np.isfinite(a).all(-1) & (h >= 0) & ~np.isposinf(M)
         path = self.fly(z, np.nan_to_num(a))
         values = self.values(path, sun, z)
@@ -312,8 +312,8 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
     barrier = PassiveSegments(np.full(K, radius), approach)
     attack = Attack(barrier, n, period, thrust)
     z = flights(rng, K, n, radius)
-    h, G, need, _ = attack.rows(z, 0.0)
-    h, need = (part.reshape(K, -1) for part in (h, need))
+    h, G, tightening, _ = attack.rows(z, 0.0)
+    h, tightening = (part.reshape(K, -1) for part in (h, tightening))
     G = G.reshape(K, -1, 3)
     safe = (h >= 0).all(axis=1)
     assert safe.sum() > 5
@@ -321,8 +321,8 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
     for k in np.flatnonzero(safe):
         options = rng.uniform(-1, 1, (400, 3)) * thrust
         options[:200] = np.sign(options[:200]) * thrust
-        allowed = (G[k] @ options.T >= need[k][:, None]).all(axis=0)
-        slack = (G[k] @ options.T - need[k][:, None]).min(axis=0)
+        allowed = (G[k] @ options.T >= tightening[k][:, None]).all(axis=0)
+        slack = (G[k] @ options.T - tightening[k][:, None]).min(axis=0)
         # Those that only just satisfy the rows, and mixtures with inputs that do not.
         if not allowed.any():
             continue
@@ -332,7 +332,7 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
                 low, high = 0.0, 1.0
                 for _ in range(40):
                     mid = (low + high) / 2
-                    if (G[k] @ (good + mid * (bad - good)) >= need[k]).all():
+                    if (G[k] @ (good + mid * (bad - good)) >= tightening[k]).all():
                         low = mid
                     else:
                         high = mid
@@ -513,9 +513,9 @@ def test_filters_ask_for_what_the_attacks_here_only_just_satisfy(period):
     rows = families(z, sun)
     for group in families.groups:
         attack = Attack(group.barrier, q.mean_motion, period, q.thrust_max / q.mass, data.share)
-        h, _, need, M = attack.rows(families.stack(z)[..., group.at, :], sun[:, None])
+        h, _, tightening, M = attack.rows(families.stack(z)[..., group.at, :], sun[:, None])
         own = slice(start, start := start + h.shape[-1])
         inside = h > 0
         finite += np.isfinite(M[inside]).sum()
-        np.testing.assert_allclose(rows.bound[:, own][inside], need[inside], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rows.bound[:, own][inside], tightening[inside], rtol=1e-9, atol=1e-12)
     assert start == len(families.labels) and finite > 20

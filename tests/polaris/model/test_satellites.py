@@ -232,7 +232,14 @@ def checked(system, sat, delta, cells, thrust):
     document = SimpleNamespace(  # what it reads of a certificate here
         **{name: getattr(system, name).tolist() for name in "ABCD"},
         **{"u_max": system.u_max.tolist(), "w_max": system.w_max, "delta": delta, "q": 1, "cells": cells},
-        **{"estimate": [], "shares": [0.0] * 3, "bits": [], "prompt_bits": [], "timing": {}, "carried": 0.0},
+        **{
+            "estimate": [],
+            "shares": [0.0] * 3,
+            "bits": [],
+            "prompt_bits": [],
+            "timing": {},
+            "carried_impulse": 0.0,
+        },
         **{
             "same_shares": False,
             "transients": [],
@@ -241,7 +248,7 @@ def checked(system, sat, delta, cells, thrust):
             "bias": [],
         },
         system_kind="linear" if system.mean_motion is None else "clohessy_wiltshire",
-        placed="",
+        pulse_place="",
         observer=None,
         allocation=None,
     )
@@ -336,6 +343,8 @@ def test_nothing_depends_on_the_units_of_velocities_inputs_and_disturbances(stat
     assert two.plan.delta_v == pytest.approx(one.plan.delta_v, rel=1e-3)
     np.testing.assert_allclose(two.tracking.gain * state / inputs, one.tracking.gain, rtol=1e-6)
     C = one.problem.system.position
-    tubes = [error_tube(safety.tracking, safety.start, np.vstack([C, -C])).need for safety in (one, two)]
+    tubes = [
+        error_tube(safety.tracking, safety.start, np.vstack([C, -C])).tightening for safety in (one, two)
+    ]
     count = min(map(len, tubes)) - 1  # the last is for all later time, and each has its own norm for it
     np.testing.assert_allclose(tubes[1][:count], tubes[0][:count], rtol=0.02)

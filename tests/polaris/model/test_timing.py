@@ -90,7 +90,7 @@ def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_
     for system in systems():
         u = system.u_max * rng.choice([-1, -0.4, 0, 1], (count, system.m))
         top, errors = system.u_max * (1.5 if fired else 1), system.thrusters
-        timing = Timing(jitter=jitter, fired=tuple(top) if fired else ())
+        timing = Timing(jitter=jitter, pulse_thrust=tuple(top) if fired else ())
         late = predicting(system, timing, h)
         assert late.without_delay.thrusters == late.on_time == errors
         begins = np.arange(count + 1) * h
@@ -156,7 +156,9 @@ def test_delays_flown_for_real_stay_within_the_bounds_and_use_them():
     runs, off = fly_delayed(schedule, 60, 1, substeps=10)
     system = scenario.system()
     assert np.all(off <= 1) and off.max() > 0.7
-    assert np.any(off * system.navigation > system.timing.measured)  # without delay the bound would not hold
+    assert np.any(
+        off * system.navigation > system.timing.measured_error
+    )  # without delay the bound would not hold
     assert not runs.metrics().collided.any() and runs.states.shape[0] == 60
     assert falsify(schedule, 200, 1).failure is None
     judge(0, attack(schedule, 40, 0))
@@ -249,8 +251,8 @@ def test_forged_timing_is_refused(tmp_path):
         (judged(sooner, timing={"delay": (0.25).hex()}), "system"),
         (judged(estimate_error=[x.hex() for x in fewer]), "system"),
         (judged(thrusters=less), "system"),
-        (judged(timing={"displaced": [(0.0).hex()] * 4}), "system"),
-        (judged(timing={"displaced": [(-0.5).hex()] * 4}), "system"),
+        (judged(timing={"state_offset": [(0.0).hex()] * 4}), "system"),
+        (judged(timing={"state_offset": [(-0.5).hex()] * 4}), "system"),
         (judged(timing={"missed": 0}), "assumptions"),
         (judged(timing={"longer": (-1.0).hex()}), "format"),  # what nothing is derived from is not said
     ):
@@ -275,19 +277,23 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     """Fly predictions with the worst errors of thrusters: they need what is booked, or a little less."""
     given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
     tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
-    system, profile = tracking.system, tracking.feedback_bound
+    system, feedback_bound = tracking.system, tracking.feedback_bound
     ((hidden, _),) = system.timing.unseen
     assert hidden == 2
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
     part, rows, last = system.thrusters.part, np.eye(system.n), tracking.memory
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
     last = min(last, calm.memory)
-    booked = tracking.responses(rows, profile)[: last + 1] - calm.responses(rows, None)[: last + 1]
+    booked = tracking.responses(rows, feedback_bound)[: last + 1] - calm.responses(rows, None)[: last + 1]
     others = np.abs(tracking.whole_transitions[: last + 1, : system.n, system.n :])
     booked += others @ (tracking.remembered - calm.remembered)
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):
-        sent = system.u_max if first < 0 else np.minimum(profile[min(first, len(profile) - 1)], system.u_max)
+        sent = (
+            system.u_max
+            if first < 0
+            else np.minimum(feedback_bound[min(first, len(feedback_bound) - 1)], system.u_max)
+        )
         size = part(sent)
         e, wrong = np.zeros((system.n, system.m)), np.zeros((system.n, system.m))
         for node in range(-hidden, last):

@@ -306,7 +306,7 @@ def inside_unsafe(scene, states):
     return hit
 
 
-def need_of_recovery(monitor, node, x):
+def recovery_tightening(monitor, node, x):
     """Share of the room that S needs from exact states (R, n) at a node; above 1: not recoverable."""
     scene, recovery = monitor.grid, monitor.recovery
     e = x - scene.xi[node]

@@ -105,8 +105,8 @@ def attack(scene, method, runs=24, seed=0):
                 w = push @ system.D
                 w *= system.w_max / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-300)
                 x = x @ Ad.T + applied @ Bd.T + w @ Dd.T
-                room = x @ scene.facets[0].T - walls[cell, at + 1]
-                least = min(least, float(scene.nearest(room).min()))
+                clearance = x @ scene.facets[0].T - walls[cell, at + 1]
+                least = min(least, float(scene.nearest(clearance).min()))
             flown += int((flying != 0).sum())
     return least, demand, flown / (runs * scene.last)
 
@@ -173,9 +173,9 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
     o, beyond = len(recovery.bow), scene.tracking.memory
     assert 0 < beyond < scene.last
     tracking, node = scene.tracking, scene.last - 1
-    need = tracking.disturbance(recovery.rows)[-1][:o] + recovery.bow
+    tightening = tracking.disturbance(recovery.rows)[-1][:o] + recovery.bow
     tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
-    tight.grid.clearance.limits.room[0, node, :o] = need * 0.999
+    tight.grid.clearance.limits.available[0, node, :o] = tightening * 0.999
     assert recovery.far(0) > 0
     assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
 

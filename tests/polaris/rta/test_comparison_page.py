@@ -130,7 +130,7 @@ def test_the_words_of_the_page_follow_from_its_tables():
         left = {"static": 1.0, "dynamic": 0.55, "robot": 1 / 3}[name]
         assert reentry[0.1].switches < reentry[0.0].switches * left + 0.05
         assert reentry[0.0].share - reentry[0.1].share < 0.03
-        assert max(cell.worth for cell in dwell.values()) < dwell[1].worth + page.DEARER
+        assert max(cell.objective for cell in dwell.values()) < dwell[1].objective + page.DEARER
     # All that fly S's reference.
     others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
     assert len(others) > 8

@@ -66,8 +66,8 @@ def everywhere(grid, every=1):
     length = max(int(fault.lasts / grid.h + 1e-9), 1)
     lost = np.full(count, not len(fault.thrust))
     thrust = np.tile(thrust, (len(starts), 1))
-    failing = FaultTimes(begins, begins + length, thrust, share, lost, np.zeros((count, n)))
-    return replace(Conditions.draw(grid, count, 0), failing=failing)
+    faults = FaultTimes(begins, begins + length, thrust, share, lost, np.zeros((count, n)))
+    return replace(Conditions.draw(grid, count, 0), faults=faults)
 
 
 def flown(grid, key, conditions):
@@ -131,10 +131,10 @@ def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
 def test_comparisons_fly_a_fault_in_every_second_run():
     grid = DecisionGrid.from_schedule(tiny(ON))
     drawn = Conditions.draw(grid, 20, 0)
-    on = [drawn.failing.on(node) for node in range(grid.last)]
+    on = [drawn.faults.on(node) for node in range(grid.last)]
     assert np.array_equal(np.any(on, axis=0), np.arange(20) % 2 == 1)
     schedule, method = (METHODS[key].on(grid) for key in ("schedule", "monitor"))
-    after = np.arange(grid.last) >= drawn.failing.ends[1::2, None]
+    after = np.arange(grid.last) >= drawn.faults.ends[1::2, None]
     assert not np.any(fly(grid, schedule, drawn).modes[1::2][after])  # S to the end
     assert np.any(fly(grid, method, drawn).modes[1::2][after])
 

@@ -16,7 +16,7 @@ from polaris.rta.online.loop import FlightLoop
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 from tests.polaris.rta import oddities
-from tests.polaris.rta.streams import inside_unsafe, need_of_recovery, robot_schedule
+from tests.polaris.rta.streams import inside_unsafe, recovery_tightening, robot_schedule
 from tests.sizes import fewer
 
 PATIENT = RuntimeOptions(deadline=1e3, budget=1e3, latch=None, latch_conflicts=None)
@@ -150,8 +150,8 @@ def check(setting, seed, rates, fails):
     if not fails and not {"back", "gone", "clock", "number", "jitter"} & set(rates):
         np.testing.assert_array_equal(modes, permitted)
     at = np.arange(scene.delay, len(modes) + 1, scene.nodes)  # moments of effect
-    need = [need_of_recovery(monitor(setting), node, states[node][None])[0] for node in at]
-    assert max(need) <= 1
+    tightening = [recovery_tightening(monitor(setting), node, states[node][None])[0] for node in at]
+    assert max(tightening) <= 1
     assert (modes > 0).any()
 
 
@@ -182,8 +182,8 @@ def test_a_loop_that_ignores_the_end_of_permissions_does_harm():
 
         flown.loop._take_effect = endless
         states = np.array(flown.fly().states)
-        need = need_of_recovery(monitor(), len(states) - 1, states[-1][None])[0]
-        harm += bool(inside_unsafe(monitor().grid, states[:, None]).any() or need > 1)
+        tightening = recovery_tightening(monitor(), len(states) - 1, states[-1][None])[0]
+        harm += bool(inside_unsafe(monitor().grid, states[:, None]).any() or tightening > 1)
     assert harm
 
 
@@ -290,11 +290,11 @@ def test_a_state_that_is_none_means_s_on_the_last_good_one(kind):
 def test_u_loses_its_permission_with_its_first_fault():
     calls = []
 
-    def failing(t, x):
+    def faults(t, x):
         calls.append(t)
         raise SystemExit
 
-    flying, effect, x = permitted_loop([loop().laws[0], *[failing] * (len(monitor().grid.controllers) - 1)])
+    flying, effect, x = permitted_loop([loop().laws[0], *[faults] * (len(monitor().grid.controllers) - 1)])
     assert flying.command(effect, x).mode == flying.command(effect + 0.05, x).mode == 0
     assert calls == [effect]
     scene = flying.grid

@@ -236,11 +236,11 @@ def test_no_limit_is_left_out_however_late_it_is():
     demand, late = recovery.demand(np.zeros((system.n, 1))), 0
     errors = np.random.default_rng(0).normal(size=(40, system.n)) * np.geomspace(0.01, 1, 40)[:, None]
     size = np.linalg.norm(errors @ W.T, axis=1)
-    need = np.column_stack([errors, size]) @ recovery.matrix.T + recovery.booked
+    tightening = np.column_stack([errors, size]) @ recovery.matrix.T + recovery.booked
     for node in range(0, recovery.grid.last, 20):
         limits = recovery.window(node)
         shares = np.where(
-            limits > 0, need / np.where(limits > 0, limits, 1.0), np.where(need > 0, np.inf, 0.0)
+            limits > 0, tightening / np.where(limits > 0, limits, 1.0), np.where(tightening > 0, np.inf, 0.0)
         )
         share, near = recovery.share(node, errors, size, demand), shares[:, : demand.near].max(axis=1)
         assert np.all(np.minimum(shares.max(axis=1), 1e3) <= share * (1 + 1e-9))

@@ -104,17 +104,18 @@ def test_the_reference_that_is_worth_most_is_flown():
     def worths_of(priced):
         """Of every reference, with all controllers or with one alone, whatever is worth more."""
         return [
-            max(one.worth(priced, modes) for modes in each) for one, each in zip(made, choices, strict=True)
+            max(one.objective(priced, modes) for modes in each)
+            for one, each in zip(made, choices, strict=True)
         ]
 
     usual = Monitor.on(DecisionGrid.from_schedule(schedule))
-    worths = worths_of(schedule.worth)
-    assert usual.worth(schedule.worth) == max(worths) and len(set(np.round(worths, 6))) > 1
+    objectives = worths_of(schedule.objective)
+    assert usual.objective(schedule.objective) == max(objectives) and len(set(np.round(objectives, 6))) > 1
     for sign in (1.0, -1.0):  # whatever it is that counts
-        priced = replace(schedule, worth=lambda shares, delta_v, switches, sign=sign: sign * delta_v)
+        priced = replace(schedule, objective=lambda shares, delta_v, switches, sign=sign: sign * delta_v)
         best = Monitor.on(DecisionGrid.from_schedule(priced))
-        spent = worths_of(priced.worth)
-        assert best.worth(priced.worth) == max(spent)
+        spent = worths_of(priced.objective)
+        assert best.objective(priced.objective) == max(spent)
         own = best.grid.schedule is not priced
         assert own == any(best.grid.schedule is one for one in schedule.library)
         assert own == ("a safe reference of its own" in best.claim.reach)
@@ -127,14 +128,14 @@ def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
     safety, (own, straight) = schedule.safety, schedule.controllers
     anything = AnyThrust("anything", safety.problem.system, safety.reference, safety.tracking)
     both = replace(schedule, controllers=(own, anything, straight))
-    thrifty = replace(both, worth=lambda shares, delta_v, switches: -delta_v)
+    thrifty = replace(both, objective=lambda shares, delta_v, switches: -delta_v)
     best = Monitor.on(DecisionGrid.from_schedule(thrifty))
     assert best.modes == (2,) and "only straight flies" in best.claim.reach
     conditions = Conditions.draw(best.grid, 4, 0)
     assert set(np.unique(fly(best.grid, best, conditions).modes)) == {0, 2}
     assert set(np.unique(fly(best.grid, best, conditions.only(0)).modes)) == {0, 2}
     kept(best)
-    first = replace(both, worth=lambda shares, delta_v, switches: shares.get(1, 0.0))
+    first = replace(both, objective=lambda shares, delta_v, switches: shares.get(1, 0.0))
     for one in (both, first):  # nothing is known of its worth; or no other is worth more
         best = Monitor.on(DecisionGrid.from_schedule(one))
         assert best.modes == (1, 2) and "only" not in best.claim.reach
@@ -143,7 +144,7 @@ def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
 
 def test_comparisons_fly_it_and_scenes_without_a_library_their_own():
     schedule = choice()
-    lavish = replace(schedule, worth=lambda shares, delta_v, switches: delta_v)
+    lavish = replace(schedule, objective=lambda shares, delta_v, switches: delta_v)
     flown = [
         compare_methods(one, 4, 0, methods=("monitor",)).results["monitor"] for one in (schedule, lavish)
     ]

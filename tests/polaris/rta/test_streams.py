@@ -10,7 +10,7 @@ from polaris.rta.online.decision_log import DecisionLog, read_log
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import OnlineDecision, RuntimeOptions
 from tests.polaris.rta import streams
-from tests.polaris.rta.streams import HALF, fly_streams, inside_unsafe, need_of_recovery, plans, robot
+from tests.polaris.rta.streams import HALF, fly_streams, inside_unsafe, plans, recovery_tightening, robot
 
 PATIENT = RuntimeOptions(deadline=1e3, budget=1e3)  # a busy machine must not decide
 LATENCIES = [0.0, 0.05]
@@ -52,7 +52,7 @@ def test_u_only_flies_where_s_can_still_take_over(latency):
     """At the moment of effect, and at the moment at which the permission ends."""
     monitor, _, steps, states = flown(latency)
     scene = monitor.grid
-    need = np.array([need_of_recovery(monitor, node, x) for node, x in enumerate(states)])
+    tightening = np.array([recovery_tightening(monitor, node, x) for node, x in enumerate(states)])
     checked = 0
     for run, mine in enumerate(steps):
         honoured = True
@@ -64,7 +64,7 @@ def test_u_only_flies_where_s_can_still_take_over(latency):
                 honoured &= bool(age > 1e-9 or (np.abs(used.state - step.state) <= HALF * (1 + 1e-9)).all())
                 node = step.k * scene.nodes + scene.delay
                 if honoured:
-                    assert need[node, run] <= 1 and need[node + scene.nodes, run] <= 1
+                    assert tightening[node, run] <= 1 and tightening[node + scene.nodes, run] <= 1
                     checked += 1
     assert checked > 5000
 
@@ -125,8 +125,8 @@ def test_without_the_checks_the_same_streams_do_harm():
     operators = plans(0, scene.decisions, scene.system.n, each=8, mixed=0)
     operators = [mine for mine in operators if isinstance(mine[0], (streams.Flattering, streams.Drifting))]
     _, states = fly_streams(monitor, operators, [Unchecked().step for _ in operators], 7)
-    need = np.array([need_of_recovery(monitor, node, x) for node, x in enumerate(states)])
-    assert (need > 1).any(axis=0).sum() >= 3
+    tightening = np.array([recovery_tightening(monitor, node, x) for node, x in enumerate(states)])
+    assert (tightening > 1).any(axis=0).sum() >= 3
     assert inside_unsafe(scene, states).any()
 
 

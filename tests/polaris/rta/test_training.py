@@ -185,17 +185,17 @@ def test_observations_are_what_a_network_reads_in_flight():
 
 
 def test_reward_pays_for_being_near_and_for_idle_thrusters():
-    def worth(action, **given):
+    def objective(action, **given):
         env = SwitchingEnv(sampled(), **given)
         env.reset(seed=0)
         return env.step(np.array(action, dtype=np.float32))
 
-    idle, busy, free = worth([0, 0])[1], worth([1, 1])[1], worth([1, 1], effort=0.0)[1]
+    idle, busy, free = objective([0, 0])[1], objective([1, 1])[1], objective([1, 1], effort=0.0)[1]
     assert 0 < busy < free <= 1 / 48 and idle <= 1 / 48
     assert free - busy == pytest.approx(0.05 / 48)
-    assert worth([1, 1])[4]["delta_v_m_s"] == pytest.approx(0.5)
+    assert objective([1, 1])[4]["delta_v_m_s"] == pytest.approx(0.5)
     # The seed fixes start and disturbance: one action is as good as ten times it, which the limits clip.
-    assert worth([10, 10])[1] == busy
+    assert objective([10, 10])[1] == busy
 
 
 # -- the shield ---------------------------------------------------------------------------------------
@@ -205,11 +205,13 @@ def towards(flights):
     """Full thrust towards the nearest facet, of shape (R, m): bang-bang into what is near."""
     grid, k = flights.grid, flights.k
     rows, offsets, _ = grid.facets
-    room = flights.x @ rows.T - offsets[k * grid.nodes]
+    clearance = flights.x @ rows.T - offsets[k * grid.nodes]
     starts = np.r_[grid.facets[2], len(rows)]
-    best = [room[:, i:j].argmax(axis=1) + i for i, j in zip(starts, starts[1:], strict=False)]
+    best = [clearance[:, i:j].argmax(axis=1) + i for i, j in zip(starts, starts[1:], strict=False)]
     farthest = np.stack(best, axis=1)
-    nearest = farthest[np.arange(len(room)), np.take_along_axis(room, farthest, axis=1).argmin(axis=1)]
+    nearest = farthest[
+        np.arange(len(clearance)), np.take_along_axis(clearance, farthest, axis=1).argmin(axis=1)
+    ]
     push = rows @ np.linalg.matrix_power(grid.system.A, 1) @ grid.system.B
     push = np.where(np.abs(push) > 1e-12 * np.abs(push).max(initial=1e-300), push, 0)
     return -np.sign(push[nearest])

@@ -114,11 +114,11 @@ ERRORS = (
     "thrusters.magnitude_error=0.01",
 )
 ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
-IN_VIEW = "recoverable.recourse=in_view"
+REPLAN = "recoverable.recourse=replan"
 SOFT = "tracking.R=[60.0,60.0]"
 VARIANTS = {
     "errors": (COARSE, SOFT, *ERRORS),
-    "errors, in view": (COARSE, SOFT, *ERRORS, IN_VIEW),
+    "errors, in view": (COARSE, SOFT, *ERRORS, REPLAN),
     "late faults": (QUARTER, SOFT, LATE),
     "passive abort": (COARSE, SOFT, "abort={drift_s=4.0}"),
     "passive abort required": (COARSE, SOFT, "abort={drift_s=0.5,required=true}"),
@@ -158,9 +158,9 @@ def test_every_kind_of_choice_is_read(name, tmp_path):
         library = list(again.library)
     for one, other in zip(library, schedule.library, strict=True):
         assert_equal(one, other, scenario)
-    if schedule.worth is not None:
+    if schedule.objective is not None:
         assert library or name == "budget"
-        assert again.worth({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.worth({0: 0.2, 1: 0.8}, 1.5, 3)
+        assert again.objective({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.objective({0: 0.2, 1: 0.8}, 1.5, 3)
 
 
 MORE = [pytest.param(seed, marks=pytest.mark.slow) for seed in (5000, 5003, 5005, 5006, 5034)]
@@ -199,7 +199,7 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
     schedule = sampled.schedule if kind == "flies" else sampled.proven
     again = check(tmp_path, scenario, schedule)
     assert again.guarantee == ("statistical" if kind == "flies" else "proved")
-    assert again.statement == schedule.statement
+    assert again.sampled_bound == schedule.sampled_bound
     if kind == "flies":
         with pytest.raises(ScenarioError, match="box.*must be given"):
             simulate(again, 2, 0)
@@ -215,7 +215,7 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A folder in which U flies, with a library, written to be copied."""
-    scenario = load_scenario(TINY).with_assignments([QUARTER, IN_VIEW])
+    scenario = load_scenario(TINY).with_assignments([QUARTER, REPLAN])
     return written(tmp_path_factory.mktemp("runs"), scenario, synthesize(scenario))
 
 
@@ -260,8 +260,15 @@ def test_a_certificate_that_lists_too_few_files_is_refused(copied):
 @pytest.mark.parametrize("version", [1, 2, 3, 4, 5, None])
 def test_another_version_is_refused_in_a_clear_sentence(version, copied):
     forge(copied, lambda data: data.update(schema_version=version))
-    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 6: run the sc"):
+    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 7: run the sc"):
         read_schedule(copied)
+
+
+def test_a_summary_of_another_version_is_refused(copied):
+    path = copied / "summary.json"
+    path.write_text(path.read_text().replace('"schema_version": 2', '"schema_version": 1'))
+    with pytest.raises(ScenarioError, match="has format version 1, not 2: run its scenario again"):
+        _ = polaris.read_run(copied).summary
 
 
 def test_a_folder_without_a_certificate_is_refused(copied):
@@ -332,7 +339,7 @@ def test_a_library_that_is_not_proven_is_refused_when_it_is_needed(copied):
 def test_a_folder_without_choices_is_read_but_without_a_library(run, copied):
     forge(copied, lambda data: data.pop("choices"))
     again = read_schedule(copied)
-    assert again.worth is None and len(again.library) == 0
+    assert again.objective is None and len(again.library) == 0
     assert again.modes.tolist() == read_schedule(run).modes.tolist()
 
 
@@ -340,7 +347,7 @@ def test_a_share_of_thrust_that_is_not_told_is_not_guessed(tmp_path):
     scenario = load_scenario(TINY).with_assignments([COARSE, SOFT, *ERRORS])
     folder = written(tmp_path, scenario, synthesize(scenario))
     forge(folder, lambda data: data.pop("choices"))
-    with pytest.raises(ScenarioError, match="contradict each other in profile|cannot prove"):
+    with pytest.raises(ScenarioError, match="contradict each other in feedback_bound|cannot prove"):
         read_schedule(folder)
 
 

@@ -191,7 +191,7 @@ def test_reference_reads_back_bit_for_bit(folder):
 def test_gains_hold_what_a_replay_needs(folder):
     data, schedule = load_strict(folder.path / "gains.json"), synthesised()[1]
     np.testing.assert_array_equal(data["controllers"][0]["gain"], schedule.safety.tracking.gain)
-    assert np.shape(data["controllers"][1]["own_states"]) == (13, 4)
+    assert np.shape(data["controllers"][1]["reference_states"]) == (13, 4)
     feedback = schedule.safety.tracking.feedback
     assert data["sampling"] == {"step": 1.0, "steps": 12, "nodes_per_step": feedback.nodes_per_cell}
 
@@ -201,7 +201,7 @@ def test_arrays_load_without_pickle(folder, name):
     with np.load(folder.path / name, allow_pickle=False) as arrays:
         for key in arrays.files:
             assert arrays[key].dtype != object
-            if arrays[key].dtype.kind == "f" and not key.startswith(("thrust_room", "slice")):
+            if arrays[key].dtype.kind == "f" and not key.startswith(("thrust_clearance", "slice")):
                 assert not np.any(np.isnan(arrays[key])), key
 
 
@@ -228,7 +228,7 @@ def test_sets_hold_the_radius_of_every_node(folder):
         assert sets["slice_place_m"].shape == (len(sets["slice_t_s"]), 5, 2)
         q = safety.tracking.feedback.nodes_per_cell
         assert sets["radius"][3] == safety.recoverable.radius(3 * q)
-        assert sets["obstacle_room_m"].shape == (safety.reference.cells, q + 1, 2)
+        assert sets["obstacle_clearance_m"].shape == (safety.reference.cells, q + 1, 2)
 
 
 # -- replacing and reading ----------------------------------------------------------------------------

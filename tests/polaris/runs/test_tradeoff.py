@@ -33,7 +33,7 @@ from tests.leftovers import left_by_a_dead_process
 from tests.polaris.tiny import TINY
 
 ROOT = Path(__file__).parents[3]
-SET = ["recoverable.recourse=in_view", "system.input_max=2.0", "simulation.runs=2"]
+SET = ["recoverable.recourse=replan", "system.input_max=2.0", "simulation.runs=2"]
 PRICES = [3, 0]
 NAMES = ["price-0", "price-3", "printed"]
 TABLES = ["tradeoff.csv", "scenario.toml"]
@@ -432,7 +432,7 @@ def test_every_error_source_can_be_swept():
         "navigation.phases[0]": (Phase, ["state_error"]),
         "thrusters": (
             ThrustersTable,
-            ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation", "varies"],
+            ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation", "errors_vary"],
         ),
         "timing": (TimingTable, []),
         "chaser": (Chaser, []),

@@ -64,6 +64,16 @@ BROKEN = {
     "mass is NaN": ({"system.mass_kg": NAN}, "system.mass_kg", "finite"),
     "mass is infinite": ({"system.mass_kg": INF}, "system.mass_kg", "finite"),
     "mass of 5000 digits": ({"system.mass_kg": 10**5000}, "system.mass_kg", "1e+12"),
+    "varies, as it was called": (
+        {"thrusters": {"varies": "never"}},
+        "thrusters.varies",
+        "called errors_vary",
+    ),
+    "in_view, as it was called": (
+        {"recoverable.recourse": "in_view"},
+        "recoverable.recourse",
+        "called replan",
+    ),
     "mean motion in degrees": ({"system.mean_motion_rad_s": 0.0688}, "system.mean_motion_rad_s", "<= 0.01"),
     "mean motion zero": ({"system.mean_motion_rad_s": 0.0}, "system.mean_motion_rad_s", "> 0"),
     "thrust zero": ({"system.thrust_max_N": 0.0}, "system.thrust_max_N", "> 0"),

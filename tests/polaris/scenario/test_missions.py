@@ -140,14 +140,15 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
     def with_other_widths(arrival, claimed):
         node, n = claimed.first[0][0], len(claimed.center)
         known = joints._Check(arrival, claimed)
-        along = (known.needs.rows * arrival.state(node)).entries()
+        along = (known.tightenings.rows * arrival.state(node)).entries()
         signs = [1] * n + [-1] * n
         over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]
-        need = [
-            float((a + b).upper()) for a, b in zip(over, arrival.error_bounds(known.needs, node), strict=True)
+        tightening = [
+            float((a + b).upper())
+            for a, b in zip(over, arrival.error_bounds(known.tightenings, node), strict=True)
         ]
         for share in (1 + 1e-9, 1 - 1e-9):
-            widths = [share * max(pair) for pair in zip(need[:n], need[n:], strict=True)]
+            widths = [share * max(pair) for pair in zip(tightening[:n], tightening[n:], strict=True)]
             here = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
             try:
                 joints.check_joint(arrival, replace(claimed, first=[[node, node]], **here))
@@ -373,8 +374,8 @@ def attacked(folder, document, rng, most=6, clear=beside_the_pillar):
                 start = corner if x is None else x
                 for begin in (corner, start):
                     states = loop.fly(begin, w, eta)
-                    room = half - np.abs(states[-1] - box["center"])
-                    least = min(least, float(np.min(room / half)))
+                    clearance = half - np.abs(states[-1] - box["center"])
+                    least = min(least, float(np.min(clearance / half)))
                     assert np.all(clear(states)), "S is not safe while it waits for GO"
         begun += 1
         x = states[-1]  # the worst state is where the next leg begins: an attack across the joint

@@ -108,7 +108,7 @@ def test_adjoint_reaches_what_the_tube_of_s_allows(name):
     x0 = theta.c + np.sign(adjoint @ theta.G) @ theta.G.T
     ends = Attack(x0, w, None).fly(flight).states[:, -1] - safety.clearance.nodes[11, -1]
     reached = np.einsum("ij,ij->i", ends, rows)
-    allowed = error_tube(safety.tracking, safety.start, rows).need
+    allowed = error_tube(safety.tracking, safety.start, rows).tightening
     allowed = allowed[min(flight.steps, len(allowed) - 1)]
     assert np.all(reached <= allowed)
     assert np.all(reached >= 0.8 * allowed)

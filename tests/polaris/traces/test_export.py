@@ -232,7 +232,7 @@ def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
     late = KeepInStates("late", [[0, 0, 0, 1, 0, 0]], [1.0], begins=100.0)
     limits = [SpeedLimit("fast", 0.5, 1e-3), late, BallObstacle("ball", [0.0, 0.0, 0.0], 2.0)]
     made = to_trace(T, STATES, MODES, limits, SYSTEM)
-    assert list(made.trace.unsafe) == ["ball"] and "room to it" in made.notes[0]
+    assert list(made.trace.unsafe) == ["ball"] and "clearance to it" in made.notes[0]
     path = write_trace(tmp_path / "a.json", made.trace)
     read = read_trace(path)
     assert read.same_as(made.trace) and not read.ignored

@@ -35,9 +35,9 @@ class Feedforward:
         noise = [(gain * column(off)).entries() for off in self.off]
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
-        self.commanded, needs = nu, Tightening(craft, memory, craft.commands)
+        self.commanded, tightenings = nu, Tightening(craft, memory, craft.commands)
         for _ in range(ROUNDS):
-            more = [maxima(*nodes) for nodes in self.response(needs)]
+            more = [maxima(*nodes) for nodes in self.response(tightenings)]
             for k in range(len(more) - 2, self.planned - 1, -1):
                 more[k] = maxima(more[k], more[k + 1])
             more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
@@ -50,7 +50,7 @@ class Feedforward:
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
         raise Undecided("recoverable", "thruster errors amplify themselves along the reference")
 
-    def response(self, needs: Tightening, between: bool = True) -> Along:
+    def response(self, tightenings: Tightening, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
         plant, q, off = self.craft.plant, self.craft.plant.q, self.off
         parts = []
@@ -59,14 +59,18 @@ class Feedforward:
                 lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(commands)) for commands in self.commanded]
-            parts.append((needs.thrust, [[x.upper() for x in each] for each in thrust], False))
+            parts.append((tightenings.thrust, [[x.upper() for x in each] for each in thrust], False))
         if any(x > 0 for each in off for x in each):
-            parts.append((needs.noise, [[x.upper() for x in each] for each in off], True))
-        T, constant, booked = self.planned * q, (len(off) - self.constant) * q, [arb(0)] * needs.rows.nrows()
+            parts.append((tightenings.noise, [[x.upper() for x in each] for each in off], True))
+        T, constant, booked = (
+            self.planned * q,
+            (len(off) - self.constant) * q,
+            [arb(0)] * tightenings.rows.nrows(),
+        )
         at, later = [booked] * (len(off) * q + 1), [booked] * (len(off) * q - T + 1)
         for gains, by_cell, seen in parts:
             sizes = [size for size in by_cell for _ in range(q)]
-            older, bent = needs.response(sizes, seen)
+            older, bent = tightenings.response(sizes, seen)
             booked = sums(booked, older, bent) if between else sums(booked, older)
             at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before

@@ -216,7 +216,7 @@ class ObserverErrors:
 
 def settled_errors(document: Document) -> Bounds:
     """Bounds on the errors of an observer that has long been at work."""
-    stated = (document.observer or {}).get("settled") or document.measured
+    stated = (document.observer or {}).get("settled") or document.measured_error
     return list(map(arb, stated or [0.0] * len(document.A)))
 
 

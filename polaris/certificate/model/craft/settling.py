@@ -48,7 +48,7 @@ class Settling:
 
     @classmethod
     def for_craft(
-        cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[Sequence[float]] = ()
+        cls, craft: Craft, extent: arb_mat, multiple: int, feedback_bound: Sequence[Sequence[float]] = ()
     ) -> Settling:
         """Find N, a multiple of a number of periods, for states, or errors, up to an extent.
 
@@ -67,7 +67,7 @@ class Settling:
             if c < FORGOTTEN:
                 pairs = (
                     [smallest((arb(x), top)) for x, top in zip(level, craft.plant.u_max, strict=True)]
-                    for level in profile
+                    for level in feedback_bound
                 )
                 return cls([*powers, powers[-1] * craft.F], z, c, list(pairs))
             radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z

@@ -181,11 +181,11 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])
     if plant.carried:
         states.impulses()
-    measured = list(map(arb, document.measured or document.estimate or [0.0] * n))
+    measured = list(map(arb, document.measured_error or document.estimate or [0.0] * n))
     carry, off = exponential(plant.A, arb(delay))[0] if delay else identity(n), [arb(0)] * n
     base: list[arb] | None = list(map(arb, document.calmest or [0.0] * n))
     if stated is not None:  # first errors fade as all else that it remembers does
-        first = stated.get("initial") or stated.get("settled") or document.measured or document.estimate
+        first = stated.get("initial") or stated.get("settled") or document.measured_error or document.estimate
         M, base = matrix(stated["measures"]), None
         noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
         L = matrix(stated["gain"]) * int(observing)

@@ -113,14 +113,14 @@ class Tightening:
     @cached_property
     def responses(self) -> list[list[arb]]:
         """Needs at node L besides the state at the hand-over, for L = 0 ... N + 1."""
-        profile, plant, craft = self.memory.feedback_bound, self.craft.plant, self.craft
-        if not profile:
+        feedback_bound, plant, craft = self.memory.feedback_bound, self.craft.plant, self.craft
+        if not feedback_bound:
             return self._steady
-        count, last = len(self._steady) - 1, len(profile) - 1
-        thrust = [plant.thruster_part(commands) for commands in profile]
+        count, last = len(self._steady) - 1, len(feedback_bound) - 1
+        thrust = [plant.thruster_part(commands) for commands in feedback_bound]
         parts = [self._steady, self.thrust.summed([thrust[min(lag, last)] for lag in range(count)])]
         if craft.lag:  # what is commanded before a hand-over is limited by the thrusters alone
-            limits = [plant.u_max, *profile]
+            limits = [plant.u_max, *feedback_bound]
 
             def before(lag: int, periods: int) -> list[arb]:
                 return limits[min(max(lag - periods + 1, 0), last + 1)]
@@ -144,7 +144,7 @@ class Tightening:
         return sum(map(magnitude, others), magnitude(first))
 
     @cached_property
-    def settled_need(self) -> list[arb]:
+    def settled_tightening(self) -> list[arb]:
         """Needs besides the state at every node more than N periods after a hand-over."""
         craft, first = self.craft, self.memory.feedback_bound[0] if self.memory.feedback_bound else []
         one = identity(craft.F.nrows())
@@ -165,24 +165,24 @@ class Tightening:
     @cached_property
     def peak(self) -> list[arb]:
         """Needs besides the state at any node."""
-        return maxima(*self.responses, self.settled_need)
+        return maxima(*self.responses, self.settled_tightening)
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """Needs besides the state at node l = 0 ... N, and ever after; between nodes chords of them hold."""
-        craft, plant, profile = self.craft, self.craft.plant, self.memory.feedback_bound
+        craft, plant, feedback_bound = self.craft, self.craft.plant, self.memory.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
         curved = craft.always_bent(self.rows, rates)
-        if profile:
+        if feedback_bound:
             none = arb_mat(len(self.rates[0].peak), 1)
-            off, error = craft.lagged(plant.u_max), plant.thruster_part(profile[0])
+            off, error = craft.lagged(plant.u_max), plant.thruster_part(feedback_bound[0])
             curved = sums(curved, craft.bent(self.rows, (none, none), off, error))
-        return self._upset([sums(each, curved) for each in (*self.responses[:-1], self.settled_need)])
+        return self._upset([sums(each, curved) for each in (*self.responses[:-1], self.settled_tightening)])
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
         """Needs besides the state at node l alone, l = 0 ... N, then at every later one."""
-        return self._upset([*self.responses[:-1], self.settled_need])
+        return self._upset([*self.responses[:-1], self.settled_tightening])
 
     def response(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
         """Response to sizes of a channel, period by period: to those older than N periods, and between nodes.
@@ -198,14 +198,16 @@ class Tightening:
         bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
         return self.tail_bound(box), bent
 
-    def _upset(self, needs: list[list[arb]]) -> list[list[arb]]:
-        return [sums(*each) for each in zip(needs, self.upset, strict=True)] if self.upset else needs
+    def _upset(self, tightenings: list[list[arb]]) -> list[list[arb]]:
+        return (
+            [sums(*each) for each in zip(tightenings, self.upset, strict=True)] if self.upset else tightenings
+        )
 
     @cached_property
     def forgotten(self) -> list[arb]:
         """Need of any undisturbed state within ``z`` at the start after N periods."""
         each = (self.boxed(self.memory.z, lag) for lag in range(self.memory.periods))
-        return [need * self.memory.c for need in maxima(*each)]
+        return [tightening * self.memory.c for tightening in maxima(*each)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
@@ -228,14 +230,17 @@ class Tightening:
         """Largest need of a unit of each state in the first N periods."""
         return reduce(_larger, self._sizes[: self.memory.periods])
 
-    def need_after_settling(self, size: arb_mat) -> list[arb]:
+    def tightening_after_settling(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size after N periods."""
         first, later = self.memory.decayed(self.craft.lifted(size))
         return list((self._most * (first + later)).entries())
 
-    def need_at_any_time(self, size: arb_mat) -> list[arb]:
+    def tightening_at_any_time(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size at any time."""
-        each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.need_after_settling(size)]
+        each = [
+            *(self.boxed(size, lag) for lag in range(len(self.carried))),
+            self.tightening_after_settling(size),
+        ]
         return list(map(largest, zip(*each, strict=True)))
 
     @cached_property
@@ -248,7 +253,7 @@ class Tightening:
 class SetIntersample:
     """Intersample bounds of one set under the safety controller, lag by lag."""
 
-    needs: Tightening
+    tightenings: Tightening
     start: Zonotope
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
@@ -263,8 +268,8 @@ class SetIntersample:
     def _within(self, lag: int) -> list[arb]:
         """Bounds within the period after node l."""
         if lag not in self._known:
-            rate = self._start.image(self.needs.rates[0].carried[lag])
-            self._known[lag] = self.needs.intersample.closer_bow(rate)
+            rate = self._start.image(self.tightenings.rates[0].carried[lag])
+            self._known[lag] = self.tightenings.intersample.closer_bow(rate)
         return self._known[lag]
 
 

@@ -120,7 +120,7 @@ def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
     scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
     schedule = polaris.synthesize(scenario, part, [box(part=part)])
     runs, system = simulate(schedule, flights, 1), part.problem.system
-    bit, left, stands = system.timing.carried, np.zeros((flights, system.m)), runs.states.copy()
+    bit, left, stands = system.timing.carried_impulse, np.zeros((flights, system.m)), runs.states.copy()
     held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
     for node in range(runs.inputs.shape[1]):
         due = runs.inputs[:, node] * PERIOD + left
@@ -234,7 +234,7 @@ def started(schedule, x):
 def test_a_rare_fault_is_within_what_is_said_and_not_found():
     """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
     result = sampled(faulty(5e-5), probability=0.02)
-    schedule, said = result.schedule, result.schedule.statement
+    schedule, said = result.schedule, result.schedule.sampled_bound
     assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
     assert 0.001 <= said.probability <= 0.02
     assert result.worst.failure is None and result.adverse < 0.05
@@ -277,7 +277,7 @@ def test_the_page_shows_what_becomes_of_a_fault():
     assert len(rows) == 4
     for share, *shown, by in rows:
         result = sampled(faulty(float(share) / 100 * 0.05), probability=0.02)
-        said, schedule = result.schedule.statement, result.schedule
+        said, schedule = result.schedule.sampled_bound, result.schedule
         near = leaving(schedule, 5000)
         row = [said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)]
         assert [float(x) for x in shown] == row and near <= said.probability <= 0.02
@@ -293,7 +293,8 @@ def test_errors_are_flown_and_covered(errors):
     trial = sampled(ask, errors, probability=0.02)
     assert trial.schedule.guarantee == "statistical" and trial.schedule.share() > 0.2
     assert (
-        leaving(trial.schedule, 2000) <= trial.schedule.statement.probability and trial.worst.failure is None
+        leaving(trial.schedule, 2000) <= trial.schedule.sampled_bound.probability
+        and trial.worst.failure is None
     )
     verdict = verify_document(certificate(trial.schedule, "tiny"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
@@ -336,11 +337,11 @@ def test_what_a_box_recalls_is_part_of_its_bands():
     schedule, ask = result.schedule, result.schedule.controllers[1].ask
     assert (
         result.repeats
-        and schedule.statement.attempts == 1
+        and schedule.sampled_bound.attempts == 1
         and not any(schedule.modes[:2])
         and schedule.modes[2]
     )
-    assert leaving(schedule, 2000) <= schedule.statement.probability
+    assert leaving(schedule, 2000) <= schedule.sampled_bound.probability
     last = PERIOD * 4 * (np.flatnonzero(schedule.modes)[-1] + 1)
     assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
     unaware = sampled(Forgetful(), probability=0.02).schedule
@@ -461,7 +462,7 @@ def test_the_run_is_statistical_and_so_is_its_verdict(made):
     folder, verdict = read_run(made), verify(made)
     assert folder.summary["guarantee"]["kind"] == "statistical"
     assert folder.summary["synthesis"]["experimental_share"] > folder.summary["synthesis"]["proven_share"]
-    assert folder.summary["synthesis"]["worst_found"]["violated"] is False
+    assert folder.summary["synthesis"]["worst_flight"]["violated"] is False
     assert (verdict.outcome, verdict.exit_code) == ("STATISTICAL", 7), verdict.text()
     assert "VERIFIED" not in verdict.text()
     assert any("rest on samples" in text for _, text in verdict.checked)
@@ -535,7 +536,7 @@ def _other_seed(said):
 def test_a_statement_is_what_the_scenario_asks_for(change, made):
     """True in itself, but of fewer flights than were asked for, or of a seed that was looked for."""
     scenario = document()
-    said = dict(read_run(made).summary["guarantee"]["statement"])
+    said = dict(read_run(made).summary["guarantee"]["sampled_bound"])
     _check_asked(said, scenario)
     change(said)
     assert check_statement(said)
@@ -621,7 +622,7 @@ def test_an_answer_that_is_no_command_is_one_error(answer):
 
 def test_what_was_found_besides_says_nothing_else(made, tmp_path):
     summary = json.loads((made / "summary.json").read_text(encoding="utf-8"))
-    summary["synthesis"]["worst_found"]["guarantee"] = "proved"
+    summary["synthesis"]["worst_flight"]["guarantee"] = "proved"
     copied = shutil.copytree(made, tmp_path / "run")
     (copied / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     assert verify(copied).outcome == "REJECTED"
@@ -703,7 +704,7 @@ def test_statements_hold_of_other_boxes(seed):
     result = sampled(ask, probability=0.02, seed=seed)
     if result.schedule.sampled_steps:
         flown = simulate(result.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
-        assert np.mean(outside(flown) > 1) <= result.schedule.statement.probability
+        assert np.mean(outside(flown) > 1) <= result.schedule.sampled_bound.probability
 
 
 def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
@@ -765,4 +766,4 @@ def test_random_scenes(seed):
     verdict = verify_document(certificate(schedule, scenario.name))
     assert verdict.outcome == "STATISTICAL", verdict.text()
     flown = simulate(schedule, 2000, 10**9 + seed, initial="random", disturbance="random")
-    assert np.mean(outside(flown) > 1) <= schedule.statement.probability
+    assert np.mean(outside(flown) > 1) <= schedule.sampled_bound.probability

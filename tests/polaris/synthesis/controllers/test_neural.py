@@ -234,8 +234,8 @@ def test_the_checker_encloses_what_a_network_commands(error):
             u = np.clip(policy.network(reads) * policy.output_scale, -limit, limit)
             left = enclosed.K * matrix([[x] for x in e]) + enclosed.c
             for i in range(2):
-                room = sum((abs(v) for v in enclosed.V.tolist()[i]), arb(0))
-                assert abs(u[i] - left[i, 0]) <= room + 1e-12
+                clearance = sum((abs(v) for v in enclosed.V.tolist()[i]), arb(0))
+                assert abs(u[i] - left[i, 0]) <= clearance + 1e-12
                 assert abs(u[i]) <= enclosed.most[i] + 1e-12
 
 
@@ -250,14 +250,14 @@ def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
         checked = checked_policy(rounded).command(*given)
         point = Zonotope.point(np.zeros(4))
         hull = rounded.loop.command(point, known)
-        room = [float(sum((abs(v) for v in row), arb(0)).mid()) for row in checked.V.tolist()]
+        clearance = [float(sum((abs(v) for v in row), arb(0)).mid()) for row in checked.V.tolist()]
         middle = np.array([float(x.mid()) for x in checked.c.entries()])
-        assert np.all(np.array(room) <= hull.half_widths) and np.abs(middle - hull.c).max() < 1e-12
+        assert np.all(np.array(clearance) <= hull.half_widths) and np.abs(middle - hull.c).max() < 1e-12
         read = np.concatenate([PARTS[name] for name in policy.inputs])
         for order in ORDERS:
             out = evaluated(policy.network, read, np.float32, order, policy.input_scale)
             u = np.clip((out.astype(np.float32) * policy.output_scale.astype(np.float32)), -limit, limit)
-            assert np.all(np.abs(u - middle) <= room)
+            assert np.all(np.abs(u - middle) <= clearance)
             left += np.any(np.abs(u - middle) > 1e-12)
     assert left > 40
 
@@ -667,7 +667,7 @@ def test_a_flight_under_two_layers_of_64_stays_narrow():
 
 @pytest.mark.slow
 def test_a_reference_planned_with_a_network_in_view_gives_it_more_time(made, tmp_path):
-    folder = run(scene(tmp_path), tmp_path / "run", overrides=["recoverable.recourse=in_view"])
+    folder = run(scene(tmp_path), tmp_path / "run", overrides=["recoverable.recourse=replan"])
     verdict = verify(folder.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     alone = read_run(made).summary["synthesis"]["experimental_share"]

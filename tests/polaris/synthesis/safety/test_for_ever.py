@@ -32,7 +32,7 @@ def test_what_s_needs_for_ever_is_little_more_than_its_fixed_point(name):
     given, bound, command = MOST[name]
     tracker = tracking(given)
     C, limits = tracker.system.position, tracker.tightening
-    needed = tracker.settled_need(C).max()
+    needed = tracker.settled_tightening(C).max()
     assert needed <= bound
     alone = limits.settled_bound()
     least = limits.from_rest(tracker.whole(C), alone)[-1].max()

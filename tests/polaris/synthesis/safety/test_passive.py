@@ -326,7 +326,7 @@ def test_drifts_with_the_facets_of_s_are_clear_less_often():
     facets = [clearance.facets[:, [u.name for u in clearance.unsafe].index(b.name)] for b in flight.sets]
     clear = []
     for k, drifts in enumerate(schedule.passive.drifts):
-        cells, room = np.minimum(k + np.arange(flight.cells), len(facets[0]) - 1), np.inf
+        cells, clearance = np.minimum(k + np.arange(flight.cells), len(facets[0]) - 1), np.inf
         for start in (drift.start for drift in drifts):
             size = np.abs(flight._powers @ start.c) + np.abs(flight._powers @ start.G).sum(-1)
             far = rows @ start.c + np.abs(rows @ start.G).sum(-1)
@@ -336,8 +336,8 @@ def test_drifts_with_the_facets_of_s_are_clear_less_often():
                 for end in (0, 1):
                     side = offsets[:, end : end + flight.parts].reshape(len(far) - 1, -1)
                     side = side[places[0], places[1] - at]
-                    need = far[places[0] + end, places[1]] + (size[:-1] @ bend.T + pushed)[places]
-                    room = min(room, np.min(-side - need))
-        clear.append(room > 0)
+                    tightening = far[places[0] + end, places[1]] + (size[:-1] @ bend.T + pushed)[places]
+                    clearance = min(clearance, np.min(-side - tightening))
+        clear.append(clearance > 0)
     assert not np.any(clear & ~schedule.passive.clear)
     assert np.mean(clear) + 0.2 < np.mean(schedule.passive.clear)

@@ -319,19 +319,19 @@ def test_the_worst_case_is_found_where_estimates_are_an_observers(tmp_path):
 
 
 def _path(data):
-    law_of(data)["bodies"][0]["state"][0] = (9.5).hex()
+    law_of(data)["obstacles"][0]["state"][0] = (9.5).hex()
 
 
 def _surer(data):
-    law_of(data)["bodies"][0]["state_half_widths"] = [(0.0).hex()] * 4
+    law_of(data)["obstacles"][0]["state_half_widths"] = [(0.0).hex()] * 4
 
 
 def _weaker(data):
-    law_of(data)["bodies"][0]["thrust_accel_max_m_s2"] = (0.0).hex()
+    law_of(data)["obstacles"][0]["thrust_accel_max_m_s2"] = (0.0).hex()
 
 
 def _at_rest(data):
-    law_of(data)["bodies"][1]["velocity_m_s"] = None
+    law_of(data)["obstacles"][1]["velocity_m_s"] = None
 
 
 def _other(data):
@@ -339,7 +339,7 @@ def _other(data):
 
 
 def _unknown(data):
-    del law_of(data)["bodies"][0]
+    del law_of(data)["obstacles"][0]
 
 
 def _absolute(data):
@@ -357,7 +357,7 @@ def test_a_certificate_of_other_bodies_is_refused(change, made, tmp_path):
 
 
 def _twice(data):
-    law_of(data)["bodies"].append(law_of(data)["bodies"][0])
+    law_of(data)["obstacles"].append(law_of(data)["obstacles"][0])
 
 
 def _ghost(data):
@@ -365,15 +365,15 @@ def _ghost(data):
 
 
 def _negative(data):
-    law_of(data)["bodies"][0]["thrust_accel_max_m_s2"] = (-0.004).hex()
+    law_of(data)["obstacles"][0]["thrust_accel_max_m_s2"] = (-0.004).hex()
 
 
 def _both(data):
-    law_of(data)["bodies"][0]["center_m"] = [(0.0).hex()] * 2
+    law_of(data)["obstacles"][0]["center_m"] = [(0.0).hex()] * 2
 
 
 def _half(data):
-    law_of(data)["bodies"][0]["state_half_widths"] = None
+    law_of(data)["obstacles"][0]["state_half_widths"] = None
 
 
 @pytest.mark.parametrize(

@@ -41,12 +41,12 @@ from tests.polaris.tiny import TINY, synthesised
 from tests.sizes import fewer
 
 VARIANTS = {
-    "reached": [QUARTER, "recoverable.recourse=in_view"],
+    "reached": [QUARTER, "recoverable.recourse=replan"],
     "too narrow": [QUARTER, "goal.tolerance_m=0.01"],
     "any state": [COARSE, 'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
     "a box": [
         'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
-        *(QUARTER, "recoverable.recourse=in_view"),
+        *(QUARTER, "recoverable.recourse=replan"),
     ],
 }
 
@@ -68,13 +68,13 @@ def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has
     given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
     tracking, T = safety.tracking, safety.problem.K * safety.clearance.q
-    rows = PathRows(safety.clearance, tracking.system.position, failing=False, between=False)
+    rows = PathRows(safety.clearance, tracking.system.position, faults=False, between=False)
     last, long = len(tracking.transitions) - 1, tracking.long
-    need = rows.needs(HandOver(safety.start, T, T), T, T + long + 2)[0]
+    tightening = rows.tightenings(HandOver(safety.start, T, T), T, T + long + 2)[0]
     path = rows.path[0, np.minimum(T + np.arange(long + 2), rows.path.shape[1] - 1)]
     least = (tracking.responses(rows.rows, tracking.feedback_bound)[-1] + path) * (1 - 1e-12)
-    assert last < long and np.all(need[last + 1 : long + 1] >= least[last + 1 : long + 1])
-    assert np.all(need[long + 1] < least[long + 1])
+    assert last < long and np.all(tightening[last + 1 : long + 1] >= least[last + 1 : long + 1])
+    assert np.all(tightening[long + 1] < least[long + 1])
 
 
 def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
@@ -86,7 +86,7 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
     always = always + gains @ tracking.system.thrusters.part(tracking.feedback_bound[-1])
-    assert 0.99 * always.max() <= tracking.settled_need(rows).max() <= always.max() * (1 + 1e-4)
+    assert 0.99 * always.max() <= tracking.settled_tightening(rows).max() <= always.max() * (1 + 1e-4)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------
@@ -186,10 +186,10 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
     rows = schedule.safety.problem.goal.conditions.E
     along = PathRows(schedule.safety.clearance, rows, between=False)
     tail = at_end(schedule, off)
-    need = tail.needs(along, schedule.safety.tracking.memory)
-    centre = along.table.carried[: len(need), :, : len(off.c)] @ off.c
+    tightening = tail.tightenings(along, schedule.safety.tracking.memory)
+    centre = along.table.carried[: len(tightening), :, : len(off.c)] @ off.c
     assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
-    assert np.all(need >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
+    assert np.all(tightening >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
     short = replace(
         schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
     )
@@ -437,7 +437,7 @@ def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_chang
     rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda over: 1 / (1 + over[0]))
     tail = SimpleNamespace(
         held=(),
-        flight=SimpleNamespace(need=lambda needs, held, node: [arb(0)]),
+        flight=SimpleNamespace(tightening=lambda tightenings, held, node: [arb(0)]),
         spent=arb(2),
         correcting=arb,
         _first=7,

@@ -56,7 +56,9 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
     system = Craft(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
     if observer:
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
-    timing = Timing(delay=delay * H, missed=missed, carried=carried, jitter=jitter, fired=fired)
+    timing = Timing(
+        delay=delay * H, missed=missed, carried_impulse=carried, jitter=jitter, pulse_thrust=fired
+    )
     system = predicting(system, timing, H)
     return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional or jitter else None)
 
@@ -139,13 +141,13 @@ def worst(s):
             lag = k - BEFORE - system.timing.unseen[0][0]
             noise = system.estimate_off(system.u_max if lag < 0 else limits[lag])
         else:
-            noise = np.array(system.timing.measured) + system.state_offset - system.carried_away
+            noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
         for moved, total in ((x - own, states), (u, commands)):
             pushes = moved[:, : PARTS * (p + 2 * m)].reshape(len(moved), PARTS, p + 2 * m, -1)
             total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
             wrong = np.concatenate([thrust, system.shifted])
             total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), wrong)
-            rest = np.concatenate([noise, np.full(m, system.timing.carried)])
+            rest = np.concatenate([noise, np.full(m, system.timing.carried_impulse)])
             total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + 2 * m) :]), rest)
     return states, commands
 
@@ -164,39 +166,39 @@ def stated(s):
         delta=H,
         q=1,
         estimate=estimate,
-        measured=list(timing.measured),
+        measured_error=list(timing.measured_error),
         calmest=estimate,
         error_by_step=[],
         shares=[timing.on_time.along, timing.on_time.across, 0.0],
         same_shares=timing.on_time.constant,
         bits=[errors.bit] * system.m,
         prompt_bits=[timing.on_time.bit] * system.m,
-        late=timing.jitter > 0 and not timing.fired,
+        late=timing.jitter > 0 and not timing.pulse_thrust,
         allocation=None,
         timing={"delay": timing.delay, "missed": timing.missed, "jitter": timing.jitter},
-        fired=list(timing.fired),
-        placed=timing.placed,
-        carried=timing.carried,
+        pulse_thrust=list(timing.pulse_thrust),
+        pulse_place=timing.pulse_place,
+        carried_impulse=timing.carried_impulse,
         at_nodes=system.state_offset_at_nodes.tolist(),
-        pulsed=list(timing.pulsed) or nothing,
+        intersample_offset=list(timing.intersample_offset) or nothing,
         transients=[],
         observer=None,
-        profile=[],
+        feedback_bound=[],
     )
     if seen is not None:
         document.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
         document.observer["noise"] = seen.noise.tolist()
     if s.feedback_bound is not None:
-        document.profile = s.feedback_bound.tolist()
+        document.feedback_bound = s.feedback_bound.tolist()
     return document
 
 
-def checker_needs(s, rows):
+def checker_tightenings(s, rows):
     """Build what the checker needs along rows of the error, of commands without rows."""
     document = stated(s)
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
-    profile = [[arb(x) for x in level] for level in document.profile]
-    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, profile)
+    feedback_bound = [[arb(x) for x in level] for level in document.feedback_bound]
+    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
     return Tightening(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
 
 
@@ -205,14 +207,14 @@ def checked(s, rows):
 
     The states beside the error are in a box at the hand-over, and it is known up to carried impulses.
     """
-    needs = checker_needs(s, rows)
-    noise = needs.craft.noise(needs.craft.lagged(needs.craft.plant.u_max))
-    box = column([*carried_away(needs.craft.plant), *needs.craft.box])
-    nodes = [(magnitude(rows) * box).entries() for rows in needs.carried[: AFTER + 1]]
-    handed = [nodes, [needs.boxed(box, lag) for lag in range(AFTER + 1)]]
-    parts = zip((needs.at_nodes, needs.disturbed), handed, strict=True)
+    tightenings = checker_tightenings(s, rows)
+    noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
+    box = column([*carried_away(tightenings.craft.plant), *tightenings.craft.box])
+    nodes = [(magnitude(rows) * box).entries() for rows in tightenings.carried[: AFTER + 1]]
+    handed = [nodes, [tightenings.boxed(box, lag) for lag in range(AFTER + 1)]]
+    parts = zip((tightenings.at_nodes, tightenings.disturbed), handed, strict=True)
     total = [[sums(*pair) for pair in zip(a[: AFTER + 1], b, strict=True)] for a, b in parts]
-    each = (np.array([[float(x) for x in need] for need in some]) for some in total)
+    each = (np.array([[float(x) for x in tightening] for tightening in some]) for some in total)
     return *each, np.array([float(x) for x in noise])
 
 
@@ -264,8 +266,8 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
         assert share.max() <= 1 + 1e-6 and share[-2].min() > 0.85
         chords = [(1 - within) * a + within * b for a, b in zip(disturbance, disturbance[1:], strict=False)]
         assert np.all(states[:-1] <= np.concatenate(chords) * (1 + 1e-6))
-    for need in asked:
-        share = commands / need
+    for tightening in asked:
+        share = commands / tightening
         assert share.max() <= 1 + 1e-6 and share[-1].min() > 0.9
 
 
@@ -281,12 +283,15 @@ def test_what_is_older_than_the_horizon_counts(case):
     assert np.all(total <= ever[-1] * (1 + 1e-12)) and np.all(total > ever[limits.horizon])
     n = s.system.n
     assert np.all(np.abs(carried)[limits.horizon + 2 :, :, n:] <= s.handed(rows)[-1])
-    needs = checker_needs(s, np.eye(s.system.n))
-    last, N, more = needs.carried[-1], needs.memory.periods, np.zeros(s.system.n)
+    tightenings = checker_tightenings(s, np.eye(s.system.n))
+    last, N, more = tightenings.carried[-1], tightenings.memory.periods, np.zeros(s.system.n)
     for _ in range(N):
-        last = last * needs.craft.F
-        more += [float(x.upper()) for x in needs.craft.supports(last)]
-    beyond = [float((a - b).upper()) for a, b in zip(needs.settled_need, needs.responses[-1], strict=True)]
+        last = last * tightenings.craft.F
+        more += [float(x.upper()) for x in tightenings.craft.supports(last)]
+    beyond = [
+        float((a - b).upper())
+        for a, b in zip(tightenings.settled_tightening, tightenings.responses[-1], strict=True)
+    ]
     assert np.all(more <= beyond)
 
 
@@ -294,22 +299,22 @@ def along(s, nu, planned, by_step=(), between=True):
     """Return needs along states at nodes, and commands that they are bounded for, on both sides."""
     cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
     own = Feedforward(s, SimpleNamespace(nu=nu, cells=cells), planned)
-    needs, commanded = own.response(rows, between), [own.commanded]
+    tightenings, commanded = own.response(rows, between), [own.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
     document.known_to = lambda k: document.estimate
     if len(by_step):
         document.calmest = np.min(by_step, axis=0).tolist()
         document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
-    profile = [[arb(x) for x in level] for level in document.profile]
-    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, profile)
+    feedback_bound = [[arb(x) for x in level] for level in document.feedback_bound]
+    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
     arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
     path = SimpleNamespace(planned=planned, arcs=arcs)
     checks = CheckedSchedule(document, craft, memory, path)
     commanded.append(np.array([[float(x) for x in level] for level in checks.commanded]))
     checked_along = checks.response(Tightening(craft, memory, matrix(rows.tolist())), between)
     other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
-    nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (needs, np.array(other))]
+    nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (tightenings, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
 
 
@@ -331,14 +336,14 @@ def test_scheduled_commands_count_until_they_are_measured():
     ((hidden, unseen),) = system.timing.unseen
     assert hidden == 3
     thrust, noise = units(s, cells)
-    for needs, commanded in along(s, nu, cells):
+    for tightenings, commanded in along(s, nu, cells):
         assert np.all(commanded >= np.abs(nu)) and np.all(commanded[3:] < commanded[2])
         part, late = system.thrusters.part(commanded), np.zeros((cells, 4))
         for k in range(1, cells):
             late[k] = np.array(unseen) @ part[max(k - 3, 0) : k].max(axis=0)
         exact = [sum(part[k] @ thrust[L - k] + late[k] @ noise[L - k] for k in range(L)) for L in (5, 6, 7)]
-        assert np.all(needs[5:8] >= np.array(exact) * (1 - 1e-6))
-        assert np.all(needs[5:8] <= np.array(exact) * 2)
+        assert np.all(tightenings[5:8] >= np.array(exact) * (1 - 1e-6))
+        assert np.all(tightenings[5:8] <= np.array(exact) * 2)
 
 
 def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
@@ -349,13 +354,13 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
     cells, planned = 9, 5
     more = np.vstack([by_step[:5], np.tile(by_step[5], (4, 1))]) - base
     noise = units(s, 60)[1]
-    for needs, _ in along(s, np.zeros((cells, 2)), planned, by_step):
+    for tightenings, _ in along(s, np.zeros((cells, 2)), planned, by_step):
         for L in range(1, cells + 1):
             exact = sum(more[k] @ noise[L - k] for k in range(L))
             if planned <= L:  # as if the tail had always been flown
                 exact = np.maximum(exact, np.einsum("tri,r->i", noise[1:], more[-1]))
-            assert np.all(needs[L] >= exact * (1 - 1e-6)), L
-            assert np.all(needs[L] <= exact * 1.2 + 1e-2), L
+            assert np.all(tightenings[L] >= exact * (1 - 1e-6)), L
+            assert np.all(tightenings[L] <= exact * 1.2 + 1e-2), L
 
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():
@@ -364,12 +369,12 @@ def test_later_turns_of_the_tail_are_bounded_by_the_first():
     nu = np.zeros((planned + tail, 2))
     nu[planned:], nu[planned] = [0.2, -0.3], [0.5, -0.6]
     thrust, _ = units(s, planned + 4 * tail)
-    for needs, commanded in along(s, nu, planned, between=False):
+    for tightenings, commanded in along(s, nu, planned, between=False):
         assert np.all(commanded[planned + tail // 2 :] == commanded[-1]) and commanded[-1].max() > 0
         part = s.system.thrusters.part(np.vstack([commanded[:planned], *[commanded[planned:]] * 4]))
         exact = np.array([sum(part[k] @ thrust[L - k] for k in range(L)) for L in range(1, len(part) + 1)])
         turns = exact[planned:].reshape(4, tail, -1).max(axis=0)
-        assert np.all(needs[planned + 1 :] >= turns * (1 - 1e-6))
+        assert np.all(tightenings[planned + 1 :] >= turns * (1 - 1e-6))
 
 
 def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
@@ -419,7 +424,9 @@ def test_bounds_between_nodes_hold_what_noise_pushes_in_its_own_period():
     x, u = Flight(s, BEFORE, BEFORE + 40).fly()
     rates = x[: 40 * PARTS : PARTS] @ A.T + u @ B.T
     first = PARTS * (s.system.p + s.system.m)
-    rate = np.einsum("tri,r->i", np.abs(rates[:, first : first + 4]), np.array(s.system.timing.measured))
+    rate = np.einsum(
+        "tri,r->i", np.abs(rates[:, first : first + 4]), np.array(s.system.timing.measured_error)
+    )
     bend = H**2 / 8 * np.abs(A) @ rate
     between = s.disturbance(np.eye(4)) - s.responses(np.eye(4), None)
     assert np.all(bend <= between[0]) and np.all(bend > 0)
@@ -439,7 +446,7 @@ def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters
 def test_what_holds_ever_after_is_the_largest_of_all_later_nodes():
     s = tracking(delay=1.0)
     falling = np.linspace(2.0, 1.0, s.tightening.horizon + 3)[:, None]
-    needs = s._by_age(falling)
-    assert needs[-1, 0] == falling[s.memory + 2, 0] and np.all(
-        needs[: s.memory + 2] == falling[: s.memory + 2]
+    tightenings = s._by_age(falling)
+    assert tightenings[-1, 0] == falling[s.memory + 2, 0] and np.all(
+        tightenings[: s.memory + 2] == falling[: s.memory + 2]
     )

@@ -31,8 +31,8 @@ class Scene:
     def draw(cls, rng, K, controllers):
         limit = np.where(rng.random(K) < rng.choice([0.1, 0.3]), rng.uniform(0, 1, K), rng.uniform(1, 6, K))
         push = rng.uniform(0.05, 1.5, (K, controllers)) * rng.choice([1, 3], size=(1, controllers))
-        worth = rng.choice([0.5, 1.0, 2.0], size=controllers) if rng.integers(2) else np.ones(controllers)
-        return cls(push, limit, rng.uniform(0.3, 0.9), tuple(worth))
+        objective = rng.choice([0.5, 1.0, 2.0], size=controllers) if rng.integers(2) else np.ones(controllers)
+        return cls(push, limit, rng.uniform(0.3, 0.9), tuple(objective))
 
     @property
     def K(self):
@@ -47,7 +47,7 @@ class Scene:
     def search(self, beam=2):
         return LookAhead(0.0, self.K, self.prove, lambda error: error, (0.0, *self.weights), beam)
 
-    def worth(self, modes):
+    def objective(self, modes):
         return sum((0.0, *self.weights)[mode] for mode in modes)
 
     def look_ahead(self, dwell, cap, beam=2):
@@ -59,7 +59,7 @@ class Scene:
         runs = np.diff(np.flatnonzero(np.diff([-1, *modes, -1])))
         assert len(modes) == self.K and all(run >= dwell for run in runs[:-1])
         assert cap is None or np.count_nonzero(np.diff(modes)) <= cap
-        return self.worth(modes)
+        return self.objective(modes)
 
     def greedy(self, dwell, cap):
         """Algorithm 2 in other words: a controller is taken if it is proven for all of its dwell."""
@@ -79,7 +79,7 @@ class Scene:
                     break
             held = steps + (held if mode == last else 0)
             modes, error, switches = modes + [mode] * steps, path[-1], spent
-        return self.worth(modes)
+        return self.objective(modes)
 
     def best_of_all(self, dwell, cap):
         """Of every schedule that is proven and keeps the rules."""
@@ -120,16 +120,16 @@ def test_a_wide_beam_finds_the_best_of_all_schedules(seed):
 
 def test_the_default_beam_is_nearly_as_good():
     """Over 200 scenes: how often the best is missed, and by how much on average."""
-    worths, best = [], []
+    objectives, best = [], []
     for seed in range(200):
         rng = np.random.default_rng(seed)
         scene = Scene.draw(rng, 10, 1 + seed % 2)
         rules = int(rng.integers(1, 5)), int(rng.integers(2, 6))
-        worths.append(scene.look_ahead(*rules, beam=SwitchingRules().beam))
+        objectives.append(scene.look_ahead(*rules, beam=SwitchingRules().beam))
         best.append(scene.best_of_all(*rules))
-    worths, best = np.array(worths), np.array(best)
-    assert np.mean(worths < best - 1e-9) <= 0.05
-    assert worths.sum() >= 0.99 * best.sum()
+    objectives, best = np.array(objectives), np.array(best)
+    assert np.mean(objectives < best - 1e-9) <= 0.05
+    assert objectives.sum() >= 0.99 * best.sum()
 
 
 @settings(max_examples=6, deadline=None)

@@ -183,12 +183,12 @@ def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
     rows, sides = branch.goal.rows
     one = Zonotope(safety.start.c[None], safety.start.G[None])
     off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
-    states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.transient_need(rows)[-1]
-    least = distance(safety.problem.goal.conditions, states + tracking.settled_need(rows)).min()
+    states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.transient_tightening(rows)[-1]
+    least = distance(safety.problem.goal.conditions, states + tracking.settled_tightening(rows)).min()
     assert (
         off
         >= least
-        > distance(safety.problem.goal.conditions, states - tracking.transient_need(rows)[-1]).min()
+        > distance(safety.problem.goal.conditions, states - tracking.transient_tightening(rows)[-1]).min()
     )
 
 
@@ -385,8 +385,8 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
         ends = np.full(count, schedule.powered.ways[k].cell * q)
         share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
         begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
-        failing = FaultTimes(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
-        runs = replace(attacker.worst(count), failing=failing).fly(attacker.flight)
+        faults = FaultTimes(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
+        runs = replace(attacker.worst(count), faults=faults).fly(attacker.flight)
         return exceeded(schedule, k, runs)[0].margin
 
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))

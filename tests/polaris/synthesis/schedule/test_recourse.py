@@ -15,7 +15,7 @@ from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import PlanRows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.safety.clearance import error_tube, facet_room
+from polaris.synthesis.safety.clearance import error_tube, facet_clearance
 from polaris.synthesis.safety.goal_rows import _weights, distance, goal_rows, inset
 from polaris.synthesis.schedule.hand_over import HandOvers, reached_sets
 from polaris.synthesis.schedule.objective import Objective
@@ -48,7 +48,7 @@ def random_pair(seed, folder):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("in_view")
+    return tmp_path_factory.mktemp("replan")
 
 
 # -- the path -------------------------------------------------------------------------------------
@@ -92,12 +92,12 @@ def test_windows_and_their_neighbours():
 def test_dwell_and_cap_are_kept_by_the_windows():
     _, schedule = printed()
     rules = SwitchingRules(min_dwell=3, max_switches=3)
-    worth = Objective.beside(schedule, rules, schedule.safety)
-    assert worth.allows(in_windows([(4, 7)], 12))
-    assert not worth.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
-    assert not worth.allows(in_windows([(2, 6)], 12)), "so does U"
-    assert not worth.allows(in_windows([(3, 6), (9, 12)], 18)), "four switches, and one for the return"
-    assert worth.allows(in_windows([], 12))
+    objective = Objective.beside(schedule, rules, schedule.safety)
+    assert objective.allows(in_windows([(4, 7)], 12))
+    assert not objective.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
+    assert not objective.allows(in_windows([(2, 6)], 12)), "so does U"
+    assert not objective.allows(in_windows([(3, 6), (9, 12)], 18)), "four switches, and one for the return"
+    assert objective.allows(in_windows([], 12))
 
 
 # -- the choice -------------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
     late = '{kind="box", name="late", center_m=[-71.0, 75.0, 0.0], half_widths_m=[10.0, 10.0, 10.0]}'
     debris = '{kind="box", name="debris", center_m=[135.0, 215.0, 0.0], half_widths_m=[25.0, 25.0, 25.0]}'
     schedule = synthesize(load_scenario("static", [f"obstacles=[{debris}, {late}]"]))
-    assert schedule.safety.plan.status == "in_view" and schedule.safety.plan.tail_facets.shape[1] > 0
+    assert schedule.safety.plan.status == "replan" and schedule.safety.plan.tail_facets.shape[1] > 0
     assert schedule.safety.end.until == np.inf and schedule.arrival.reached is True
     assert schedule.share() > 0.85 and schedule.switches == 2
 
@@ -140,18 +140,20 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
     hand_overs = HandOvers(tracking, unsafe, K)
     sets = reached_sets([schedule.controllers[1]] * K, safety.start, safety.controller)
     for handed in (sets[0], sets[K // 2]):
-        for body, needs in zip(unsafe, hand_overs.since(handed), strict=True):
+        for body, tightenings in zip(unsafe, hand_overs.since(handed), strict=True):
             rows = -body.normals @ safety.problem.system.position
             exact = error_tube(tracking, handed, rows).over_cells(K, q)
-            assert np.all(needs <= exact + 1e-6) and np.all(needs >= exact - 0.2 * np.abs(exact).max())
+            assert np.all(tightenings <= exact + 1e-6) and np.all(
+                tightenings >= exact - 0.2 * np.abs(exact).max()
+            )
     along = hand_overs.tighten(safety.reference, {k: sets[k] for k in range(K)})
-    for i, (body, (need, lack)) in enumerate(zip(unsafe, along, strict=True)):
+    for i, (body, (tightening, lack)) in enumerate(zip(unsafe, along, strict=True)):
         tables = (hand_overs.since(sets[k])[i][: K - k] for k in range(K))
         later = [np.vstack([np.full((k, len(body.normals)), -np.inf), each]) for k, each in enumerate(tables)]
         at = np.maximum(np.max(later, axis=0), 0.0)
-        assert np.allclose(need, at) and lack.shape == (K, 1) and np.all(lack >= 0)
-        room = facet_room(tracking, safety.reference, body).min(axis=1)[:K]
-        assert np.array_equal(lack[:, 0] > 0, np.all(need > room, axis=1))
+        assert np.allclose(tightening, at) and lack.shape == (K, 1) and np.all(lack >= 0)
+        clearance = facet_clearance(tracking, safety.reference, body).min(axis=1)[:K]
+        assert np.array_equal(lack[:, 0] > 0, np.all(tightening > clearance, axis=1))
 
 
 @pytest.mark.slow
@@ -187,13 +189,13 @@ def test_velocity_change_beyond_the_printed_one_counts_more_without_errors_alone
     """Less of U than in the printed schedule counts eleven times."""
     _, schedule = printed()
     rules = SwitchingRules(delta_v_price=0.1, switch_price=0.0)
-    worth = Objective.beside(schedule, rules, schedule.safety)
+    objective = Objective.beside(schedule, rules, schedule.safety)
     assert schedule.safety.problem.system.ideal
-    worth = worth if ideal else replace(worth, delta_v=np.inf)
-    share, spent, unit = schedule.share(), schedule.delta_v_middle, worth.scale
-    same = worth.value({1: share}, spent, 0)
-    assert worth.value({1: share}, spent + unit, 0) == pytest.approx(same - (10.1 if ideal else 0.1))
-    assert worth.value({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
+    objective = objective if ideal else replace(objective, delta_v=np.inf)
+    share, spent, unit = schedule.share(), schedule.delta_v_middle, objective.scale
+    same = objective.value({1: share}, spent, 0)
+    assert objective.value({1: share}, spent + unit, 0) == pytest.approx(same - (10.1 if ideal else 0.1))
+    assert objective.value({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
 
 
 @pytest.mark.slow

@@ -65,13 +65,13 @@ def flights_of(problem, law, held, count, seed):
     return states
 
 
-def least_room(flights, states):
+def least_clearance(flights, states):
     """Largest clearance every set is kept at all nodes, over the flights [m]."""
-    room = np.full(len(states), np.inf)
+    clearance = np.full(len(states), np.inf)
     for rows, b in zip(flights.rows, flights.offsets, strict=True):
         away = states @ rows.T - b
-        room = np.minimum(room, away.max(axis=2).min(axis=1))
-    return float(room.max())
+        clearance = np.minimum(clearance, away.max(axis=2).min(axis=1))
+    return float(clearance.max())
 
 
 # -- flights --------------------------------------------------------------------------------------
@@ -88,8 +88,8 @@ def test_every_flight_lies_in_what_is_enclosed(more, times):
         c, G, _ = flights.propagate(held)
         states = flights_of(problem, law, held, 200, seed)
         rows = rng.normal(size=(40, problem.system.n))
-        room = c @ rows.T + np.abs(rows @ G).sum(axis=2)
-        assert np.all(states[:, : len(c)] @ rows.T <= room + 1e-9)
+        clearance = c @ rows.T + np.abs(rows @ G).sum(axis=2)
+        assert np.all(states[:, : len(c)] @ rows.T <= clearance + 1e-9)
         assert times > 1 or len(c) == problem.K
         ahead = np.abs((states - law.own.chi[1:]) @ law.gain.T).max(axis=(0, 2))
         clipped += int(np.sum(ahead[:-1][np.array(held[1:]) == 1] > problem.system.u_max.max()))
@@ -110,7 +110,7 @@ def test_nothing_that_can_be_flown_is_called_impossible(more):
     for i, free in enumerate(sets):
         held = tuple(FREE if k in free else 1 for k in range(K))
         impossible = flights.impossible(held)
-        if least_room(flights, flights_of(problem, law, held, 250, i)) > 0.02:
+        if least_clearance(flights, flights_of(problem, law, held, 250, i)) > 0.02:
             assert not impossible, free
             fewest = min(fewest, len(free))
         refuted += impossible
@@ -172,9 +172,9 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
     fewest, chosen = master.solve()
     assert fewest == min((m.count(FREE) for m in every), default=K + 1)
     assert chosen is None if not every else chosen in every
-    worths = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
-    best = max((sum(worths[mode] for mode in m) / K for m in every), default=0.0)
-    assert best <= master.objective_bound(worths) <= best + 1e-3
+    objectives = (0.0, *rng.choice([0.5, 1.0, 2.0], modes - 1))
+    best = max((sum(objectives[mode] for mode in m) / K for m in every), default=0.0)
+    assert best <= master.objective_bound(objectives) <= best + 1e-3
 
 
 # -- the bound ----------------------------------------------------------------------------------------

@@ -250,7 +250,7 @@ def test_same_input_same_schedule():
     problem = small_problem()
     a, b = get_safety(problem), get_safety(problem)
     assert np.array_equal(a.reference.chi, b.reference.chi)
-    assert np.array_equal(a.clearance.room, b.clearance.room)
+    assert np.array_equal(a.clearance.distances, b.clearance.distances)
 
 
 @pytest.mark.parametrize(
@@ -281,9 +281,9 @@ def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_
     K, q = safety.problem.K, safety.clearance.q
     errors = runs.states[:, :-1] - safety.clearance.nodes[:K, :-1].reshape(K * q, -1)
     reached = (errors @ rows.T).max(axis=0)
-    need = tube.need[np.minimum(np.arange(K * q), len(tube.need) - 1)]
-    assert np.all(reached <= need)
-    late = need[-1]
+    tightening = tube.tightening[np.minimum(np.arange(K * q), len(tube.tightening) - 1)]
+    assert np.all(reached <= tightening)
+    late = tightening[-1]
     assert np.max(reached[-5 * q :] / late) > 0.9, "the worst case comes within 10 % of the bound"
 
 

@@ -138,5 +138,5 @@ def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
                 rows @ tracking.transitions[past] @ expm(A_x * (j + 0.5) * h / q) @ system.D for j in range(q)
             ]
             reached = reached + np.linalg.norm(kernel, axis=-1).sum(axis=0) * h / q * system.w_max
-        assert np.all(reached <= tube.need[lag] * (1 + 1e-9))
-        assert np.all(tube.need[lag] <= 1.09 * reached), "within 9 % of what the worst case reaches"
+        assert np.all(reached <= tube.tightening[lag] * (1 + 1e-9))
+        assert np.all(tube.tightening[lag] <= 1.09 * reached), "within 9 % of what the worst case reaches"

@@ -36,7 +36,7 @@ def judge(scenario, free):
         assert spent <= 0.97 * free.spent and cheaper.guarantee == free.guarantee
 
 
-@pytest.mark.parametrize("recourse", ["none", pytest.param("in_view", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("recourse", ["none", pytest.param("replan", marks=pytest.mark.slow)])
 def test_a_budget_is_kept_or_nothing_is_returned(recourse):
     scenario, free = synthesised()
     scenario = scenario.with_assignments([f"recoverable.recourse={recourse}"])

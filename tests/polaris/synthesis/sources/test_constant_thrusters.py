@@ -33,7 +33,7 @@ from tests.polaris.tiny import TINY
 from tests.sizes import fewer
 
 WRONG = ("thrusters.magnitude_error=0.08", "thrusters.mass_error=0.04", "feedback.period_s=0.25")
-NEVER = "thrusters.varies=never"
+NEVER = "thrusters.errors_vary=never"
 CARRIED = "thrusters.impulse_bit_N_s=0.002", "thrusters.remainder=carried"
 QUIET = (
     *("system.disturbance_max=0.0", "initial_set.half_widths=[1e-6,1e-6,1e-6,1e-6]"),
@@ -261,7 +261,7 @@ def test_forged_constants_of_thrusters_are_refused(forger):
 
     varying(Lie(forger)).judge({"system"})  # the scenario says never
     lie = Lie(forger)
-    lie.scenario["thrusters"]["varies"] = "always"
+    lie.scenario["thrusters"]["errors_vary"] = "always"
     lie.judge({"system"})  # constants that nobody declared
     lie = Lie(forger)
     del lie.certificate["system"]["thrusters"]["constant"]

@@ -89,17 +89,17 @@ def test_rows_of_s_need_what_the_worst_constant_makes_and_no_more(scene):
     problem = load_scenario(scene, ALONE[scene]).problem()
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta)
     rows = np.vstack([np.eye(problem.system.n), problem.gain])
-    need = tracking.responses(rows, None)
-    flown = np.abs(rows @ responses(problem, 3 * len(need))).sum(axis=-1)
+    tightening = tracking.responses(rows, None)
+    flown = np.abs(rows @ responses(problem, 3 * len(tightening))).sum(axis=-1)
     worst = np.maximum.accumulate(flown)
-    assert np.all(worst[: len(need) - 1] <= need[:-1]) and np.all(worst[-1] <= need[-1])
-    assert np.allclose(worst[: len(need) - 1], need[:-1], rtol=1e-6, atol=1e-15)
-    assert np.all(need[-1] <= 1.002 * worst[-1])
+    assert np.all(worst[: len(tightening) - 1] <= tightening[:-1]) and np.all(worst[-1] <= tightening[-1])
+    assert np.allclose(worst[: len(tightening) - 1], tightening[:-1], rtol=1e-6, atol=1e-15)
+    assert np.all(tightening[-1] <= 1.002 * worst[-1])
     plain = replace(problem.system, w_max=float(np.linalg.norm(problem.system.bias)), bias_max=None)
     varying = replace(tracking, system=plain).responses(rows, None)[-1]
-    assert np.all(need[-1] < varying)
+    assert np.all(tightening[-1] < varying)
     speeds = slice(problem.system.d, problem.system.n)
-    assert np.all(need[-1, speeds] < 0.6 * varying[speeds])
+    assert np.all(tightening[-1, speeds] < 0.6 * varying[speeds])
 
 
 @pytest.mark.parametrize("delay", [0, 0.5, 1.4])
@@ -111,12 +111,12 @@ def test_a_constant_error_of_a_camera_adds_the_sum_of_its_responses(delay, share
     loop = limits.closed.loop
     channels = [replace(c, constant=share * c.size) if c.name == MEASUREMENT else c for c in loop.channels]
     closed = replace(limits.closed, loop=replace(loop, channels=tuple(channels)))
-    need = replace(limits, closed=closed).from_rest(rows_of(limits))
+    tightening = replace(limits, closed=closed).from_rest(rows_of(limits))
     each = flown[1:, pushes : pushes + q]
     worst = np.maximum.accumulate(np.tensordot(np.abs(np.cumsum(each, axis=0)), share * noise, (1, 0)))
     worst += np.cumsum(np.tensordot(np.abs(each), (1 - share) * noise, (1, 0)), axis=0)
-    np.testing.assert_allclose(need[1 : count + 1], worst, rtol=1e-7, atol=1e-15)
-    assert np.all(need[count] < 0.9 * limits.from_rest(rows_of(limits))[count])
+    np.testing.assert_allclose(tightening[1 : count + 1], worst, rtol=1e-7, atol=1e-15)
+    assert np.all(tightening[count] < 0.9 * limits.from_rest(rows_of(limits))[count])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.8, 1.0])
@@ -129,7 +129,7 @@ def test_an_outage_beside_a_constant_error_covers_the_flight_of_that_error(share
     tracking, n = Tracking(system, gain, Feedback(1), h), 2
     rows = tracking.whole(np.eye(2))
     claimed = tracking.tightening.from_rest(rows)[-1]
-    claimed = claimed + tracking.difference_need(rows, [tracking._unmade(count)]).max(axis=(0, 2))
+    claimed = claimed + tracking.difference_tightening(rows, [tracking._unmade(count)]).max(axis=(0, 2))
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * h)
     step, held = whole[:2, :2], whole[:2, 2:]
     F = np.block([[step - held @ gain, -held @ gain], [np.zeros((n, n)), (np.eye(n) - L @ M) @ step]])

@@ -168,11 +168,11 @@ def test_a_planner_whose_solver_has_got_stuck_starts_another():
 
 def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
     scenario = load_scenario(TINY)
-    needs = []
+    tightenings = []
     for error in (0.0, 0.001, 0.01):
         safety = synthesize(scenario.with_assignments([f"navigation.state_error=[{error}, 0, 0, 0]"])).safety
-        needs.append(error_tube(safety.tracking, safety.start, safety.tracking.gain).need[-1, 0])
-    assert needs[0] < needs[1] < needs[2]
+        tightenings.append(error_tube(safety.tracking, safety.start, safety.tracking.gain).tightening[-1, 0])
+    assert tightenings[0] < tightenings[1] < tightenings[2]
     far = scenario.with_assignments(["navigation.state_error=[50.0, 0, 0, 0]", "chaser.radius_m=0.001"])
     with pytest.raises(SynthesisInfeasible, match="navigation"):
         synthesize(far)
@@ -296,16 +296,16 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
     safety = schedule.safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
-    profile, part = tracking.feedback_bound, tracking.system.thrusters.part
-    assert np.all(np.diff(profile, axis=0) <= 0) and np.all(profile[-1] < tracking.system.u_max)
+    feedback_bound, part = tracking.feedback_bound, tracking.system.thrusters.part
+    assert np.all(np.diff(feedback_bound, axis=0) <= 0) and np.all(feedback_bound[-1] < tracking.system.u_max)
     kick = np.abs(gain @ tracking.transitions @ flow.input_map(tracking.system.B))
     reached = np.zeros(len(gain))
     for lag in range(tracking.memory):
-        errors = [part(profile[i]) for i in range(lag)]
+        errors = [part(feedback_bound[i]) for i in range(lag)]
         reached = np.sum([kick[lag - 1 - i] @ e for i, e in enumerate(errors)], axis=0)
-        assert np.all(reached + tracking.noise <= profile[lag])
-    need = tracking.responses(tracking.commands[: len(gain)], profile)[-1] + tracking.noise
-    assert np.all(reached < need) and np.all(need <= profile[-1])
+        assert np.all(reached + tracking.noise <= feedback_bound[lag])
+    tightening = tracking.responses(tracking.commands[: len(gain)], feedback_bound)[-1] + tracking.noise
+    assert np.all(reached < tightening) and np.all(tightening <= feedback_bound[-1])
 
 
 @pytest.mark.slow
@@ -464,7 +464,7 @@ def test_a_grown_set_holds_every_place_within_the_radius():
         BoxObstacle("box", [0, 0, 0], [1, 2, 3]),
         BallObstacle("ball", [0, 0, 0], 2.0),
         PolytopeObstacle("polytope", np.vstack([turn, -turn]), np.full(6, 2.0)),
-        KeepInPolytope("room", np.vstack([np.eye(3), -np.eye(3)]), np.full(6, 4.0)),
+        KeepInPolytope("clearance", np.vstack([np.eye(3), -np.eye(3)]), np.full(6, 4.0)),
         KeepInCone("cone", [0, 0, 0], axis, 0.4, length=9.0),
     ]
     p = rng.uniform(-8, 8, (4000, 3))
@@ -531,14 +531,14 @@ def test_forged_errors_are_refused(tmp_path):
     ideal = [w for w in names if not w.startswith("thrusters")]
     verdict = forger.judge({CERTIFICATE: json.dumps(data | exact | {"assumptions": ideal})})
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
-    profile = data["profile"]
+    feedback_bound = data["feedback_bound"]
     for forged, claim in (
-        ([[(20 * float.fromhex(x)).hex() for x in row] for row in profile], "goal"),
-        ([[(0.5 * float.fromhex(x)).hex() for x in row] for row in profile], "recoverable"),
-        ([*profile[:-1], [(1e-6).hex()] * len(profile[0])], "recoverable"),
-        (profile[::-1], "format"),
+        ([[(20 * float.fromhex(x)).hex() for x in row] for row in feedback_bound], "goal"),
+        ([[(0.5 * float.fromhex(x)).hex() for x in row] for row in feedback_bound], "recoverable"),
+        ([*feedback_bound[:-1], [(1e-6).hex()] * len(feedback_bound[0])], "recoverable"),
+        (feedback_bound[::-1], "format"),
     ):
-        verdict = forger.judge({CERTIFICATE: json.dumps(data | {"profile": forged})})
+        verdict = forger.judge({CERTIFICATE: json.dumps(data | {"feedback_bound": forged})})
         assert verdict.outcome == "REJECTED" and verdict.claim in (claim, "margins")
     smaller = {"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}
     words = [w.replace("[0.01, 0.01, 0.002, 0.002]", "[0.001, 0.001, 0.001, 0.001]") for w in names]

@@ -35,8 +35,8 @@ def drawn(seed, carried=False, faults=False):
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(int(rng.integers(10, 17)), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    limits, failing = rng.uniform(0.02, 0.05, len(directions)), [Fault("stuck_off", 0.0)] * faults
-    made = Allocation.from_directions(directions, limits, np.full(3, 0.05), failing)
+    limits, faults = rng.uniform(0.02, 0.05, len(directions)), [Fault("stuck_off", 0.0)] * faults
+    made = Allocation.from_directions(directions, limits, np.full(3, 0.05), faults)
     errors = rng.uniform(0, 0.1), np.deg2rad(rng.uniform(0, 5)), rng.uniform(0, 0.05)
     return rng, Nozzles.from_errors(made, *errors, BIT, carried, True), errors
 
@@ -136,7 +136,7 @@ def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):
         table[last] = lower or (float.fromhex(old) * share).hex()
         return forger.judge({CERTIFICATE: json.dumps(data)})
 
-    stated = {"thrusters": ["along", "mass", "bit"], "timing": ["carried", "fired", "bit"]}
+    stated = {"thrusters": ["along", "mass", "bit"], "timing": ["carried_impulse", "pulse_thrust", "bit"]}
     for path in ((table, key) for table, keys in stated.items() for key in keys):
         assert changed(*path, share=0.99).outcome == "REJECTED", path
     assert changed("allocation", "limits", share=0.99).claim == "system"
@@ -152,7 +152,7 @@ def test_jitter_of_a_layout_is_proven_and_no_less_of_it_accepted(remainder, tmp_
     exact, more, share = system.on_time, system.thrusters, 0.01 / period
     grown = (1 + share) * np.array(exact.shares) + share * np.eye(2)
     assert np.allclose(more.shares, grown, rtol=1e-8)
-    left = 2 * share * system.timing.carried / period
+    left = 2 * share * system.timing.carried_impulse / period
     assert np.allclose(more.bit, (1 + share) * np.array(exact.bit) + left, rtol=1e-8)
     assert (left > 0) == (remainder == "carried")
     forger = Forger(make([*FIVE, *errors, *impulses, COARSE], tmp_path), tmp_path)
@@ -170,8 +170,8 @@ def test_runs_with_a_layout_fire_its_thrusters():
     scenario = static().with_assignments([text for name in names for text in SOURCES[name]])
     system = scenario.system()
     assert system.nozzles is not None and np.all(system.weights > 1.2)
-    assert system.timing.carried == pytest.approx(2.8 * 0.005)
-    assert np.all(np.array(system.timing.fired) > 2.8 * 0.15)
+    assert system.timing.carried_impulse == pytest.approx(2.8 * 0.005)
+    assert np.all(np.array(system.timing.pulse_thrust) > 2.8 * 0.15)
 
 
 @pytest.mark.slow

@@ -154,7 +154,9 @@ def test_forged_lines_of_sight_are_refused(tmp_path):
     def judged(change):
         lies = data | {key: change(rows) for key, rows in data.items() if key in ("error_by_step",)}
         lies["estimate_error"] = change([data["estimate_error"]])[0]
-        lies["timing"] = data["timing"] | {"measured": lies["estimate_error"]} if "timing" in data else {}
+        lies["timing"] = (
+            data["timing"] | {"measured_error": lies["estimate_error"]} if "timing" in data else {}
+        )
         lies = {key: value for key, value in lies.items() if value != {}}
         return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": lies})})
 
@@ -164,7 +166,7 @@ def test_forged_lines_of_sight_are_refused(tmp_path):
         assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "assumptions")
     for change in (lambda x: [0.99 * y for y in x], lambda x: [x[1], x[0], *x[2:]]):
         document = Document(forger.honest)
-        document.measured = change(document.measured or document.estimate)
+        document.measured_error = change(document.measured_error or document.estimate)
         document.estimate = change(document.estimate)
         with pytest.raises(Rejected, match="is not the scenario's"):
             measured_errors(document, scenario)

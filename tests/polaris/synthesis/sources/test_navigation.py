@@ -152,7 +152,9 @@ def test_a_camera_knows_the_velocity_once_s_has_settled():
     given = ["feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1", "timing.delay_s=2"]
     safety = get_safety(load_scenario("static").with_assignments([*given, *errors]).problem())
     tracking = safety.tracking
-    known = tracking.settled_need(tracking.estimate_error_rows) + tracking.unremembered(tracking.system.u_max)
+    known = tracking.settled_tightening(tracking.estimate_error_rows) + tracking.unremembered(
+        tracking.system.u_max
+    )
     assert known[:3].max() < 0.19 and 0.008 < known[3:].max() < 0.0086
     assert tracking.system.navigation[3:].max() > 10 * known[3:].max()  # at full thrust
 
@@ -219,7 +221,7 @@ def test_phases_go_with_pulses_and_what_is_carried(made):
     late = (f"thrusters={{magnitude_error=0.01,{made}}}", "timing.delay_s=0.25", "timing.missed_periods=1")
     schedule = kept(f"phased-{made}", lambda: synthesize(scene(*PHASED, *late)))
     known, timing = schedule.safety.problem.system.error_by_step, schedule.safety.problem.system.timing
-    assert len(np.unique(known, axis=0)) >= 3 and (timing.fired or timing.carried)
+    assert len(np.unique(known, axis=0)) >= 3 and (timing.pulse_thrust or timing.carried_impulse)
     plain = scene(*PHASED, "thrusters.magnitude_error=0.01", *late[1:]).system().error_by_step
     assert np.all(known > plain)
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
@@ -274,7 +276,7 @@ def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(fir
     """The worst that any pattern of measurements can reach, worked out for many of them."""
     scenario, rng, share = scene(*MEASURED, MISSED, *filter(None, [first])), np.random.default_rng(1), 0.0
     system, h, parts = scenario.system(), 0.25, 40
-    observer, bound = system.observer, np.array(system.timing.measured)
+    observer, bound = system.observer, np.array(system.timing.measured_error)
     small, moved = expm(system.A * h / parts), expm(system.A * h / parts / 2) @ system.D
     for likely in np.linspace(0, 1, 60):
         left, reached, age = np.eye(system.n), np.zeros(system.n), rng.integers(0, 8 if first else 40)
@@ -296,7 +298,7 @@ def test_missed_periods_cost_what_the_theory_says():
     static, ratios = load_scenario("static").with_assignments(given), []
     for missed in (1, 3):
         system = static.with_assignments([f"timing.missed_periods={missed}"]).system()
-        ratios.append(np.max(np.array(system.timing.measured) / static.system().navigation))
+        ratios.append(np.max(np.array(system.timing.measured_error) / static.system().navigation))
     assert np.round(ratios, 2).tolist() == [1.04, 1.11]
 
 
@@ -339,8 +341,11 @@ def test_forged_observers_are_refused(more, tmp_path):
         after = [
             [[(float.fromhex(x) / 2).hex() for x in row] for row in M] for M in data["observer"]["after"]
         ]
-        measured = [(float.fromhex(x) * 0.99).hex() for x in data["timing"]["measured"]]
-        for verdict in (judged({"after": after}), judged(timing=data["timing"] | {"measured": measured})):
+        measured = [(float.fromhex(x) * 0.99).hex() for x in data["timing"]["measured_error"]]
+        for verdict in (
+            judged({"after": after}),
+            judged(timing=data["timing"] | {"measured_error": measured}),
+        ):
             assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
         assert judged({"after": after[:1]}).outcome == "REJECTED"
         if "by_age" in data["observer"]:

@@ -43,7 +43,7 @@ SOURCES = {
     "weak thruster": ['faults=[{kind="loss",share=0.2}]'],
     "weak thruster, late": ['faults=[{kind="loss",share=0.2,isolation_s=4.0}]'],
     "lost navigation": ['faults=[{kind="navigation_lost",lasts_s=20.0}]'],
-    "constant shares": ["thrusters.magnitude_error=0.05", "thrusters.varies=never"],
+    "constant shares": ["thrusters.magnitude_error=0.05", "thrusters.errors_vary=never"],
     "bias": ["system.bias_max_m_s2=[0.0,1e-6,0.0]"],
 }
 """Declarations by name."""

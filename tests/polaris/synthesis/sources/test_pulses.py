@@ -70,9 +70,9 @@ def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_per
     steps = 1000
     for plain in systems():
         fired, step, rng = plain.u_max, h / steps, np.random.default_rng(1)
-        timing = Timing(placed=placed, fired=tuple(fired), period=h, on_time=plain.thrusters)
+        timing = Timing(pulse_place=placed, pulse_thrust=tuple(fired), period=h, on_time=plain.thrusters)
         system = replace(plain, timing=timing)
-        bit, displaced = pulse_error(system, fired, h)
+        bit, state_offset = pulse_error(system, fired, h)
         lead, led = lead_of(system, h), 0.0
         s = (np.arange(steps) + 0.5) * step - h / 2
         carry, push = expm(system.A * step), expm(system.A * step / 2) * step
@@ -103,9 +103,9 @@ def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_per
                 d = carry @ d + push @ (one - other)
                 farthest = np.maximum(farthest, np.abs(d))
             largest = max(largest, np.abs(stands).max())
-            assert np.all(np.abs(d) <= 1e-6 * displaced)
-        assert largest <= bit * (1 + 1e-2) + 1e-9 and np.all(farthest <= displaced * (1 + 1e-2))
-        assert np.all(farthest >= 0.4 * displaced) and largest >= (0.5 if placed != "start" else 0.3) * bit
+            assert np.all(np.abs(d) <= 1e-6 * state_offset)
+        assert largest <= bit * (1 + 1e-2) + 1e-9 and np.all(farthest <= state_offset * (1 + 1e-2))
+        assert np.all(farthest >= 0.4 * state_offset) and largest >= (0.5 if placed != "start" else 0.3) * bit
         assert lead is None or led > 0.95
 
 
@@ -130,7 +130,7 @@ def test_flights_that_fire_keep_what_is_proven_and_are_displaced_as_much():
 def test_a_measurement_between_nodes_is_displaced_by_pulses():
     scenario = load_scenario(TINY).with_assignments([*PULSED, *ERRORS])
     grid = DecisionGrid.from_schedule(kept("pulsed", lambda: synthesize(scenario)))
-    pulsed, system = np.array(grid.system.timing.pulsed), grid.system
+    pulsed, system = np.array(grid.system.timing.intersample_offset), grid.system
     for age, more in ((0.0, 0.0), (0.4 * grid.period, pulsed)):
         observer = MeasurementCheck(
             grid, Durations(grid.period, 10 * grid.period, 0.01, 0.1, 1.0, 1.0), 1e6, 3
@@ -197,7 +197,7 @@ def test_forged_pulses_are_refused(tmp_path):
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.tree(CERTIFICATE)
 
-    without = {key: x for key, x in data["system"]["timing"].items() if key != "fired"}
+    without = {key: x for key, x in data["system"]["timing"].items() if key != "pulse_thrust"}
 
     def judged(timing=(), words=data["assumptions"], **system):
         system = data["system"] | system
@@ -205,19 +205,19 @@ def test_forged_pulses_are_refused(tmp_path):
         return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": words})})
 
     less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
-    smaller = [(0.99 * float.fromhex(x)).hex() for x in data["system"]["timing"]["displaced"]]
+    smaller = [(0.99 * float.fromhex(x)).hex() for x in data["system"]["timing"]["state_offset"]]
     weaker = [x.replace("thrusts [1, 1]", "thrusts [0.5, 0.5]") for x in data["assumptions"]]
     fewer = [x.replace("of 0.001 N s", "of 0.0005 N s") for x in data["assumptions"]]
     held = [x for x in data["assumptions"] if not x.startswith("pulses")]
     for verdict, claim in (
         (judged(thrusters=less), "system"),
-        (judged({"displaced": smaller}), "system"),
-        (judged({"fired": [(0.5).hex()] * 2}), "assumptions"),
-        (judged({"fired": [(0.5).hex()] * 2}, weaker), "system"),
-        (judged({"fired": []}, held), "format"),
-        (judged({"carried": (0.0005).hex()}), "assumptions"),
-        (judged({"carried": (0.0005).hex()}, fewer), "system"),
-        (judged({"pulsed": data["system"]["timing"]["displaced"]}), "system"),
+        (judged({"state_offset": smaller}), "system"),
+        (judged({"pulse_thrust": [(0.5).hex()] * 2}), "assumptions"),
+        (judged({"pulse_thrust": [(0.5).hex()] * 2}, weaker), "system"),
+        (judged({"pulse_thrust": []}, held), "format"),
+        (judged({"carried_impulse": (0.0005).hex()}), "assumptions"),
+        (judged({"carried_impulse": (0.0005).hex()}, fewer), "system"),
+        (judged({"intersample_offset": data["system"]["timing"]["state_offset"]}), "system"),
         (judged(words=held, timing=without), "system"),
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim), verdict
@@ -243,15 +243,15 @@ def test_the_place_of_pulses_is_proven_and_no_other_passes_for_it(placed, more, 
     assert forger.judge({}).outcome == "VERIFIED"
     data, scenario = forger.tree(CERTIFICATE), forger.tree("scenario.toml")
     system, timing = data["system"], data["system"]["timing"]
-    assert timing["placed"] == placed
+    assert timing["pulse_place"] == placed
     other = {"start": "staggered", "staggered": "start"}[placed]
-    for forged in (timing | {"placed": other}, {k: x for k, x in timing.items() if k != "placed"}):
+    for forged in (timing | {"pulse_place": other}, {k: x for k, x in timing.items() if k != "pulse_place"}):
         files = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": forged}})}
         assert forger.judge(files).outcome == "REJECTED"
     for pulse in ("held", "centred", other):
         forged = scenario | {"thrusters": scenario["thrusters"] | {"pulse": pulse}}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
-    for key in ("fired", "pulsed"):
+    for key in ("pulse_thrust", "intersample_offset"):
         less = [(0.99 * float.fromhex(x)).hex() for x in timing[key]]
         files = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": timing | {key: less}}})}
         assert forger.judge(files).outcome == "REJECTED", key
@@ -302,14 +302,17 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
 
     less = [x.replace("0.004 s earlier", "0.002 s earlier") for x in data["assumptions"]]
     assert judged(jitter=(0.002).hex()).claim == "assumptions"
-    verdicts = [judged(less, jitter=(0.002).hex()), judged(displaced=times(0.99, timing["displaced"]))]
+    verdicts = [judged(less, jitter=(0.002).hex()), judged(state_offset=times(0.99, timing["state_offset"]))]
     if pulse == "held":
         for key in ("along", "bit"):
             errors = thrusters | {key: (0.99 * float.fromhex(thrusters[key])).hex()}
             verdicts += [judged(errors=errors)]
     else:
         sooner = [x.replace("within 0.005 s", "within 0.003 s") for x in data["assumptions"]]
-        verdicts += [judged(pulsed=times(1.01, timing["pulsed"])), judged(sooner, edge=(0.003).hex())]
+        verdicts += [
+            judged(intersample_offset=times(1.01, timing["intersample_offset"])),
+            judged(sooner, edge=(0.003).hex()),
+        ]
     for verdict in verdicts:
         assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "assumptions"), verdict
     scenario = forger.tree("scenario.toml")
@@ -363,7 +366,12 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
 
     from polaris.certificate.claims.upkeep import _check, check_upkeep
 
-    known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
+    known = {
+        "pulse_thrust": fired,
+        "carried_impulse": carried,
+        "system_kind": "clohessy_wiltshire",
+        "mean_motion": 0.001,
+    }
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
     known = {
         "u_max": [arb(1)],
@@ -401,9 +409,9 @@ def test_what_is_carried_is_a_displacement_and_a_drift():
     """Fly impulses in multiples of a bit beside what stands for them: never further apart than is booked."""
     for system in systems():
         h, bit, rng = 2.0, 0.01, np.random.default_rng(4)
-        timing = Timing(carried=bit, period=h)
+        timing = Timing(carried_impulse=bit, period=h)
         Ad, Bd = discretize(system.A, system.B, h)
-        moved = np.array(predicting(system, Timing(carried=bit), h).timing.displaced)
+        moved = np.array(predicting(system, Timing(carried_impulse=bit), h).timing.state_offset)
         drift = discretize(system.A, replace(system, timing=timing).impulse_rates[:, : system.m], h)[1] / bit
         x = other = rng.normal(size=system.n)
         left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
@@ -426,9 +434,11 @@ def test_errors_of_what_is_carried_are_those_of_what_is_asked_for_and_a_displace
     share, bit, h, parts, rng = 0.3, 0.01, 2.0, 8, np.random.default_rng(6)
     for system in systems():
         exact, wrong = (replace(system, thrusters=Thrusters(along)) for along in (0.0, share))
-        drift = replace(wrong, timing=Timing(carried=bit, period=h)).impulse_rates[:, system.m :]
+        drift = replace(wrong, timing=Timing(carried_impulse=bit, period=h)).impulse_rates[:, system.m :]
         assert np.allclose(drift, share * bit * system.A @ system.B)
-        less, more = (predicting(each, Timing(carried=bit), h).timing.displaced for each in (exact, wrong))
+        less, more = (
+            predicting(each, Timing(carried_impulse=bit), h).timing.state_offset for each in (exact, wrong)
+        )
         moved, dt = np.array(more) - np.array(less), h / parts
         left, periods = np.zeros(system.m), []
         for _ in range(120):
@@ -493,7 +503,12 @@ def test_pulses_are_followed_within_a_period(placed):
     scenario = load_scenario("static", ["feedback.period_s=10"])
     system, h, steps = scenario.with_assignments([f"thrusters.pulse={placed}"]).system(), 10.0, 800
     firing, rng = Firing(), np.random.default_rng(3)
-    firing.system, firing.dt, firing.substeps, firing.fired = system, h, 1, np.array(system.timing.fired)
+    firing.system, firing.dt, firing.substeps, firing.fired = (
+        system,
+        h,
+        1,
+        np.array(system.timing.pulse_thrust),
+    )
     firing.asked = rng.uniform(-1, 1, (6, 3)) * system.u_max
     before = rng.normal(size=(6, 6))
     s = ((np.arange(steps) + 0.5) / steps)[:, None, None]
@@ -513,7 +528,7 @@ def test_pulses_are_followed_within_a_period(placed):
     bows = _pulsed(system, before[:, None], (held + firing.bow(0))[:, None], h, places[:, None])
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     true = true - held_path(system, h, before, other, places)
-    largest = np.array(system.timing.pulsed)
+    largest = np.array(system.timing.intersample_offset)
     for part in (slice(3), slice(3, 6)):  # positions, velocities
         size = np.abs(true[..., part]).max()
         assert np.abs(bows - true)[..., part].max() < 0.03 * size
@@ -607,12 +622,12 @@ def test_pulses_that_round_up_to_more_than_a_period_are_refused(pulse, weaker, c
     whole, lost = 0.25 * 2.0, ['faults=[{kind="loss",share=0.25}]'] * weaker
     given = ["feedback.period_s=0.25", "system.input_max=2.0", f"thrusters.pulse={pulse}", *lost]
     given.append(f"thrusters.impulse_bit_N_s={whole / count}")
-    assert load_scenario(TINY, [*given, "thrusters.remainder=carried"]).system().timing.fired
+    assert load_scenario(TINY, [*given, "thrusters.remainder=carried"]).system().timing.pulse_thrust
     document = {"faults": [{"kind": "loss", "share": 0.25}] * weaker}
     impulses = [arb(whole) * x for x in _strengths(document)]
     thrusters = {"impulse_bit_N_s": whole / count}
     if count == 4.0 or (count == 2.4 and not weaker):  # 3 of 3 bits with a quarter less; of 1.8 there are 2
-        assert load_scenario(TINY, given).system().timing.fired
+        assert load_scenario(TINY, given).system().timing.pulse_thrust
         _require_whole(thrusters, impulses)
     else:
         with pytest.raises(ScenarioError, match="choose a bit that divides it"):

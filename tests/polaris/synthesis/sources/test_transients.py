@@ -40,7 +40,7 @@ LOST = 'faults=[{kind="navigation_lost",lasts_s=1.0}]'
 KINDS = ("loss", "stuck_off", "stuck_on", "navigation_lost")
 
 
-def failing(scenario, seed):
+def faults(scenario, seed):
     """Assignments of a fault that is isolated late, of each kind in turn; thrusters come in twos."""
     rng, kind, u_max = np.random.default_rng(seed), KINDS[seed % 4], scenario.system().u_max
     step, m = scenario.step, len(u_max)
@@ -61,7 +61,7 @@ def made(seed, errors=False):
     scenario = exact(seed)
     given = [x for x in tables(scenario, seed, 0.05) if "thrusters" not in x] if errors else []
     try:
-        return synthesize(scenario.with_assignments([*given, *failing(scenario, seed)]))
+        return synthesize(scenario.with_assignments([*given, *faults(scenario, seed)]))
     except PolarisError:
         return None
 
@@ -188,7 +188,7 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     tracking = synthesize(load_scenario(TINY).with_assignments([*SOFT, given])).safety.tracking
     rows = np.vstack([tracking.system.position, tracking.gain])
     bound, box = (
-        tracking.transient_need(rows)[-1],
+        tracking.transient_tightening(rows)[-1],
         np.max([each.support(np.eye(len(each.added[0]))) for each in tracking.transients], axis=0),
     )
     reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
@@ -241,9 +241,9 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
     flow = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25 / parts)
     if given == LATE and not late:  # S flies all the time, and knows of the fault only by what it measures
         push, rows = flow.input_map(system.B), np.vstack([np.eye(8), tracking.commands])
-        bound, need = (
+        bound, tightening = (
             np.max([each.support(np.eye(len(each.added[0]))) for each in tracking.transients], axis=0),
-            tracking.transient_need(rows)[-1],
+            tracking.transient_tightening(rows)[-1],
         )
         for i in range(1 - round(fault.lasts / 0.25 * parts), 40 * parts + 1):
             wrong = fault.pushes[-1] * (i <= 0)
@@ -253,11 +253,11 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
                 off = system.observer.rest @ off
                 state = np.concatenate([moved_by, off])
                 command = -tracking.gain @ (moved_by + off)
-                assert np.all(np.abs(state) <= (bound if i <= 0 else need[:8]))
-                assert np.all(np.abs(tracking.gain @ (moved_by + off)) <= need[8:10])
+                assert np.all(np.abs(state) <= (bound if i <= 0 else tightening[:8]))
+                assert np.all(np.abs(tracking.gain @ (moved_by + off)) <= tightening[8:10])
                 assert i < 0 or i > 0 or np.max(np.abs(state) / np.maximum(bound, 1e-12)) > 0.5
     monkeypatch.setattr(
-        type(tracking), "transient_need", lambda self, rows: np.zeros((self.memory + 3, len(rows)))
+        type(tracking), "transient_tightening", lambda self, rows: np.zeros((self.memory + 3, len(rows)))
     )
     with pytest.raises(Rejected):
         checked(synthesize(scenario))
@@ -280,7 +280,10 @@ def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer)
     push, held = flow.input_map(system.B), whole.input_map(system.B)
     gain, measures = (system.observer.gain, system.observer.measures) if observed else (np.eye(4), np.eye(4))
     rows = np.vstack([np.eye(4), -np.eye(4)])
-    states, commands = tracking.transient_need(rows)[:, :4], tracking.transient_need(tracking.commands)[:, :2]
+    states, commands = (
+        tracking.transient_tightening(rows)[:, :4],
+        tracking.transient_tightening(tracking.commands)[:, :2],
+    )
     x, seen, shown, sent = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
     begin = length - fault.lasts / 0.25  # in periods; S flies from node `length` on
     for i in range(200):
@@ -373,13 +376,13 @@ def test_an_outage_moves_a_flight_by_no_more_than_it_needs(late):
             rows.append(np.hstack([x, -x, sent[-1], -sent[-1]]))
         flown.append(np.array(rows))
     reached = np.abs(flown[1] - flown[0]).sum(axis=1).max(axis=0)
-    need = np.concatenate(
+    tightening = np.concatenate(
         [
-            tracking.transient_need(np.vstack([np.eye(4), -np.eye(4)]))[-1],
-            tracking.transient_need(tracking.commands)[-1],
+            tracking.transient_tightening(np.vstack([np.eye(4), -np.eye(4)]))[-1],
+            tracking.transient_tightening(tracking.commands)[-1],
         ]
     )
-    assert np.all(reached <= need) and np.all(reached > 0.5 * need)
+    assert np.all(reached <= tightening) and np.all(reached > 0.5 * tightening)
 
 
 @pytest.mark.slow
@@ -396,7 +399,7 @@ def test_observers_go_with_late_faults_in_random_scenes():
         seen += [f"navigation.measurement.initial.state_error={(3 * widths).tolist()}"] if seed % 3 else []
         seen += [f"timing.delay_s={problem.period!r}"] if seed % 5 == 0 else []
         try:
-            schedule = synthesize(scenario.with_assignments([*failing(scenario, seed), *seen]))
+            schedule = synthesize(scenario.with_assignments([*faults(scenario, seed), *seen]))
         except PolarisError:
             continue
         assert checked(schedule), seed
@@ -415,7 +418,7 @@ def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
     schedule, late = synthesize(known), late.problem().system.transients
     object.__setattr__(schedule.safety.problem.system, "transients", late)
     search = falsify(schedule, 3000, 0)
-    assert search.failure is not None and search.case[0].failing is not None
+    assert search.failure is not None and search.case[0].faults is not None
     again, _ = replay(write_case(tmp_path / "case.json", known, search))
     assert again == search.failure
 
@@ -484,35 +487,35 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
     scenario = load_scenario(TINY).with_assignments([*SOFT, "recoverable.recourse=none"])
     faults = 'faults=[{kind="loss",share=0.1,isolation_s=0.3},{kind="navigation_lost",lasts_s=1.0}]'
     schedule = synthesize(scenario.with_assignments([faults]))
-    withheld, named = guarantee(schedule)["withheld"], set()
+    fault_attribution, named = guarantee(schedule)["fault_attribution"], set()
     safety, law, starts = schedule.safety, schedule.controllers[1], [schedule.safety.start]
     starts += [step.tube.end for step in schedule.steps]
-    for fault, transient in zip(withheld, safety.problem.system.transients, strict=True):
+    for fault, transient in zip(fault_attribution, safety.problem.system.transients, strict=True):
         assert (
             f"fault {fault['fault']} "
-            in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
+            in dict(besides({"upkeep": None, "fault_attribution": [fault]}))["Isolated late"]
         )
         for step in fault["steps"]:
             k, tube = step["step"], law.propagate(starts[step["step"]], step["step"])
             named.add(k)
             assert (
                 schedule.modes[k] == 0
-                and step["short"] > 0
+                and step["shortfall"] > 0
                 and not safety.recoverable.holds(k, tube.nodes, tube.bow)
             )
             assert safety.recoverable_with(()).holds(k, tube.nodes, tube.bow)
             least = safety.recoverable_with((transient,)).margin(k, tube.nodes, tube.bow)
-            assert (step["limit"], step["need"]) == (least.limit, least.need) and not least.inside
+            assert (step["limit"], step["tightening"]) == (least.limit, least.tightening) and not least.inside
     for k in set(np.flatnonzero(schedule.modes == 0).tolist()) - named:
         tube = law.propagate(starts[k], k)
         held = [
             sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.recoverable_with(()))
         ]
         assert held != [False, True]
-    assert named and "withheld" not in guarantee(synthesize(scenario))
+    assert named and "fault_attribution" not in guarantee(synthesize(scenario))
 
 
-WRONG = {"step": 12, "short": 0.0, "limit": "nothing", "controller": "S", "limit_step": 12, "t_s": -1.0}
+WRONG = {"step": 12, "shortfall": 0.0, "limit": "nothing", "controller": "S", "limit_step": 12, "t_s": -1.0}
 """Of a step that S flies because of a fault."""
 
 
@@ -540,15 +543,21 @@ def test_forged_transients_are_refused(tmp_path):
     for change in (shorter, weaker, fewer, other):
         verdict = forged(change)
         assert verdict.outcome == "REJECTED", change.__name__
-    document, withheld = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
+    document, fault_attribution = (
+        Document(forger.honest),
+        forger.tree("schedule.json")["guarantee"]["fault_attribution"],
+    )
     limits = limit_names(document)
-    assert check_attribution(document, withheld, limits) == withheld and withheld[0]["steps"]
+    assert (
+        check_attribution(document, fault_attribution, limits) == fault_attribution
+        and fault_attribution[0]["steps"]
+    )
     for part, lie in (
         (None, {"lasts_s": 0.2}),
         (None, {"fault": "stuck_off"}),
         *((0, {key: value}) for key, value in WRONG.items()),
     ):
-        other = copy.deepcopy(withheld)
+        other = copy.deepcopy(fault_attribution)
         (other[0] if part is None else other[0]["steps"][part]).update(lie)
         with pytest.raises(Rejected):
             check_attribution(document, other, limits)

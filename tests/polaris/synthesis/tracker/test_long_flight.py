@@ -34,8 +34,8 @@ def test_a_period_costs_no_more_than_with_every_error_at_its_own_worst_frequency
     s = tracking(**case)
     system, p, m = s.system, s.system.p, s.system.m
     highest = peaks(s)
-    noise = system.observer.noise if system.observer else np.array(system.timing.measured)
-    sizes = np.concatenate([noise, np.full(m, system.timing.carried)])
+    noise = system.observer.noise if system.observer else np.array(system.timing.measured_error)
+    sizes = np.concatenate([noise, np.full(m, system.timing.carried_impulse)])
     apart = sizes @ highest[p + m :] + system.w_max * highest[:p].max(axis=0)
     least = 8 / np.pi**2 * (sizes[:, None] * highest[p + m :]).max()
     assert least <= lasting(s)[1] <= 1.05 * apart.sum()

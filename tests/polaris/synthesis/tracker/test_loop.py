@@ -346,7 +346,7 @@ def handed_over(soft, nav, rng, size=20.0):
     return early
 
 
-def profile(limits, z, rounds=4):
+def feedback_bound(limits, z, rounds=4):
     """Bounds on commands after a hand-over in z (runs, N), not growing, (N + 2, m)."""
     K, P = limits.closed.K, limits.settled_bound()
     start = np.abs(np.einsum("lmn,pn->lpm", limits.carried(K), z)).max(axis=1)
@@ -382,7 +382,7 @@ def test_no_flight_exceeds_the_bounds_after_a_hand_over(plant, nav, delay):
     early, limits = handed_over(soft, nav, np.random.default_rng(7)), bounds(soft, nav, errors=errors)
     flight = attack(soft, nav, targets, errors, before=(before, early))
     z = soft.state(flight, before, nav == "observer")
-    P = profile(limits, z)
+    P = feedback_bound(limits, z)
     assert np.all(np.max(np.abs(flight.feedback[before:]), axis=1) <= P[:L] * (1 + 1e-12))
     share = shares(flight, targets, L, limits, P, before, z)
     print(f"{plant} {nav} {delay}: share {share:.3f}")
@@ -450,13 +450,13 @@ def test_a_remainder_is_handed_over_with_what_its_errors_displaced(nav, delay):
     early = handed_over(soft, nav, rng)
     flight = attack(soft, nav, targets, errors, rounds=1, before=(before, early), reference=reference)
     z, N = soft.state(flight, before, nav == "observer"), limits.closed.loop.N
-    displaced = np.zeros((N, m))  # as the last addition before the hand-over
-    displaced[:n] = soft.B
+    state_offset = np.zeros((N, m))  # as the last addition before the hand-over
+    state_offset[:n] = soft.B
     if delay:
-        displaced[n : 2 * n] = soft.B
+        state_offset[n : 2 * n] = soft.B
     elif nav == "observer":
-        displaced[-n:] = -soft.B
-    moved = np.abs(limits.carried(np.eye(n, N))[: L + 1] @ displaced).sum(axis=2) * soft.bit * 0.7
+        state_offset[-n:] = -soft.B
+    moved = np.abs(limits.carried(np.eye(n, N))[: L + 1] @ state_offset).sum(axis=2) * soft.bit * 0.7
     x, own = np.array(flight.x[before * CELLS :: CELLS]), limits.carried(np.eye(n, N))[: L + 1] @ z.T
     bound = own.transpose(0, 2, 1) + (limits.from_rest(np.eye(n, N), P)[: L + 1] + moved)[:, None]
     assert np.all(x <= bound + 1e-12)

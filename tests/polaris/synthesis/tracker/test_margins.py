@@ -217,9 +217,9 @@ def test_no_limit_is_left_out_however_late(first, period):
     late = range(begin + memory - 3, begin + memory + 7)
     for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
         for end in (0, 1) if node > begin else (0,):  # of the periods that begin and that end there
-            blocked, room = replace(clearance), clearance.limits.room.copy()
+            blocked, room = replace(clearance), clearance.limits.available.copy()
             room[end, node - end, 0] = -1.0
-            vars(blocked.limits)["room"] = room
+            vars(blocked.limits)["available"] = room
             assert not Continuation(blocked).margin_at(first, safety.start).inside, (node, end)
 
 
@@ -239,9 +239,9 @@ def test_limits_that_are_not_worked_out_are_never_the_tightest(period, monkeypat
 
 def test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it(period):
     clearance = small_safety(period).clearance
-    blocked, room = replace(clearance), clearance.limits.room.copy()
+    blocked, room = replace(clearance), clearance.limits.available.copy()
     room[0, clearance.planned * clearance.q + 1, 0] = -1.0
-    vars(blocked.limits)["room"] = room
+    vars(blocked.limits)["available"] = room
     for late in (0, 1, 5):
         first = clearance.planned + late
         assert Continuation(clearance).margin_at(first, 0 * small_safety(period).start).inside

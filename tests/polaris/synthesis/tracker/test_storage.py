@@ -21,7 +21,7 @@ from polaris.synthesis.tracker.storage import LinearStep, Weights
 from reach.sets.zonotope import Zonotope
 from tests.polaris.certificate.test_mean_spending import PERIODS, Flown
 from tests.polaris.random_scenarios import synthesised
-from tests.polaris.synthesis.schedule.test_hand_over import CASES, H, checker_needs, tracking
+from tests.polaris.synthesis.schedule.test_hand_over import CASES, H, checker_tightenings, tracking
 
 STEP = 12  # periods that have one set of weights
 
@@ -100,7 +100,7 @@ def spent_with(s, inputs, M, ways, left):
 
     Also where values would spend more. With a carried bit what is made is not less than a flight may make.
     """
-    u, own, carried = middles(s.system.m), np.diag(np.diag(M)), s.system.timing.carried > 0
+    u, own, carried = middles(s.system.m), np.diag(np.diag(M)), s.system.timing.carried_impulse > 0
     number = inputs.held + (inputs.enter.shape[1] - inputs.held) // 2  # errors that grow are flown by hand
     scale = np.ones(number)
     scale[inputs.held :] = np.resize(inputs.bits, number - inputs.held)
@@ -142,7 +142,7 @@ def test_no_flight_with_one_matrix_spends_more(case):
         M = np.reshape(signs, (m, m)) * s.system.matrix
         ways, left = (
             rng.normal(size=(PERIODS, count)),
-            rng.choice([-1, 1], (PERIODS + 1, m)) * s.system.timing.carried,
+            rng.choice([-1, 1], (PERIODS + 1, m)) * s.system.timing.carried_impulse,
         )
         for _ in range(4):
             total, ways = spent_with(s, inputs, M, ways, left)
@@ -156,7 +156,7 @@ def test_no_flight_with_one_matrix_spends_more(case):
 @pytest.mark.parametrize("case", MATRIX, ids=lambda case: "-".join(case) or "held")
 def test_both_programs_hold_the_matrix_alike(case):
     s, inputs = constant(case)
-    craft = checker_needs(s, None).craft
+    craft = checker_tightenings(s, None).craft
     loop = MeanCommands(
         craft, craft.plant.thruster_error(craft.plant.u_max), diagonal([arb(x) for x in s.worst_noise])
     )
@@ -218,7 +218,7 @@ def test_synthesis_and_checker_store_alike(case):
     whole = steps(s)[-3:]
     chosen = storage.weights(whole, nowhere(s))
     *_, store = storage.storage(whole, chosen)
-    craft = checker_needs(s, None).craft
+    craft = checker_tightenings(s, None).craft
     bands = diagonal([arb(x) for x in s.worst_noise])
     loop = MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), bands)
     after = checked.Storage(arb_mat(s.loop.N, s.loop.N), arb_mat(s.loop.N, 1), arb(0))
