@@ -10,7 +10,7 @@ same flight without that source. `--write` puts the table into docs/tightness.md
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from unittest.mock import patch
 
 import numpy as np
@@ -28,7 +28,6 @@ from .tightness import PLACE, Place, tightest
 SCENES = ("static", "dynamic")
 ROUNDS = 4
 BEGIN, END = "<!-- booked -->\n", "<!-- /booked -->"
-HEAD = "| Scene | booked for | booked [m] | flown [m] | flown / booked |"
 NAMES = {"start": "first errors", "disturbance": "disturbance", "estimate": "errors of estimates"}
 NAMES |= {"thrusters": "errors of thrusters", "carried impulse": "carried bit", "pulses": "pulses"}
 
@@ -83,20 +82,27 @@ def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[st
     return far, less
 
 
-def rows(scene: str) -> Iterator[str]:
-    """Return rows of the table for a scene, of its place with the least left."""
+def booked(scene: str) -> dict[str, tuple[float, float | None]]:
+    """Return what each source adds, and takes in flight [m], at the place of a scene with the least left."""
     schedule = synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP]))
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
     place = next(tightest(attacker))
     flights = [flown_by(attacker, place, end) for end in (0, 1)]
-    end = int(np.argmax([far / booked for (far, _), booked in zip(flights, place.booked, strict=True)]))
-    booked, (far, flown), whole = booked_by(schedule, place, end), flights[end], place.booked[end]
-    for name, size in booked.items():
-        took = flown.get(name)
-        cells = ("-", "-") if took is None else (f"{took:.2f}", f"{took / size:.0%}")
-        yield f"| {scene} | {NAMES[name]} | {size:.2f} | {' | '.join(cells)} |"
-    yield f"| {scene} | merged generators, between nodes | {whole - sum(booked.values()):.2f} | - | - |"
-    yield f"| {scene} | all | {whole:.2f} | {far:.2f} | {far / whole:.0%} |"
+    end = int(np.argmax([far / size for (far, _), size in zip(flights, place.booked, strict=True)]))
+    parts, (far, flown), whole = booked_by(schedule, place, end), flights[end], float(place.booked[end])
+    sizes = {NAMES[name]: (size, flown.get(name)) for name, size in parts.items()}
+    between = "merged generators, between nodes"
+    return sizes | {between: (whole - sum(parts.values()), None), "all": (whole, far)}
+
+
+def table(scenes: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of the table: a row for each source, two columns for each scene."""
+    sizes = {scene: booked(scene) for scene in scenes}
+    yield f"| Source | {' | '.join(f'{scene}, tightening [m] | flown [m]' for scene in scenes)} |"
+    yield "|---" * (2 * len(scenes) + 1) + "|"
+    for name in dict.fromkeys(name for each in sizes.values() for name in each):
+        cells = (x for each in sizes.values() for x in each.get(name, (None, None)))
+        yield f"| {name} | {' | '.join('-' if x is None else f'{x:.2f}' for x in cells)} |"
 
 
 def main() -> None:
@@ -105,11 +111,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=SCENES)
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
-    lines = [
-        HEAD,
-        "|---" * (HEAD.count("|") - 1) + "|",
-        *(row for scene in given.scenes for row in rows(scene)),
-    ]
+    lines = list(table(given.scenes))
     print(*lines, sep="\n")
     if given.write:
         before, rest = PLACE.read_text(encoding="utf-8").split(BEGIN)

@@ -107,28 +107,18 @@ def cell(results: Found) -> str:
     return ", ".join([f"{100 * results['share']:.1f}", *wrong])
 
 
-def table(
-    results: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
-) -> str:
-    """Return a row for each scene and error of which all sizes are known."""
-    sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
-    lines = [f"| Scene | Error | {sizes} | velocity change, m/s | proven/least (attacks) |"]
-    lines.append("|---" * (len(times) + 4) + "|")
-    for scene in scenes:
-        for error in errors:
-            row = [results[name] for size in times if (name := f"{scene}, {error}, {size:g}") in results]
-            if len(row) < len(times):
-                continue
-            ends = (one for one in (row[0], *row[1:][-1:]) if "reason" not in one)
-            spent = " to ".join(f"{one['delta_v_m_s']:.2f}" for one in ends) or "-"
-            attack = row[-1].get("attacks")
-            margins = "-"
-            if attack is not None:
-                ratio = [limit["proven_share"] for limit in attack["limits"] if limit["proven_share"]]
-                margins = f"{100 * min(ratio, default=0):.0f} to {100 * max(ratio, default=0):.0f} %"
-                margins += f" ({attack['runs']:,})"
-            lines.append(f"| {' | '.join([f'`{scene}`', error, *map(cell, row), spent, margins])} |")
+def table(results: Mapping[str, Found], size: float) -> str:
+    """Return a row for each error at a size, with the share of U and the velocity change in each scene."""
+    lines = [f"| Error | {' | '.join(f'`{scene}`' for scene in SCENES)} |", "|---" * (len(SCENES) + 1) + "|"]
+    for error in ERRORS:
+        each = [results.get(f"{scene}, {error}, {size:g}") for scene in SCENES]
+        cells = (f"{cell(one)}{_spent(one)}" if one else "-" for one in each)
+        lines.append(f"| {error} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _spent(results: Found) -> str:
+    return f" ({results['delta_v_m_s']:.2f})" if "delta_v_m_s" in results else ""
 
 
 def together(results: Mapping[str, Found], scenes: Sequence[str]) -> str:
@@ -185,13 +175,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             known[name] = judged(scene, sets, attacks, given.out / name.replace(", ", "-").replace(" ", "-"))
             kept.write_text(json.dumps(known, indent=1))
         print(f"{name}: {cell(known[name])}", flush=True)
-    place = "together" if given.together else NAME
-    text = (
-        together(known, given.scenes) if given.together else table(known, given.scenes, errors, given.times)
-    )
+    text = together(known, given.scenes) if given.together else table(known, given.times[-1])
     print(f"\n{text}")
     if given.write:
-        COSTS.write_text(renew(COSTS.read_text(encoding="utf-8"), place, text), encoding="utf-8")
+        page = COSTS.read_text(encoding="utf-8")
+        page = renew(page, "together", text) if given.together else put(page, NAME, text)
+        COSTS.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Clauses that a mission near another spacecraft answers, each with the files of a run that answer it.
 
-``docs/assurance.md`` has the same rows, and the dossier puts the values of one run beside them.
+``docs/assurance.md`` has the clauses, and the dossier puts the values of one run beside them.
 """
 
 from dataclasses import dataclass
@@ -189,8 +189,3 @@ CLAUSES = (
         ESA, "Verification and validation", "", (CHECK, ALLOWED, MODEL, RUNS, ENTER), "hardware in the loop"
     ),
 )
-
-
-def addresses(clause: Clause) -> str:
-    """Return the addresses of what answers a clause, as the page on assurance has them."""
-    return ", ".join(f"`{one.address}`" for one in clause.evidence)

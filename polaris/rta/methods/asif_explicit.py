@@ -34,15 +34,12 @@ class ExplicitASIF(Method):
     """
 
     key, name, place = "asif_explicit", "Explicit ASIF", 7
-    how = (
-        "barrier functions of every obstacle (closing speed from which full thrust can brake), nearest input"
-        " by a quadratic program"
-    )
+    how = "nearest input by barrier functions of every obstacle (speed from which full thrust can brake)"
     options = (
         Option(
             "alpha",
-            "slope of the class-K function: by what share per second a barrier may fall [1/s]",
-            f"{SLOPE:g}, divided by the duration of the flight",
+            "share by which a barrier may fall per second [1/s]",
+            f"{SLOPE:g} per duration of the flight",
             (2, 5, 10, 20, 50, 200, 1000),
             "per duration",
             partial(positive, unit="1/s"),

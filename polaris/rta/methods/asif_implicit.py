@@ -40,10 +40,7 @@ class ImplicitASIF(Method):
     """
 
     key, name, place, proven = "asif_implicit", "Implicit ASIF", 8, True
-    how = (
-        "nearest input from which S can still take over; rows of the recoverable sets, exact in discrete"
-        " time, estimate error and disturbance booked"
-    )
+    how = "nearest input from which S can still take over, by rows of the recoverable sets, with all errors"
     options = (
         Option(
             "slope",

@@ -73,8 +73,8 @@ class Monitor(Method):
 
     key, name, place, proven = "monitor", "Polaris online monitor", 3, True
     how = (
-        "U flies if everything that any input within the thrust limits can reach until the next decision"
-        " takes effect is recoverable ([more](online-monitor.md))"
+        "all that any thrust can reach until the next decision takes effect is recoverable"
+        " ([more](online-monitor.md))"
     )
     options = (
         Option(
@@ -84,9 +84,7 @@ class Monitor(Method):
             REENTRIES,
             check=_reentry,
         ),
-        Option(
-            "dwell", "decisions for which S keeps control once it has it", "1", DWELLS, "decisions", _dwell
-        ),
+        Option("dwell", "decisions for which S keeps control", "1", DWELLS, "decisions", _dwell),
     )
     reasons = ("U is recoverable", "U is not recoverable", "S keeps control: dwell or re-entry margin")
 
@@ -270,7 +268,7 @@ class DeclaredMonitor(Monitor):
     """`Monitor` that trusts U's declared law."""
 
     key, name, place = "monitor_declared", "Polaris online monitor, U at its declared law", 4
-    how = "everything that U can reach at its declared law is recoverable"
+    how = "all that U can reach at its declared law is recoverable"
 
     def __init__(self, grid: DecisionGrid, dwell: int = 1, reentry: float = REENTRY) -> None:
         super().__init__(grid, "declared", dwell, reentry)

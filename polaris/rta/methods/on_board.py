@@ -19,7 +19,7 @@ class Compiled(PrecomputedSchedule):
     """
 
     key, name, place = "code", "Flight code in C", 2
-    how = "the Polaris schedule, and S, as [compiled C](flight-code.md) that is called every control period"
+    how = "the schedule, and S, as [compiled C](flight-code.md)"
 
     def __init__(self, grid: DecisionGrid, code: FlightCode | None = None) -> None:
         super().__init__(grid)
@@ -57,10 +57,7 @@ class MonitorOnBoard(Method):
     """
 
     key, name, place, proven = "monitor_code", "Polaris online monitor in C", 3, True
-    how = (
-        "the online monitor of flight code (`--code`), which decides every control period by"
-        " [compact tables](flight-code.md#the-online-monitor)"
-    )
+    how = "the monitor of flight code (`--code`), by [compact tables](flight-code.md#the-online-monitor)"
     reasons = ("U asks",)
 
     def __init__(self, grid: DecisionGrid, code: FlightCode | None = None) -> None:

@@ -23,10 +23,7 @@ class ExplicitSimplex(Latched):
     """
 
     key, name, place, proven = "simplex_explicit", "Explicit simplex", 5, True
-    how = (
-        "a ball of the tracker's norm inside the recoverable set, written down per instant; once it might be"
-        " left, S flies for good"
-    )
+    how = "U flies in a ball inside the recoverable set; once it might be left, S flies for good"
     reach = "state estimate within its error bound, U within the thrust limits"
 
     def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
@@ -70,7 +67,7 @@ class ImplicitSimplex(Latched):
     """
 
     key, name, place, predicts = "simplex_implicit", "Implicit simplex", 6, True
-    how = "S is predicted, undisturbed, from where U would be at the next decision; latched"
+    how = "undisturbed S is predicted from where U would be at the next decision; latched"
     options = (keep_clear(0.5),)
     apart = 0.5
 

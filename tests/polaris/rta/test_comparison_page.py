@@ -88,9 +88,9 @@ def made_by(row):
     }[row.split(", ")[0]]
 
 
-MONITOR, SCHEDULE, LIMITS = "Polaris online monitor", "Polaris schedule", "Polaris online monitor, U at"
+MONITOR, SCHEDULE = "Polaris online monitor", "Polaris schedule"
 EXPLICIT, IMPLICIT, AHEAD = "Explicit ASIF", "Implicit ASIF", "Look-ahead by simulation"
-SHARE, COST, AWAY, NEAR = "Share of U", "Delta-v m/s", "Deviation", "Least distance m"
+SHARE, COST = "Share of U", "Delta-v m/s"
 SWITCHES, HITS = "Switches", "Violations"
 
 
@@ -104,13 +104,7 @@ def test_the_words_of_the_page_follow_from_its_tables():
     for row in (AHEAD, "Forward reachability"):
         assert [value(name, row, HITS) for name in page.SCENES] == [0, 0, 0]
     ahead = swept["simulation.horizon, buffer"]
-    horizon, buffer = defaults["simulation.horizon, buffer"]
-    assert all(cells["static"].violations for (_, kept), cells in ahead.items() if not kept)
-    best = f"{AHEAD}, horizon, buffer = {horizon / 2:g} of the duration, {buffer:g} half widths of Θ"
-    assert (best in rows(TABLES["static"]), buffer * 3.0) == (True, pytest.approx(0.6))
-    assert value("static", best, HITS) == 0 and rows(TABLES["static"])[best]["Proven"] == "no"
-    assert value("static", best, SHARE) - value("static", MONITOR, SHARE) == pytest.approx(0.01, abs=0.005)
-    assert ratio("static", best, SCHEDULE, COST) == pytest.approx(1, abs=0.02)
+    horizon, _ = defaults["simulation.horizon, buffer"]
     assert all(
         cells["robot"].violations == page.RUNS for (far, _), cells in ahead.items() if far == horizon / 2
     )
@@ -118,19 +112,6 @@ def test_the_words_of_the_page_follow_from_its_tables():
     for name in page.SCENES:
         more = value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE)
         assert -0.045 < more < -0.035 if name == "static" else 0 < more < 0.03
-        trusting = value(name, LIMITS, SHARE) - value(name, MONITOR, SHARE)
-        assert trusting < {"static": 0.035, "dynamic": 0.0, "robot": 0.01}[name]
-        assert 0.97 < ratio(name, MONITOR, SCHEDULE, COST) < (1.1 if name == "dynamic" else 1.03)
-        assert value(name, MONITOR, NEAR) <= value(name, SCHEDULE, NEAR)
-        assert 0 <= value(name, MONITOR, SWITCHES) - value(name, SCHEDULE, SWITCHES) < 1
-        reentry, dwell = (
-            {at: cells[name] for (at,), cells in swept[f"monitor.{option}"].items()}
-            for option in ("reentry", "dwell")
-        )
-        left = {"static": 1.0, "dynamic": 0.55, "robot": 1 / 3}[name]
-        assert reentry[0.1].switches < reentry[0.0].switches * left + 0.05
-        assert reentry[0.0].share - reentry[0.1].share < 0.03
-        assert max(cell.objective for cell in dwell.values()) < dwell[1].objective + page.DEARER
     # All that fly S's reference.
     others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
     assert len(others) > 8
@@ -138,31 +119,13 @@ def test_the_words_of_the_page_follow_from_its_tables():
     # Filters.
     for name in ("static", "dynamic"):
         assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
-        assert 2 < ratio(name, EXPLICIT, MONITOR, AWAY) < 4.2
-    assert ratio("robot", EXPLICIT, MONITOR, COST) < 1
-    filtered = swept["asif_explicit.alpha, buffer"]
-    clear = [cells["dynamic"].delta_v for (_, kept), cells in filtered.items() if not (kept or hits(cells))]
-    assert 1.7 < max(clear) / min(clear) < 2
-    steepest = [cells for (alpha, _), cells in filtered.items() if alpha == max(filtered)[0]]
-    assert all(cells[name].violations for cells in steepest for name in page.SCENES)
     for name in page.SCENES:
         assert ratio(name, IMPLICIT, MONITOR, COST) == pytest.approx(1, abs=0.03)
-        more = value(name, IMPLICIT, SHARE) - value(name, MONITOR, SHARE)
-        assert more == pytest.approx(0.03, abs=0.005) if name == "static" else more < 0
-        slopes = [
-            cells[name] for (_, kept), cells in swept["asif_implicit.slope, buffer"].items() if not kept
-        ]
-        spent, shares = [one.delta_v for one in slopes], [one.share for one in slopes]
-        assert spent == sorted(spent) and shares == sorted(shares)
     # Simplex.
     for name in page.SCENES:
         assert value(name, "Explicit simplex", SHARE) < 0.35 and value(name, "Implicit simplex", SHARE) < 0.35
-    plain, *_, furthest = swept["simplex_implicit.buffer"].values()
-    assert plain["robot"].violations == pytest.approx(page.RUNS / 2, abs=2) and plain["static"].violations > 0
-    for name in page.SCENES:
-        assert furthest[name].violations == 0 == value(name, "Implicit simplex", HITS)
-        assert plain[name].share - furthest[name].share < 0.01
-    assert max(page.VALUES["simplex_implicit.buffer"]) == defaults["simplex_implicit.buffer"]
+    plain = next(iter(swept["simplex_implicit.buffer"].values()))
+    assert plain["robot"].violations == pytest.approx(page.RUNS / 2, abs=2)
     proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
     assert proved and all(row[HITS] == "0" for row in proved)
 
@@ -174,10 +137,6 @@ MUST = [("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)]
 def test_the_monitor_is_worth_flying(name, share, switches, spent):
     assert value(name, MONITOR, SHARE) >= share
     assert value(name, MONITOR, SWITCHES) <= switches and value(name, MONITOR, COST) <= spent
-
-
-def hits(cells):
-    return cells["dynamic"].violations
 
 
 def test_the_rule_prefers_safety_then_closeness_then_u():

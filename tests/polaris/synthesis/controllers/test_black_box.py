@@ -1,7 +1,6 @@
 """Black boxes: what samples say of them, what they do not say, and that nobody calls it proven."""
 
 import json
-import re
 import shlex
 import shutil
 import sys
@@ -9,7 +8,6 @@ import time
 import tomllib
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +41,6 @@ from reach.sets.zonotope import Zonotope
 from tests.polaris.random_scenarios import random_scenario
 from tests.polaris.tiny import TINY
 
-ROOT = Path(__file__).resolve().parents[4]
 PERIOD = 0.25
 TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
 LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
@@ -267,22 +264,27 @@ def test_certainty_is_refused_with_the_open_interval(asked):
         synthesize_sampled(None, safety(), [box()], **asked)
 
 
+RARE = (
+    # share of starts with the fault; flights outside, of how many; bound and true share [%]; first step under
+    (0.001, 0, 1104, 0.69, 0.06, "box"),
+    (0.005, 3, 1104, 1.26, 0.6, "box"),
+    (0.02, 0, 1104, 0.69, 0.0, "S"),
+    (0.2, 0, 1104, 0.69, 0.0, "S"),
+)
+"""Full thrust the wrong way in a strip of the initial set, where 2 % of all flights may leave the bands."""
+
+
 @pytest.mark.slow
-def test_the_page_shows_what_becomes_of_a_fault():
+@pytest.mark.parametrize(("share", "outside", "flights", "bound", "true", "by"), RARE)
+def test_a_frequent_fault_is_seen_and_a_rare_one_need_not_be(share, outside, flights, bound, true, by):
     """A frequent one is seen: the sets of the first step hold it, or the box does not fly that step."""
-    page = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| ([\d.]+) % \| (\d+) of (\d+) \| ([\d.]+) % \| ([\d.]+) % \| (\w+) \|$", page, re.M
-    )
-    assert len(rows) == 4
-    for share, *shown, by in rows:
-        result = sampled(faulty(float(share) / 100 * 0.05), probability=0.02)
-        said, schedule = result.schedule.sampled_bound, result.schedule
-        near = leaving(schedule, 5000)
-        row = [said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)]
-        assert [float(x) for x in shown] == row and near <= said.probability <= 0.02
-        assert by == ("box", "S")[int(schedule.modes[0] == 0)] and result.worst.failure is None
-        assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
+    result = sampled(faulty(share * 0.05), probability=0.02)
+    said, schedule = result.schedule.sampled_bound, result.schedule
+    near = leaving(schedule, 5000)
+    row = said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)
+    assert row == (outside, flights, bound, true) and near <= said.probability <= 0.02
+    assert by == ("box", "S")[int(schedule.modes[0] == 0)] and result.worst.failure is None
+    assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
 
 
 @pytest.mark.parametrize("errors", ["all", *(pytest.param(x, marks=pytest.mark.slow) for x in APART)])

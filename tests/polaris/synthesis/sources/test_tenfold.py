@@ -19,10 +19,12 @@ def test_rows_are_told_of_what_has_been_found():
         "static, misalignment, 1": row,
         "static, misalignment, 10": {"reason": "the start", "exit_code": 3},
     }
-    lines = tenfold.table(results, ("static",), list(tenfold.ERRORS), (1.0, 10.0)).splitlines()[2:]
-    assert lines == [
-        "| `static` | misalignment | 50.0 | none (3) | 1.25 | - |",
-        "| `static` | mass | 50.0 | 10.0, REJECTED | 1.25 to 1.25 | 35 to 35 % (600) |",
+    head, _, *lines = tenfold.table(results, 10.0).splitlines()
+    assert head == "| Error | `static` | `dynamic` | `keep_out` | `hold_point` |"
+    assert [line for line in lines if not line.endswith("| - | - | - | - |")] == [
+        "| delay | 50.0 (1.25) | - | - | - |",
+        "| misalignment | none (3) | - | - | - |",
+        "| mass | 10.0, REJECTED (1.25) | - | - | - |",
     ]
     broken = results["static, mass, 10"] | {"attacks": attack | {"violated": True}}
     assert tenfold.cell(broken) == "10.0, REJECTED, VIOLATED"
@@ -47,9 +49,12 @@ def test_the_page_has_every_cell_and_each_is_confirmed():
     table = (
         tenfold.COSTS.read_text(encoding="utf-8").split("<!-- table tenfold -->")[1].split("<!-- end -->")[0]
     )
-    rows = [[cell.strip(" `") for cell in row.split("|")] for row in table.splitlines() if row[:3] == "| `"]
-    assert [tuple(row[1:3]) for row in rows] == [(s, e) for s in tenfold.SCENES for e in tenfold.ERRORS]
-    assert all(0 <= float(row[3]) <= 100 and re.fullmatch(r"\d+ to \d+ % \(\d+\)", row[5]) for row in rows)
+    head, _, *rows = (line.strip("| ").split(" | ") for line in table.strip().splitlines())
+    assert head == ["Error", *(f"`{scene}`" for scene in tenfold.SCENES)]
+    assert [row[0] for row in rows] == list(tenfold.ERRORS)
+    cells = [re.fullmatch(r"(\d+\.\d) \(\d+\.\d\d\)", one) for row in rows for one in row[1:]]
+    assert len(cells) == len(rows) * len(tenfold.SCENES)
+    assert all(one is not None and 0 <= float(one[1]) <= 100 for one in cells)
 
 
 @pytest.mark.slow
