@@ -30,6 +30,9 @@ INSPECTION_FILE = "inspection.schema.json"
 REFERENCE_FILE = "scenario-reference.md"
 
 WIDTH = 100  # columns of a line of Markdown
+LARGE = 360  # from which on a bound of a number is a sanity check, which its message explains
+OF_STATES = {"m, m/s", "SI"}  # units that the text of the page tells for all
+MOST_WORDS = 5  # words of a list that are enumerated; the description of longer ones says where they are
 DOCS = Path(__file__).resolve().parents[1]
 
 
@@ -96,11 +99,11 @@ def reference_text() -> str:
 
 
 def _schedule_lines() -> Iterator[str]:
-    """Top level, then every table with what it may hold."""
+    """Yield the top level, then every table with its keys."""
     whole = schema()
     tables = whole["$defs"]
     homes = _homes(whole)
-    yield from ("## Top level", "", *_fields(whole, tables))
+    yield from ("## Top level", "", *_top(whole, tables))
     described = False  # what a controller follows is described once
     for key, node in whole["properties"].items():
         members = list(_members(node, tables))
@@ -108,9 +111,15 @@ def _schedule_lines() -> Iterator[str]:
             continue
         heading = _heading(key, node)
         rows: dict[str, str] = {}
+        inner_tables: dict[str, Any] = {}
+        if len(members) == 1:
+            fields = members[0]["properties"]
+            inner_tables = {name: inner for name, inner in fields.items() if any(_members(inner, tables))}
+            plain = {name: inner for name, inner in fields.items() if name not in inner_tables}
+            members = [{**members[0], "properties": plain}]
         yield from ("", f"## `{heading}`")
         yield from _choices(node, members, tables, "" if key == "recoverable" else "###", heading, rows)
-        for name, inner in members[0]["properties"].items() if len(members) == 1 else ():
+        for name, inner in inner_tables.items():
             if parts := list(_members(inner, tables)):
                 inside = _heading(f"{key}.{name}", inner)
                 yield from ("", f"### `{inside}`")
@@ -118,16 +127,18 @@ def _schedule_lines() -> Iterator[str]:
                 if own != parts:
                     yield from ("", inner["description"])
                 yield from _choices(inner if own == parts else {}, own, tables, "####", inside, rows)
+                elsewhere: dict[str, list[str]] = {}
                 for part in parts:
                     if part not in own:
-                        place, kinds = homes[json.dumps(part, sort_keys=True)], _kinds(part)
-                        yield from ("", f"#### {kinds}", "", f"As {kinds} of `{place}`.")
+                        elsewhere.setdefault(homes[json.dumps(part, sort_keys=True)], []).append(_kinds(part))
+                for place, kinds in elsewhere.items():
+                    yield from ("", *_wrapped(f"{', '.join(kinds)}: as in `{place}`."))
         for member in members:
             reference = member["properties"].get("reference")
             if reference and not described:
                 described = True
                 yield from ("", "#### `reference` of a controller")
-                yield from _choices({}, list(_members(reference, tables)), tables, "#####", "reference", {})
+                yield from _choices({}, list(_members(reference, tables)), tables, "#####", "reference")
 
 
 def _homes(whole: dict[str, Any]) -> dict[str, str]:
@@ -140,32 +151,39 @@ def _homes(whole: dict[str, Any]) -> dict[str, str]:
 
 
 def _inspection_lines() -> Iterator[str]:
-    """Top level by kind, then every table once."""
+    """Yield the top level of each kind, then every table once."""
     tables, homes = inspection_schema()["$defs"], _homes(schema())
-    seen: dict[str, str] = {}
+    seen = set[str]()
     tops: dict[str, str] = {}
     for kind, model in INSPECTIONS.items():
         whole = tables[model.__name__]
-        yield from ("", f'## `kind = "{kind}"`', "", whole["description"], "")
-        yield from _fields(whole, tables, f'`kind = "{kind}"`', tops)
+        yield from ("", f'## `kind="{kind}"`', "", whole["description"], "")
+        yield from _top(whole, tables, f'`kind="{kind}"`', tops)
+        earlier: dict[str, list[str]] = {}
+        parts: list[str] = []
         for key, node in whole["properties"].items():
             members = list(_members(node, tables))
-            names = json.dumps(members, sort_keys=True)
+            names = key + json.dumps(members, sort_keys=True)
             if not members:
                 continue
             heading = _heading(key, node)
-            yield from ("", f"### `{heading}` of `{kind}`")
             if names in seen:
-                yield from ("", f"As `{heading}` of `{seen[names]}`.")
+                earlier.setdefault("above", []).append(f"`{heading}`")
                 continue
             if len(members) == 1 and (place := homes.get(json.dumps(members[0], sort_keys=True))):
-                yield from ("", f"As `{place}` of a schedule's scenario, above.")
+                assert place == heading
+                earlier.setdefault("for schedules", []).append(f"`{heading}`")
                 continue
-            seen[names] = kind
-            yield from _choices(node, members, tables, "#####", heading, {})
+            seen.add(names)
+            parts += ["", f"### `{heading}`"]
+            parts += _choices(node, members, tables, "#####", heading)
             if key == "strengthening":
-                yield from ("", "#### Function of one kind of constraint")
-                yield from _choices({}, [tables["Alpha"]], tables, "###", heading, {})
+                parts += ["", "#### Function of one kind of constraint"]
+                parts += _choices({}, [tables["Alpha"]], tables, "", heading)
+        if earlier:
+            said = "; ".join(f"{', '.join(named)}: as {place}" for place, named in earlier.items())
+            yield from ("", *_wrapped(f"{said}."))
+        yield from parts
 
 
 def _heading(key: str, node: dict[str, Any]) -> str:
@@ -175,7 +193,20 @@ def _heading(key: str, node: dict[str, Any]) -> str:
 def _kinds(member: dict[str, Any]) -> str:
     """Return the lines of TOML that choose a table, or nothing."""
     kind = member["properties"].get("kind")
-    return " or ".join(f'`kind = "{word}"`' for word in _words(kind)) if kind else ""
+    return " or ".join(f'`kind="{word}"`' for word in _words(kind)) if kind else ""
+
+
+def _top(
+    whole: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
+) -> Iterator[str]:
+    """Yield the keys of a file's top level, then the names of its tables."""
+    held = {key: node for key, node in whole["properties"].items() if any(_members(node, tables))}
+    plain = {key: node for key, node in whole["properties"].items() if key not in held}
+    yield from _fields({**whole, "properties": plain}, tables, place, rows)
+    named = [f"`{_heading(key, node)}`" for key, node in held.items() if key in whole["required"]]
+    if named:
+        text = f"Required {'table' if len(named) == 1 else 'tables'}: {', '.join(named)}."
+        yield from ("", *_wrapped(f"{text} The others are optional."))
 
 
 def _choices(
@@ -184,18 +215,31 @@ def _choices(
     tables: dict[str, Any],
     level: str,
     heading: str,
-    rows: dict[str, str],
+    rows: dict[str, str] | None = None,
 ) -> Iterator[str]:
-    """Every table that a field may hold: its kind (none without a level), what it is, its fields."""
-    if len(members) > 1 and node:
+    """Yield every table that a field may hold: its kind (none without a level), its meaning, its fields.
+
+    Fields that all of several tables share come first.
+    """
+    rows = {} if rows is None else rows
+    if len(members) > 1 and node and not _named(heading, node["description"]):
         yield from ("", *_wrapped(node["description"]))
+    first, *others = members
+    shared = {
+        key: entry
+        for key, entry in first["properties"].items()
+        if others and key != "kind" and all(_row(m, key, tables) == _row(first, key, tables) for m in others)
+    }
+    if shared:
+        yield from ("", *_fields({**first, "properties": shared}, tables))
     for member in members:
         kinds = _kinds(member) if level else ""
         if kinds:
             yield from ("", f"{level} {kinds}")
         for paragraph in member["description"].split("\n\n"):
             yield from ("", *_wrapped(" ".join(paragraph.split())))
-        if fields := list(_fields(member, tables, kinds or f"`{heading}`", rows)):
+        own = {key: entry for key, entry in member["properties"].items() if key not in shared}
+        if fields := list(_fields({**member, "properties": own}, tables, kinds or f"`{heading}`", rows)):
             yield from ("", *fields)
 
 
@@ -213,27 +257,60 @@ def _members(node: dict[str, Any], tables: dict[str, Any]) -> Iterator[dict[str,
 def _fields(
     table: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
 ) -> Iterator[str]:
-    """Yield an item for each field but a `kind` in the heading, and the places of those in `rows` already."""
+    """Yield items for the fields but a `kind` in the heading, and the places of those in `rows` already.
+
+    Fields in sequence with equal values and descriptions share an item.
+    """
     rows = {} if rows is None else rows
-    lines: list[str] = []
+    items: list[tuple[list[str], str | None]] = []
     elsewhere: dict[str, list[str]] = {}
     for key, node in table["properties"].items():
         if key == "kind" and place and len(_words(node)) == 1:
             continue
-        shown = _default(node) if key not in table.get("required", ()) else "required"
-        kinds = _value(node, tables) + f" [{node['unit']}]" * (node["unit"] != "-")
-        row = f"- `{key}` ({', '.join(filter(None, (kinds, shown)))}): {node['description']}"
-        if rows.setdefault(row, place) == place:
-            lines += _wrapped(row, "  ")
+        row = _row(table, key, tables)
+        if rows.setdefault(f"{key}{row}", place) != place:
+            elsewhere.setdefault(rows[f"{key}{row}"], []).append(f"`{key}`")
+        elif items and items[-1][1] == row:
+            items[-1][0].append(f"`{key}`")
         else:
-            elsewhere.setdefault(rows[row], []).append(f"`{key}`")
-    yield from lines
-    if lines and elsewhere:
+            items.append(([f"`{key}`"], row))
+    for keys, row in items:
+        yield from _wrapped(f"- {', '.join(keys)}{row}", "  ")
+    if items and elsewhere:
         yield ""
     if elsewhere:
         yield from _wrapped(
             "; ".join(f"{', '.join(keys)}: as in {at}" for at, keys in elsewhere.items()) + "."
         )
+
+
+def _row(table: dict[str, Any], key: str, tables: dict[str, Any]) -> str | None:
+    """Return the value of a field and its description, unless the key says that; None if there is none."""
+    node = table["properties"].get(key)
+    if node is None:
+        return None
+    shown = "required" if key in table.get("required", ()) else _default(node)
+    text = node["description"]
+    words = _words(node)
+    kinds = "" if words and all(f"`{word}`" in text for word in words) else _value(node, tables)
+    if node.get("type") == "boolean" or kinds == "number":
+        kinds = ""
+    if not key.endswith(_ending(node["unit"])) and node["unit"] not in OF_STATES:
+        kinds += f" [{node['unit']}]"
+    value = ", ".join(filter(None, (kinds.strip(), shown)))
+    return (f" ({value})" if value else "") + ("" if _named(key, text) else f": {text}")
+
+
+def _named(key: str, text: str) -> bool:
+    """Return True if a description says no more than its key."""
+    return set(re.findall(r"\w+", text.lower())) <= {*re.findall("[a-z0-9]+", key.lower()), "of", "the"}
+
+
+def _ending(unit: str) -> str:
+    """Return the end of a key that says a unit."""
+    if unit == "-":
+        return ""
+    return "_" + re.sub("[ /]", "_", unit.replace("^", ""))
 
 
 def _wrapped(text: str, indent: str = "") -> list[str]:
@@ -244,7 +321,9 @@ def _wrapped(text: str, indent: str = "") -> list[str]:
 def _default(node: dict[str, Any]) -> str:
     """Return the default of a field that may be left out, or nothing if the description says it."""
     default = node.get("default")
-    return "" if default in (None, "", []) else f"default `{json.dumps(default)}`"
+    number = isinstance(default, int | float) and not isinstance(default, bool)
+    shown = exact(default) if number else f"`{json.dumps(default)}`"
+    return "" if default in (None, "", []) else f"default {shown}"
 
 
 def _words(node: dict[str, Any]) -> list[str]:
@@ -259,18 +338,20 @@ def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
         return "list of tables" if node.get("type") == "array" else "table"
     choices = [choice for choice in node.get("oneOf", node.get("anyOf", ())) if choice.get("type") != "null"]
     values = [_value(choice, tables) for choice in choices]
-    if len(values) == 2 and values[1] == "list of " + values[0].replace("number", "numbers", 1):
-        return values[0].replace("number", "number or list", 1)
+    if len(values) == 2 and values[1] == f"list {values[0]}".replace(" number", ""):
+        return f"{values[0]} or list"
     if values:
         return " or ".join(values)
     match node.get("type"):
         case "array":
             inner = _value(node["items"], tables)
-            if inner.startswith("list of "):
-                return "rows of " + inner.removeprefix("list of ")
-            return "list of " + inner.replace("number", "numbers", 1)
+            if len(_words(node["items"])) > MOST_WORDS:
+                return "list of text"
+            if inner.startswith("list"):
+                return "matrix"
+            return f"list {inner}".replace(" number", "") if inner != "text" else "list of text"
         case "number" | "integer":
-            return ("whole number" if node["type"] == "integer" else "number") + _range(node)
+            return _range(node) or "number"
         case "boolean":
             return "true or false"
         case _:
@@ -278,11 +359,11 @@ def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
 
 
 def _range(node: dict[str, Any]) -> str:
-    """Bounds of a number; those every number has are left out."""
-    words = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
-    known = [(key, sign) for key, sign in words.items() if key in node and abs(node[key]) < 1e12]
-    bounds = [f"{sign} {exact(node[key])}" for key, sign in known]
-    return " " + ", ".join(bounds) if bounds else ""
+    """Return the bounds of a number, without those that its meaning or an error message tells well enough."""
+    words = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    known = [(key, sign) for key, sign in words.items() if key in node]
+    bounds = [f"{sign}{exact(node[key])}" for key, sign in known if 1e-2 < node[key] < LARGE]
+    return ", ".join(bound for bound in bounds if bound != "≥1")
 
 
 def texts() -> dict[str, str]:

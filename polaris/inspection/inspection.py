@@ -25,9 +25,7 @@ MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Parameters of the inspection problem (Dunlap, van Wijk, Hobbs; Table 1).
-
-    Frame: Hill's, x radial (outward), y along-track, z cross-track; origin at the chief.
+    """Parameters of the inspection problem, in Hill's frame about the chief (Table 1).
 
     Parameters
     ----------
@@ -52,7 +50,7 @@ class Inspection:
     distance_max : float [m]
         Largest distance r_max from the chief.
     passive_time : float [s]
-        Duration T of safe free flight; at most half an orbit.
+        Duration T of safe free flight.
     speed_max : float [m/s]
         Largest speed v_max along each axis.
     thrust_max : float [N]

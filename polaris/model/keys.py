@@ -22,7 +22,7 @@ from .errors import ScenarioError, counted, exact, quoted
 
 LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
 
-STATES = "m, m/s (state order)"  # unit of what has one number for each state
+STATES = "m, m/s"  # unit of what has one number for each state
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""

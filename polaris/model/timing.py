@@ -38,20 +38,20 @@ class Lead:
 class Timing:
     """Time between a measurement and the thrust that answers it.
 
-    Controllers act on a prediction by the model of the state at which their command takes effect. Commands in
-    force until then are known, also those before the start.
+    Controllers act on the predicted state at which their command takes effect. Commands in force until then
+    are known, also those before the start.
 
     Parameters
     ----------
     delay : float [s]
-        Time from a measurement until its command takes effect; may exceed a period.
+        Time from a measurement until its command takes effect.
     jitter : float [s]
-        Largest deviation of that time, or of the calls of an inspection's filter; at most half a period.
+        Largest deviation of that time, or of the calls of an inspection's filter.
     missed : int
-        Most consecutive periods without a new measurement or command; commands are sent for as many periods
-        ahead. At most 20 with an observer, and 0 if thruster faults are isolated late as well.
+        Most consecutive periods without a new measurement or command; commands are sent that many periods
+        ahead.
     clock : float [s]
-        Largest difference of the clocks of schedule and obstacles; 0 with obstacles of kind `satellite`.
+        Largest difference of the clocks of schedule and obstacles.
 
     Notes
     -----

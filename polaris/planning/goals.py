@@ -152,9 +152,9 @@ class Box(_StateGoal):
     Parameters
     ----------
     center : array_like, shape (n,) [m, m/s]
-        Centre, n numbers.
+        Centre.
     half_widths : array_like, shape (n,) [m, m/s]
-        Half-width per state; inf for no condition.
+        Half-widths; inf for no condition.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
@@ -171,7 +171,7 @@ class StationaryPoint(_StateGoal):
     Parameters
     ----------
     state : array_like, shape (n,) [m, m/s]
-        State at rest, n numbers; in Hill's frame on the along-track axis. Use a box for other points.
+        State at rest; in Hill's frame on the along-track axis.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
@@ -300,9 +300,9 @@ class LinearNMT(HillGoal):
     mean_motion : float
         eta [rad/s].
     amplitude_max : float [m]
-        Largest amplitude of the oscillation.
+        Largest amplitude.
     along_track : float [m]
-        Along-track position r_y.
+        Along-track position.
     sides : int
         Sides of the polygon inscribed in the amplitude circle.
     """

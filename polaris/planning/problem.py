@@ -123,16 +123,16 @@ class PlannerOptions:
     Parameters
     ----------
     solver : {"facets", "highs", "gurobi"}
-        `facets`: branch and bound of the planner, with linear programs by HiGHS. `highs`, `gurobi` (needs the
-        extra): the same problem as a mixed-integer program.
+        `facets`: branch and bound over linear programs. `highs`, `gurobi` (an extra): a mixed-integer
+        program.
     max_linear_programs : int
-        Limit of linear programs of `facets`, over all stages.
+        Limit of linear programs (`facets`).
     max_nodes : int
-        Limit of branch-and-bound nodes of `highs` or `gurobi`, over all stages.
+        Limit of nodes (`highs`, `gurobi`).
     time_limit : float [s], optional
-        Wall-time limit of each plan; by default none. A limit makes results depend on the machine.
+        Wall-time limit of each plan, which makes results depend on the machine.
     gap : float
-        Relative optimality gap at which the search stops.
+        Relative optimality gap.
     threads : int or None
         Threads of a back end; None leaves their number to it, and the plan to the machine.
     progress : callable, optional

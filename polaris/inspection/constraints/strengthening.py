@@ -24,7 +24,7 @@ class Strengthening:
     Parameters
     ----------
     coefficients : tuple of 3 floats
-        c_1, c_2 and c_3, not all zero.
+        c_1, c_2 and c_3.
     bias : float
         Margin to the boundary h = 0.
     recovery : float

@@ -144,11 +144,11 @@ class KeepInPolytope(Faceted, KeepIn):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     H : array_like, shape (F, d)
-        Outward facet normals, F rows of d numbers, of any length.
+        Outward facet normals, of any length.
     b : array_like, shape (F,) [m]
-        Offsets, F numbers.
+        Offsets.
     begins, ends : float
         When it holds [s]; in proofs for whole steps, and `FAR` times as far out in all others.
 
@@ -203,11 +203,11 @@ class KeepInCone(KeepIn):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     apex : array_like, shape (d,), d = 2 or 3 [m]
-        Apex, d numbers.
+        Apex.
     axis : array_like, shape (d,)
-        Direction in which the cone opens, of any length.
+        Direction in which the cone opens.
     half_angle_rad : float [rad]
         Angle between axis and surface.
     facets : int

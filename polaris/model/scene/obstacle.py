@@ -180,7 +180,7 @@ class Faceted(Anchored):
 
     name: Annotated[str, NAME]
     H: Annotated[ArrayLike, Key("normals", "-", Matrix, "axis")]
-    b: Annotated[ArrayLike, Key("offsets_m", "m (for unit normals)", Vector)]
+    b: Annotated[ArrayLike, Key("offsets_m", "m", Vector)]
 
     def __post_init__(self) -> None:
         polytope = solid(self.path, self.H, self.b)

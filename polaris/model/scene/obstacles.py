@@ -31,13 +31,13 @@ class BoxObstacle(RigidObstacle):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     center : array_like, shape (d,) [m]
-        Centre at t = 0, d numbers.
+        Centre at t = 0.
     half_widths : array_like, shape (d,) [m]
-        Half-width per axis.
+        Half-widths.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity; by default at rest.
+        Constant velocity.
     """
 
     name: Annotated[str, NAME]
@@ -62,18 +62,18 @@ class BoxObstacle(RigidObstacle):
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
-    """A ball, at rest or moving straight; the planner uses a circumscribed polytope.
+    """A ball, at rest or moving straight.
 
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     center : array_like, shape (d,) [m]
-        Centre at t = 0, d numbers.
+        Centre at t = 0.
     radius : float [m]
         Radius.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity; by default at rest.
+        Constant velocity.
     facets : int, optional
         Facets for the planner: 6, 14, 18 or 26 (default) in space, any number in the plane (default 12).
     """
@@ -110,13 +110,13 @@ class PolytopeObstacle(Faceted, RigidObstacle):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     H : array_like, shape (F, d)
-        Outward facet normals, F rows of d numbers, of any length.
+        Outward facet normals, of any length.
     b : array_like, shape (F,) [m]
-        Offsets at t = 0, F numbers.
+        Offsets at t = 0.
     velocity : array_like, shape (d,) [m/s], optional
-        Constant velocity; by default at rest.
+        Constant velocity.
     unbounded : bool
         True allows an unbounded set, such as a wall.
 

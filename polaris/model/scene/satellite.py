@@ -25,22 +25,20 @@ MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend o
 
 @dataclass(frozen=True, eq=False)
 class SatelliteObstacle(Obstacle):
-    """Another spacecraft: an uncertain state propagated by the same dynamics, with or without thrust.
-
-    It obeys ``x' = A x + D w`` with A, D and the bound on w of the system, plus its own acceleration.
+    """Another spacecraft, known within bounds: ``x' = A x + D w`` of the system, plus its own acceleration.
 
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     state : array_like, shape (n,) [m, m/s]
-        Estimated state at t = 0, n numbers.
+        Estimated state at t = 0.
     state_half_widths : array_like, shape (n,) [m, m/s]
-        Half-width of the uncertainty of each state.
+        Error of each state.
     radius : float [m]
         Collision distance from its centre.
     thrust_accel_max : float [m/s^2]
-        Bound on the 2-norm of its own acceleration. Needs a position that obeys a second-order equation.
+        Bound on the 2-norm of its own acceleration.
     facets : int, optional
         Facets for the planner: 6, 14, 18 or 26 (default) in space, any number in the plane (default 12).
 

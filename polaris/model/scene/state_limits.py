@@ -23,7 +23,7 @@ from .timed_polytope import TimedPolytope
 RATE = 1e-2  # rate [1/s] by which velocities are divided to read as lengths, as in goals
 
 BEGINS, ENDS = Key("from_s", "s", NonNegative), Key("until_s", "s", Positive)
-ROWS = Key("rows", "bound/unit of the state", Matrix, "state")
+ROWS = Key("rows", "bound/state", Matrix, "state")
 BOUNDS = Key("bounds", "of rows x", Vector)
 
 
@@ -50,9 +50,9 @@ class StateLimit(Obstacle):
     Parameters
     ----------
     begins : float [s]
-        Start of the limit.
+        Start.
     ends : float [s], optional
-        End of the limit, at most the horizon; by default it holds for ever.
+        End, at most the horizon; by default none.
     """
 
     begins: float
@@ -147,11 +147,11 @@ class KeepInStates(StateLimit):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     rows : array_like, shape (F, n)
-        One row of n numbers per limit, in state order.
+        One row per limit.
     bounds : array_like, shape (F,)
-        One bound per row, in the unit of row times state.
+        One bound per row.
     """
 
     name: Annotated[str, NAME]
@@ -195,14 +195,14 @@ class SpeedLimit(StateLimit):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     top : float or array_like, shape (d,) [m/s]
         Largest speed, or one limit per axis.
     per_distance : float [1/s]
         Increase of the limit per metre of distance from the origin.
     facets : int
-        Directions that bound the length: 6, 14, 18 or 26 (default) in space, any number in the plane (default
-        12). In space the enforced limit is 58, 81, 82 or 89 % of the given one.
+        Directions that bound the length, as of a ball: in space the enforced limit is 58, 81, 82 or 89 % of
+        the given one (6, 14, 18, 26).
     towards : array_like, shape (k, d)
         Directions d that measure the distance as ``d r / |d|``, one chosen per step; by default those of the
         velocities.
@@ -251,11 +251,11 @@ class SpeedPolygon(StateLimit):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     top : float [m/s]
         Distance of the sides from zero; the first is normal to the first axis.
     sides : int
-        Number of sides.
+        Sides.
     axes : array_like, shape (2,)
         Velocity axes of the plane, counted from 0.
     """

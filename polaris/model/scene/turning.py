@@ -31,26 +31,26 @@ class TurningKeepIn(StateLimit):
     Parameters
     ----------
     name : str
-        Name in messages and figures.
+        Name.
     H : array_like, shape (F, d), d = 2 or 3
-        Outward facet normals at t = 0, F rows of d numbers.
+        Outward facet normals at t = 0.
     b : array_like, shape (F,) [m]
-        Offsets, F numbers.
+        Offsets.
     rate : float [rad/s]
-        Rate about the axis, in the frame of the scenario.
+        Rate about the axis, in the scenario's frame.
     ends : float [s]
-        End of the limit, at most the horizon.
+        End, at most the horizon.
     axis : array_like, shape (3,)
-        Axis in space, of any length; none in the plane.
+        Axis in space; none in the plane.
     rate_error : float [rad/s]
-        Largest error of the rate.
+        Rate error.
     angle_error_rad : float [rad]
-        Largest error of the angle at t = 0.
+        Angle error at t = 0.
     """
 
     name: Annotated[str, NAME]
     H: Annotated[ArrayLike, Key("normals", "-", Matrix, "axis")]
-    b: Annotated[ArrayLike, Key("offsets_m", "m (for unit normals)", Vector)]
+    b: Annotated[ArrayLike, Key("offsets_m", "m", Vector)]
     rate: Annotated[float, Key("rate_rad_s", "rad/s", Number)]
     ends: Annotated[float, ENDS]
     axis: Annotated[Any, Key("axis", "-", Vector, "axis")] = None

@@ -27,46 +27,44 @@ from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 class ThrustersTable(ScenarioPart):
     """Bounds on the difference of applied and commanded thrust, at any time and in any direction."""
 
-    magnitude_error: f.Real = unit(
-        "-", "Largest relative error of the size of the thrust.", default=0.0, ge=0, lt=0.5
-    )
+    magnitude_error: f.Real = unit("-", "Largest relative error of the thrust.", default=0.0, ge=0, lt=0.5)
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
-    """Largest angular error of the whole thrust; with `directions`, of each nozzle. For nozzles along the
-    axes, misaligned one by one, give 1.5 times their angle. Hill's frame only."""
+    """Largest angular error of the whole thrust (1.5 times that of single nozzles along the axes), with
+    `directions` of each nozzle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Largest relative error of `system.mass_kg`, spent propellant included."""
     GONE = {"varies": "is now called errors_vary"}
     errors_vary: Literal["always", "never"] = unit("-", default="always")
-    """`never`: the three errors above are constant in a flight, which reduces the delta-v bound unless there
-    are `directions`, faults of thrusters, jitter, `rise_s` or `fall_s`."""
+    """`always`, or `never`: the three errors above are constant in a flight. This reduces the delta-v bound,
+    unless there are `directions`, thruster faults, jitter, `rise_s` or `fall_s`."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Impulse bit, of each thruster with `directions`; impulses are rounded to the nearest multiple."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
-    """Remainder of the rounding: dropped, or carried to the next period. With `carried`, the sum of command
-    and remainder is rounded towards zero within the limits; the first remainder is zero."""
+    """Remainder of the rounding: `dropped`, or `carried` to the next period, where the sum of command and
+    remainder is rounded towards zero within the limits. The first one is zero."""
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
-    """Possible impulses: multiples of the bit, or any of at least one bit."""
+    """Possible impulses: multiples of one `bit`, or `continuous` from one bit on."""
     pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")
-    """`held`: constant thrust in a period. Otherwise one pulse of full thrust per period, in its middle, at
-    its `start`, or `staggered`, one thruster after another from its start on, in their order. Staggered
-    pulses of m inputs have m times the input limit; with `directions`, input limits shrink to what fits into
-    a period. Thruster errors are constant in a period of pulses."""
+    """`held`: constant thrust in a period. Otherwise one pulse of full thrust per period: `centred`, at its
+    `start`, or `staggered`, one thruster after another in their order. Staggered pulses of m inputs have m
+    times the input limit; with `directions`, input limits shrink to what fits into a period. Thruster errors
+    are constant in a period of pulses."""
     rise_s: f.NonNegative = unit("s", default=0.0)
-    """Longest rise time of a pulse, of any shape; impulses are kept."""
+    """Longest rise or fall time of a pulse, of any shape that keeps the impulse."""
     fall_s: f.NonNegative = unit("s", default=0.0)
-    """Longest fall time of a pulse."""
+    """Longest rise or fall time of a pulse, of any shape that keeps the impulse."""
     directions: f.Matrix | None = unit("-", default=None)
     """Direction of each thruster, one number per input. By default a pair along every input."""
     thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
-    """Largest thrust of the thrusters; required with `directions`. Input limits then shrink in proportion to
-    the largest box that the thrusters can make."""
+    """Largest thrust of each; required with `directions`. Input limits then shrink in proportion to the
+    largest box that the thrusters can make."""
     allocation: Literal["least_thrust_mixes", "pseudo_inverse", "linear_program", "nearest"] = unit(
         "-", default="least_thrust_mixes"
     )
     """Allocation to `directions`. `least_thrust_mixes`: a fixed mix of least total thrust per input and sign.
     `pseudo_inverse`: twice the positive part of pseudo-inverse times command, for opposite pairs; a failed
-    thruster disables its pair. `linear_program`, `nearest`: least sum of thrusts weighted by the length of
-    the direction, or least 2-norm, within the limits."""
+    thruster disables its pair. `linear_program`, `nearest`: least sum of thrusts times length of direction,
+    or least 2-norm, within the limits."""
 
     def nozzles(self, made: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""
@@ -224,15 +222,15 @@ class AbortTable(ScenarioPart):
     """Aborts at any instant until T: passive (the drift stays clear), or powered (S reaches an orbit)."""
 
     drift_orbits: f.Real | None = unit("-", default=None, gt=0, le=100)
-    """Duration of the drift in orbits, with disturbance. Hill's frame only."""
+    """Duration of the disturbed drift in orbits. Hill's frame only."""
     drift_s: f.Positive | None = unit("s", default=None)
-    """Duration of the drift as a time; give one of the two."""
+    """Its duration as a time, instead."""
     required: f.Flag = unit("-", default=False)
     """Accept only schedules with aborts from all steps; otherwise exit code 3, or 4 if only the budget is
-    exceeded. With `false` the run reports the steps."""
+    exceeded. `false`: report the steps."""
     keep_in: f.Flag = unit("-", "The drift must also stay inside keep-in sets.", default=True)
     orbit: Orbit | None = unit("-", default=None)
-    """Target of powered aborts: the goal, or another orbit."""
+    """Target of powered aborts."""
     within_s: f.Positive | None = unit("s", default=None)
     """Longest time from the abort to the orbit; required for another orbit."""
     delta_v_max_m_s: f.Positive | None = unit("m/s", "Delta-v budget of a powered abort.", default=None)
@@ -292,5 +290,5 @@ class Chaser(ScenarioPart):
     """Size of the chaser, added to every unsafe set."""
 
     radius_m: f.NonNegative = unit("m")
-    """Radius of a ball about the navigated point that contains the chaser in any attitude. Reported distances
-    are from its surface; facets move out by it."""
+    """Radius of a ball about the navigated point that contains the chaser. Reported distances are from its
+    surface."""

@@ -24,7 +24,7 @@ class Loss(ScenarioPart):
     """One thruster loses a share of its thrust at any time."""
 
     kind: Literal["loss"] = unit("-", "A thruster that is weaker than it was.")
-    share: f.Real = unit("-", "Lost share of the thrust.", gt=0, lt=1)
+    share: f.Real = unit("-", "Lost share.", gt=0, lt=1)
     isolation_s: f.NonNegative = unit("s", "As with `stuck_off`.", default=0.0)
 
     def build(self) -> Failed:

@@ -168,7 +168,7 @@ def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
 class Head(ScenarioPart):
     """Head of every scenario file."""
 
-    schema_version: f.VersionOne = unit("-", "Version of this format.")
-    name: f.Name = unit("-", "Short name, also of the run folder.")
+    schema_version: f.VersionOne = unit("-", "Schema version.")
+    name: f.Name = unit("-", "Name, also of the run folder.")
     title: f.Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
-    description: f.Text = unit("-", "What the scenario shows.", default="", max_length=5000)
+    description: f.Text = unit("-", "Description.", default="", max_length=5000)

@@ -35,9 +35,9 @@ class Alpha(Described, makes=Strengthening):
     """See `Strengthening`."""
 
 
-def _alpha(name: str) -> Alpha | None:
+def _alpha() -> Alpha | None:
     """Field of one family of constraints."""
-    field: Alpha | None = unit("-", f"For {name}; by default the preset's.", default=None)
+    field: Alpha | None = unit("-", "Functions of h1 to h8, and of h9 to h11 (velocity).", default=None)
     return field
 
 
@@ -48,23 +48,25 @@ class StrengtheningTable(ScenarioPart):
     """Named set. `afrl-one`, `afrl-five`: from the authors' library, for one and five deputies. `afrl`:
     `afrl-five` with the keep-in zone of `afrl-one`. `linear`: 0.3 h. `polaris`: `linear` for sampled-data
     conditions, else `afrl` with faster velocity limits."""
-    chief_separation: Alpha | None = _alpha("h1, separation from the chief")
-    deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
-    speed: Alpha | None = _alpha("h3, dynamic speed limit")
-    sun: Alpha | None = _alpha("h4, sun keep-out cone")
-    deputy_sun: Alpha | None = _alpha("h5, sun keep-out cones of two deputies")
-    keep_in: Alpha | None = _alpha("h6, keep-in zone")
-    passive: Alpha | None = _alpha("h7, free flight past the chief")
-    deputy_passive: Alpha | None = _alpha("h8, free flight of two deputies")
-    velocity: Alpha | None = _alpha("h9 to h11, velocity limits")
+    chief_separation: Alpha | None = _alpha()
+    deputy_separation: Alpha | None = _alpha()
+    speed: Alpha | None = _alpha()
+    sun: Alpha | None = _alpha()
+    deputy_sun: Alpha | None = _alpha()
+    keep_in: Alpha | None = _alpha()
+    passive: Alpha | None = _alpha()
+    deputy_passive: Alpha | None = _alpha()
+    velocity: Alpha | None = _alpha()
 
 
 class BarrierFilter(ScenarioPart):
     """Options of all barrier filters."""
 
-    without: tuple[Family, ...] = unit("-", "Kinds of constraint left out.", default=())
+    without: tuple[Family, ...] = unit(
+        "-", "Kinds of constraint left out, named as in `[strengthening]`.", default=()
+    )
     sampled_data: f.Flag = unit("-", default=True)
-    """Tighten conditions to hold in the whole control period, not only at its start."""
+    """Make conditions hold in the whole control period."""
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Share of a constraint's value that may be lost in a period; less is calmer."""
 
@@ -97,7 +99,9 @@ class AssuredFilter(ScenarioPart):
     """A filter that applies nothing before a plan after it is proven safe for all time: brake, and hold."""
 
     kind: str
-    without: tuple[Family, ...] = unit("-", "Kinds of constraint left out.", default=())
+    without: tuple[Family, ...] = unit(
+        "-", "Kinds of constraint left out, named as in `[strengthening]`.", default=()
+    )
 
     def build(
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
@@ -122,7 +126,8 @@ class ExplicitFilter(AssuredFilter):
 
     kind: Literal["explicit"] = unit("-", "Barrier conditions, and a proven plan after every answer.")
     sharing: Literal["centralized", "consensus"] = unit("-", default="centralized")
-    """One quadratic program for all, or one per deputy with its part of a common solution."""
+    """One quadratic program (`centralized`), or one per deputy with its part of a common solution
+    (`consensus`)."""
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Share of a constraint's value that may be lost in a period; less is calmer."""
 
@@ -146,7 +151,7 @@ class SimplexExplicitFilter(_Switching):
     kind: Literal["simplex_explicit"] = unit("-", "The desired thrust or the plan's, by the barriers.")
     margin: f.NonNegative = unit("unit of h", "Least value of barriers for passing.", default=0.0)
     release: f.NonNegative = unit("unit of h", default=0.05)
-    """Least value of barriers for handing back; at least the margin."""
+    """Least value of barriers for handing back."""
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
     """Instants of the coming period at which barriers are evaluated."""
 

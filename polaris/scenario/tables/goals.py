@@ -27,8 +27,8 @@ class GoalTable(Described):
     """Distance at which the goal counts as reached; by default 5 % of its size, or what S needs to hold it
     if more. Velocity errors count as the distance in the lesser of 1/eta (100 s without an orbit) and T/4."""
     velocity_tolerance_m_s: f.Positive | None = unit("m/s", default=None)
-    """Additional tolerance of velocity conditions; needs tolerance_m. For orbits it applies to the velocities
-    of the orbit at the chaser's position."""
+    """Additional tolerance of velocities; needs tolerance_m. For orbits: from the orbit's velocity at the
+    chaser's position."""
 
     def build(self, system: LinearSystem) -> goals.Goal:
         """Return the goal."""

@@ -36,26 +36,22 @@ class InitialSample(ScenarioPart):
     """Latin hypercube samples that satisfy every constraint."""
 
     kind: Literal["latin_hypercube"] = unit("-", "Drawn states and sun angle.")
-    deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
-    seed: f.Seed = unit("-", "Seed; equal seeds give equal states.", default=0)
+    deputies: f.Whole = unit("-", "Number N.", default=5, ge=1, le=50)
+    seed: f.Seed = unit("-", "Seed.", default=0)
 
 
 Initial = Annotated[InitialStates | InitialSample, *BY_KIND]
 
 
 class FlightTime(ScenarioPart):
-    """Length of the flight, and its steps."""
+    """Duration and steps."""
 
-    duration_s: f.Positive = unit("s", "Length of the flight.", default=3000.0)
-    period_s: f.Positive = unit(
-        "s",
-        f"Control period of held thrust. Must divide duration_s; at most {MOST_PERIODS} periods.",
-        default=1.0,
-    )
+    duration_s: f.Positive = unit("s", "Duration.", default=3000.0)
+    period_s: f.Positive = unit("s", "Control period, which divides duration_s.", default=1.0)
     between: f.Whole = unit("-", default=4, ge=0, le=99)
     """Additional instants per period at which constraints are evaluated."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on the 2-norm of the disturbance acceleration."""
+    """Bound on the 2-norm of the disturbance."""
     errors_seed: f.Seed = unit("-", default=0)
     """Seed of estimate errors, thruster errors and disturbance, drawn at their bounds."""
 
@@ -71,9 +67,9 @@ class _Regulator(ScenarioPart):
     """A linear-quadratic regulator; the larger its weight of position, the more aggressive."""
 
     start_s: f.NonNegative = unit("s", "Start of this controller.", default=0.0)
-    position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1.0)
-    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=1.0)
-    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
+    position_weight_1_m2: f.Positive = unit("1/m^2", "Position weight.", default=1.0)
+    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Velocity weight.", default=1.0)
+    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Thrust weight.", default=1.0)
 
 
 class ToChief(_Regulator):
@@ -133,7 +129,7 @@ class FuelTable(ScenarioPart):
     keep_clear: f.Flag = unit("-", default=True)
     """The predicted flight must also keep clear of the chief (not in eq. 39)."""
     spent_m_s: f.NonNegative = unit("m/s", "Delta-v used before the start.", default=0.0)
-    predictions: f.Whole = unit("-", "Number of backup flights in figures.", default=12, ge=0, le=200)
+    predictions: f.Whole = unit("-", "Backup flights in figures.", default=12, ge=0, le=200)
 
 
 class Wasteful(ScenarioPart):
@@ -141,16 +137,16 @@ class Wasteful(ScenarioPart):
 
     distance_m: f.Positive = unit("m", "Outer distance; the inner is a quarter of it.", default=400.0)
     swing_s: f.Real = unit("s", "Time between changes of the target.", default=400.0, ge=1, le=1e6)
-    position_weight_1_m2: f.Positive = unit("1/m^2", "Weight of the position.", default=1e-6)
-    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Weight of the velocity.", default=0.0)
-    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Weight of the thrust.", default=1.0)
+    position_weight_1_m2: f.Positive = unit("1/m^2", "Position weight.", default=1e-6)
+    velocity_weight_s2_m2: f.NonNegative = unit("s^2/m^2", "Velocity weight.", default=0.0)
+    thrust_weight_1_N2: f.Positive = unit("1/N^2", "Thrust weight.", default=1.0)
 
 
 class FuelFlight(ScenarioPart):
-    """Length of the flight, and its steps."""
+    """Duration and steps."""
 
-    duration_s: f.Positive = unit("s", "Length of the flight.", default=7000.0)
-    period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+    duration_s: f.Positive = unit("s", "Duration.", default=7000.0)
+    period_s: f.Positive = unit("s", "Control period, which divides duration_s.", default=1.0)
 
 
 class FuelLimitModel(_Scene):
@@ -166,19 +162,19 @@ class FuelLimitModel(_Scene):
 class Study(ScenarioPart):
     """One filter, flown from every initial condition."""
 
-    name: f.Name = unit("-", "Short, unique name.")
+    name: f.Name = unit("-", "Unique name.")
     filter: Filter = unit("-", "The filter.")
 
 
 class Campaign(ScenarioPart):
     """Runs from drawn initial conditions, without thrust of the primary controller."""
 
-    deputies: f.Whole = unit("-", "Number N of deputies.", default=5, ge=1, le=50)
+    deputies: f.Whole = unit("-", "Number N.", default=5, ge=1, le=50)
     runs: f.Whole = unit("-", default=2000, ge=1, le=1_000_000)
-    """Number of initial conditions, flown by every study."""
-    seed: f.Seed = unit("-", "Seed; equal seeds give equal initial conditions.", default=0)
-    duration_s: f.Positive = unit("s", "Length of each flight.", default=500.0)
-    period_s: f.Positive = unit("s", "Control period. Must divide duration_s.", default=1.0)
+    """Number of initial conditions."""
+    seed: f.Seed = unit("-", "Seed.", default=0)
+    duration_s: f.Positive = unit("s", "Duration.", default=500.0)
+    period_s: f.Positive = unit("s", "Control period, which divides duration_s.", default=1.0)
 
 
 class MonteCarloModel(_Filtered):

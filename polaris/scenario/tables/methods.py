@@ -11,21 +11,21 @@ from .fields import Described, ScenarioPart, unit
 class TrackingTable(ScenarioPart):
     """The tracking controller of section III-A and the bound on its error."""
 
-    Q: f.DiagonalOrMatrix = unit("1/unit of the state^2")
-    """LQR state weight, diagonal (n numbers) or matrix; positive semidefinite."""
-    R: f.DiagonalOrMatrix = unit("1/unit of the input^2")
-    """LQR input weight, diagonal (m numbers) or matrix; positive definite."""
+    Q: f.DiagonalOrMatrix = unit("1/state^2")
+    """LQR weight of the state, a list for a diagonal."""
+    R: f.DiagonalOrMatrix = unit("1/input^2")
+    """LQR weight of the input."""
     bound: Literal["envelope", "lyapunov"] = unit("-", default="envelope")
-    """Bound on the tracking error (Lemma 1): matrix exponential (tighter), or Lyapunov function."""
+    """Bound on the tracking error (Lemma 1): `envelope` by matrix exponentials (tighter), or `lyapunov`."""
     thrust_share: f.Real | None = unit("-", default=None, gt=0, le=1)
-    """Largest share of the thrust limits that S's feedback may demand at a hand-over; thruster errors count
-    by it, and decay later. By default the best of a few values."""
+    """Largest share of the thrust limits that S's feedback may demand at a hand-over, by which thruster
+    errors count; by default the best of a few values."""
     weight: f.WordOrWeights = unit("-", default="auto")
-    """Weights of the norm in this bound: chosen for the closed loop, none (loose), or n numbers > 0."""
+    """Weights of the norm in this bound: `auto` for the closed loop, `identity` (loose), or n numbers."""
 
 
 class RecoverableTable(ScenarioPart):
-    """States from which the safety controller recovers (Definition 1)."""
+    """States from which S recovers (Definition 1)."""
 
     kind: Literal["polytope", "ball"] = unit("-", default="polytope")
     """`polytope`: facets of the plan carried back in time. `ball`: eqs. 11-12 in the weighted norm, with all

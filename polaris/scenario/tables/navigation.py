@@ -22,11 +22,9 @@ MOST_MISSED = 20  # most periods without a measurement that an observer is desig
 class EstimateTable(ScenarioPart):
     """Bounds on estimate errors: of position and velocity in Hill's frame, else of states."""
 
-    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
-    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
-    state_error: f.WidthVector | None = unit(
-        "SI (state order)", "Bound for each of the n states.", default=None
-    )
+    position_error_m: f.NonNegativePerAxis = unit("m", "Error per axis.", default=0.0)
+    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Error per axis.", default=0.0)
+    state_error: f.WidthVector | None = unit("SI", "Error of each state.", default=None)
 
     def build(self, system: LinearSystem, path: str = "navigation") -> Array:
         """Bounds on the error of every state, shape (n,)."""
@@ -52,8 +50,8 @@ class Sight(ScenarioPart):
     """Angular error of the line of sight. Range and bearing errors need Hill's frame and `within_m`, and add
     to `position_error_m`."""
     within_m: f.PositivePerAxis | None = unit("m", default=None)
-    """Half-widths of a box about the target in which the bounds hold; bearing errors grow with them.
-    The chaser, size included, is kept inside while they apply, and is assumed inside before the start."""
+    """Half-widths of a box about the target in which the bounds hold. The chaser, size included, is kept
+    inside while they apply, and assumed inside before the start."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
@@ -72,25 +70,23 @@ class Sight(ScenarioPart):
 
 
 class Phase(EstimateTable, Sight):
-    """Bounds from an instant of the schedule's clock until the next phase."""
+    """Bounds until the next phase."""
 
-    from_s: f.Positive = unit("s", "Start, later than that of the phase before.")
+    from_s: f.Positive = unit("s", "Start on the schedule's clock, increasing.")
 
 
 class MeasurementTable(Sight):
-    """Measurements of an observer with a steady Kalman gain, from which estimate errors are derived.
+    """Measurements of an observer with a steady Kalman gain, instead of bounds on estimates.
 
-    It measures once a period: in Hill's frame the position, and the velocity if it has a bound. Missed
-    periods have another gain.
+    It measures once a period: in Hill's frame the position, and the velocity if it has a bound.
     """
 
-    position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
-    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured by default.", default=None)
-    matrix: f.Matrix | None = unit("-", "Measured rows in other systems, n numbers each.", default=None)
+    position_error_m: f.PositivePerAxis | None = unit("m", "Error per axis.", default=None)
+    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Error per axis.", default=None)
+    matrix: f.Matrix | None = unit("-", "Measured rows, in other systems.", default=None)
     error: f.LimitVector | None = unit("SI", "Error bound of each row.", default=None)
     constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
-    """Share of these errors that is an unknown constant of the flight, such as a camera's mounting. Range and
-    bearing errors have none."""
+    """Share of these errors, but not of range and bearing, that is constant in a flight and unknown."""
     initial: EstimateTable | None = unit("-", default=None)
     """Error bounds of the first estimate; by default the observer has run long before the start."""
 
@@ -146,8 +142,8 @@ class MeasurementTable(Sight):
 class Navigation(EstimateTable, Sight):
     """Bounds on the errors of the state estimate of every controller, arbitrary in time.
 
-    Bounds are of position and velocity in Hill's frame, of states elsewhere, and hold until the first phase.
-    Networks and run-time methods use the largest bounds of all phases.
+    They are of position and velocity in Hill's frame, of states elsewhere, and hold until the first phase.
+    Networks and run-time methods use the largest of all phases.
     """
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)

@@ -20,12 +20,12 @@ class Elements(ScenarioPart):
     epoch: f.Text = unit("-", "Time 0, such as 2026-01-31T12:00:00.0.", min_length=1, max_length=40)
     semi_major_axis_m: f.Positive = unit("m", "Semi-major axis.")
     eccentricity: Below = unit("-", "Eccentricity.")
-    inclination_deg: Annotated[f.Real, Field(ge=0, le=180)] = unit("deg", "Inclination to the equator.")
-    ascending_node_deg: Turn = unit("deg", "Right ascension of the ascending node.")
+    inclination_deg: Annotated[f.Real, Field(ge=0, le=180)] = unit("deg", "Inclination.")
+    ascending_node_deg: Turn = unit("deg", "Right ascension.")
     perigee_deg: Turn = unit("deg", "Argument of perigee.")
     true_anomaly_deg: Turn = unit("deg", "True anomaly.")
-    frame: Frame = unit("-", "Inertial frame of the elements.", default="EME2000")
-    time_system: TimeSystem = unit("-", "Time system of the epoch.", default="UTC")
+    frame: Frame = unit("-", "Inertial frame.", default="EME2000")
+    time_system: TimeSystem = unit("-", "Time system.", default="UTC")
 
     def state(self) -> Any:
         """Inertial state (6,) [m, m/s]."""

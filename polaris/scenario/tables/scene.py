@@ -85,7 +85,7 @@ KeepIn = Annotated[
 
 
 class SharedReference(ScenarioPart):
-    """The safety controller's own reference."""
+    """S's own reference."""
 
     kind: Literal["shared"] = unit("-", "Follow the safety controller's reference.")
 
@@ -94,7 +94,7 @@ class SetpointReference(ScenarioPart):
     """One fixed state."""
 
     kind: Literal["setpoint"] = unit("-", "Head for one state.")
-    state: f.Vector = unit("m, m/s (state order)", "The state, n numbers.")
+    state: f.Vector = unit("m, m/s", "The state.")
 
 
 class NMTReference(ScenarioPart):
@@ -124,13 +124,13 @@ class AffineTable(ScenarioPart):
     kind: Literal["affine", "saturated_affine"] = unit("-")
     """`affine`: unclipped, used only where it provably keeps the thrust limits. `saturated_affine`: clipped
     per axis."""
-    name: f.Name = unit("-", "Name in tables and figures.")
-    Q: f.DiagonalOrMatrix | None = unit("1/unit of the state^2", "LQR state weight, with R.", default=None)
-    R: f.DiagonalOrMatrix | None = unit("1/unit of the input^2", "LQR input weight, with Q.", default=None)
+    name: f.Name = unit("-", "Name.")
+    Q: f.DiagonalOrMatrix | None = unit("1/state^2", "LQR weight, with R.", default=None)
+    R: f.DiagonalOrMatrix | None = unit("1/input^2", "LQR weight, with Q.", default=None)
     gain: f.Matrix | None = unit("input/state", default=None)
-    """Gain K, m rows of n, instead of Q and R."""
+    """Gain K, m by n, instead of Q and R."""
     reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
-    """Followed trajectory; by default the safety controller's reference."""
+    """Followed trajectory; by default S's reference."""
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
@@ -138,7 +138,7 @@ class AnyThrustTable(ScenarioPart):
     """Any thrust within the limits: covers black boxes, learned policies, pilots."""
 
     kind: Literal["any_thrust"] = unit("-", "Unknown controller within the thrust limits.")
-    name: f.Name = unit("-", "Name in tables and figures.")
+    name: f.Name = unit("-", "Name.")
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
@@ -149,21 +149,21 @@ class Neural(ScenarioPart):
     """
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
-    name: f.Name = unit("-", "Name in tables and figures.")
+    name: f.Name = unit("-", "Name.")
     path: f.Text = unit("-", min_length=6, max_length=1000, pattern=r"\.onnx$")
-    """ONNX file, relative to the scenario; run folders hold a copy."""
+    """ONNX file, relative to the scenario."""
     inputs: tuple[f.Input, ...] = unit("-", default=("error",), min_length=1, max_length=100)
     """Inputs in order: `error` (n numbers, reference minus x), `state` (n), `time` (start of the step [s]),
     `reference_input` (m); of an obstacle `position:NAME`, `velocity:NAME`, or relative to the chaser
     `relative_position:NAME`, `relative_velocity:NAME` (d each)."""
     input_scale: f.Vector | None = unit("-", default=None)
-    """Factor of each number of the inputs (`error` has n), in their order; by default 1."""
-    output_scale_N: f.PositivePerAxis = unit("N (unit of the input)", "Thrust at an output of 1.")
+    """Factor of each number of the inputs; by default 1."""
+    output_scale_N: f.PositivePerAxis = unit("N", "Thrust, or input, at an output of 1.")
     precision: Literal["real", "float32", "float64"] = unit("-", default="real")
     """Arithmetic on board. `real`: its rounding is not covered. `float32`, `float64`: any runtime is covered,
     in any order of summation."""
     reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
-    """Reference of `error` and `reference_input`; by default the safety controller's."""
+    """Reference of `error` and `reference_input`; by default S's."""
     weight: f.Real = unit("-", "Weight of a second of its use in look_ahead.", default=1.0, gt=0, le=1e6)
 
 
@@ -174,7 +174,7 @@ class BlackBoxTable(ScenarioPart):
     """
 
     kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")
-    name: f.Name = unit("-", "Name in tables and figures.")
+    name: f.Name = unit("-", "Name.")
     probability: f.Real = unit("-", default=0.01, ge=1e-5, le=0.5)
     """Largest probability that a flight leaves the bands of the black boxes; the least given counts."""
     confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)

@@ -16,7 +16,6 @@ from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
 from ...model import keys as f
-from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
@@ -31,19 +30,18 @@ from .scene import Experimental, KeepIn, Obstacle
 
 
 class ClohessyWiltshire(ScenarioPart):
-    """A chaser near a target on a circular orbit, in Hill's frame (Example 1, eq. 1)."""
+    """A chaser near a target on a circular orbit, in Hill's frame (eq. 1)."""
 
     kind: Literal["clohessy_wiltshire"] = unit("-", "Clohessy-Wiltshire dynamics, six states.")
     mean_motion_rad_s: f.Real = unit("rad/s", gt=0, le=0.01)
-    """Orbital rate eta of the target; 0.00113 at 405 km altitude."""
+    """Orbital rate eta of the target."""
     mass_kg: f.Real = unit("kg", "Mass of the chaser.", ge=1e-3, le=1e7)
     thrust_max_N: f.PositivePerAxis = unit("N")
-    """Thrust limit of x, y and z: |u_i| <= thrust_max_N[i]."""
+    """Thrust limit along each axis."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on the 2-norm of the disturbance acceleration, which is arbitrary in time."""
+    """Bound on the 2-norm of the disturbance, arbitrary in time."""
     bias_max_m_s2: f.WidthVector | None = unit("m/s^2", default=None, min_length=3, max_length=3)
-    """Bounds along x, y and z on an additional acceleration, constant in a flight, such as differential drag
-    along y."""
+    """Bounds per axis on an additional acceleration, constant in a flight, such as differential drag."""
 
     def build(self) -> LinearSystem:
         """Return the controlled system."""
@@ -56,21 +54,21 @@ class Linear(ScenarioPart):
     """Any system x' = A x + B u + D w."""
 
     kind: Literal["linear"] = unit("-", "State-space matrices given as arrays.")
-    A: f.Matrix = unit("SI", "State matrix, n rows of n numbers.")
-    B: f.Matrix = unit("SI", "Input matrix, n rows of m numbers.")
-    D: f.Matrix = unit("SI", "Disturbance matrix, n rows of p numbers.")
-    input_max: f.PositivePerAxis = unit("unit of the input")
-    """Input limits: |u_i| <= input_max[i]."""
-    disturbance_max: f.NonNegative = unit("unit of the disturbance", default=0.0)
-    """Bound on the 2-norm of the disturbance w."""
-    bias_max: f.WidthVector | None = unit("unit of the disturbance", default=None)
-    """Bounds on a constant of the flight added to w, one per column of D."""
+    A: f.Matrix = unit("SI", "Matrix of n rows.")
+    B: f.Matrix = unit("SI", "Matrix of n rows.")
+    D: f.Matrix = unit("SI", "Matrix of n rows.")
+    input_max: f.PositivePerAxis = unit("input")
+    """Limit of each input."""
+    disturbance_max: f.NonNegative = unit("of w", default=0.0)
+    """Bound on the 2-norm of w."""
+    bias_max: f.WidthVector | None = unit("of w", default=None)
+    """Bounds on a constant added to w, one per column of D."""
     position_states: tuple[f.Index, ...] | None = unit("-", default=None, min_length=1, max_length=3)
-    """One to three states, counted from 0, that are the position [m]; by default the first half of them."""
+    """States that are the position [m], counted from 0; by default the first half."""
     C: f.Matrix | None = unit("-", default=None)
-    """Position matrix, d rows of n numbers, instead of position_states."""
+    """Position matrix, d by n, instead of position_states."""
     mass_kg: f.Real = unit("kg", default=1.0, ge=1e-3, le=1e7)
-    """Mass that turns the integral of |u| into delta-v; 1 for inputs that are accelerations."""
+    """Delta-v is the integral of |u| over this mass; 1 if inputs are accelerations."""
 
     def build(self) -> LinearSystem:
         """Return the controlled system."""
@@ -90,7 +88,7 @@ class _Initial(ScenarioPart):
     """Base of initial sets."""
 
     kind: str
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers, where the reference starts.")
+    center: f.Vector = unit("m, m/s", "Centre, n numbers, where the reference starts.")
 
     @abstractmethod
     def build(self, system: LinearSystem) -> Zonotope:
@@ -101,7 +99,7 @@ class InitialBox(_Initial):
     """An axis-aligned box of states."""
 
     kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    half_widths: f.WidthVector = unit("m, m/s (state order)", "Half-width per state.")
+    half_widths: f.WidthVector = unit("m, m/s", "Half-widths.")
 
     def build(self, system: LinearSystem) -> Zonotope:
         """Return the box."""
@@ -112,9 +110,9 @@ class InitialBall(_Initial):
     """A ball of positions and a ball of the other states, used through an enclosing zonotope."""
 
     kind: Literal["ball"] = unit("-", "Product of a ball of positions and a ball of velocities.")
-    position_radius_m: f.NonNegative = unit("m", "Radius (2-norm) of the positions.")
+    position_radius_m: f.NonNegative = unit("m", "Radius of the position.")
     velocity_radius_m_s: f.NonNegative = unit("m/s")
-    """Radius (2-norm) of the other states, usually velocities."""
+    """Radius of the velocity."""
 
     def build(self, system: LinearSystem) -> Zonotope:
         """Return a zonotope around the product of the balls."""
@@ -133,7 +131,7 @@ class InitialZonotope(_Initial):
     """The set ``center + sum_i b_i generators[i]`` with every ``|b_i| <= 1``."""
 
     kind: Literal["zonotope"] = unit("-", "Zonotope.")
-    generators: f.Matrix = unit("m, m/s (state order)", "One list of n numbers per generator.")
+    generators: f.Matrix = unit("m, m/s", "One list of n numbers per generator.")
 
     def build(self, system: LinearSystem) -> Zonotope:
         """Return the zonotope."""
@@ -144,12 +142,10 @@ InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *BY_KIND]
 
 
 class Horizon(ScenarioPart):
-    """Length of the schedule, and its steps."""
+    """Length and steps of the schedule."""
 
-    duration_s: f.Positive = unit("s", "Time T of reference and schedule.")
-    step_s: f.Positive = unit(
-        "s", f"Step delta of plan and schedule. Must divide duration_s; at most {MAX_STEPS} steps."
-    )
+    duration_s: f.Positive = unit("s", "Time T.")
+    step_s: f.Positive = unit("s", "Step delta, which divides duration_s.")
 
 
 class FeedbackTable(ScenarioPart):
@@ -158,33 +154,32 @@ class FeedbackTable(ScenarioPart):
     GONE = {"kind": "is gone, as all feedback is sampled: write period_s alone, or leave out the table"}
 
     period_s: f.Positive | None = unit("s", default=None)
-    """Control period. Must divide step_s; by default a quarter of the fastest closed-loop time constant,
-    rounded down to a whole part of step_s (2 to 200 parts)."""
+    """Control period, which divides step_s; by default about a quarter of the fastest closed-loop time
+    constant."""
 
 
 class SimulationTable(ScenarioPart):
     """Simulated closed-loop runs of metrics and figures. They prove nothing."""
 
     runs: f.Whole = unit("-", "Runs per controller.", default=100, ge=1, le=1_000_000)
-    seed: f.Seed = unit("-", "Seed; equal seeds and scenarios give equal results.", default=0)
+    seed: f.Seed = unit("-", "Seed.", default=0)
 
 
 class ScenarioModel(Head):
     """A whole scenario file."""
 
-    system: System = unit("-", "The controlled system.")
+    system: System = unit("-", "The system.")
     orbit: Orbit | None = unit("-", default=None)
-    """Sources of the model error, for `polaris model-error`. Elements or files may give its numbers and the
-    mean motion ([real orbits](orbits.md))."""
+    """Bounds on the target's real orbit, for `polaris model-error`."""
     navigation: Navigation | None = unit("-", "Errors of the state estimate; none by default.", default=None)
     thrusters: ThrustersTable | None = unit("-", "Errors of the thrusters; none by default.", default=None)
     timing: TimingTable | None = unit("-", "Delay of commands; none by default.", default=None)
-    faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
+    faults: tuple[Fault, ...] = unit("-", "Faults to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "Size of the chaser; a point by default.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted by default.", default=None)
     abort: AbortTable | None = unit("-", "Passive and powered aborts.", default=None)
     initial_set: InitialSet = unit("-")
-    """All possible initial states (Theta); two ephemerides may give them ([real orbits](orbits.md))."""
+    """All possible initial states (Theta)."""
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: FeedbackTable = unit("-", "Control period.", default_factory=FeedbackTable)
     tracking: TrackingTable = unit("-", "Tracking feedback of the safety controller.")

@@ -24,26 +24,26 @@ Right, Tenth = Annotated[Real, Field(ge=0, le=90)], Annotated[Real, Field(ge=0, 
 
 @dataclass(frozen=True)
 class Environment:
-    """The target's real orbit: near an ellipse of the system's mean motion, perturbed by J2 and drag.
+    """The target's real orbit, near an ellipse and perturbed by J2 and drag.
 
-    These values bound the difference of Hill's linear equations from the nonlinear motion (`polaris
-    model-error`), which the disturbance bound must cover. While the guarantee holds, the target must stay
-    within the deviations of some point on some ellipse of that mean motion and of at most the eccentricity.
+    The disturbance bound must cover the error of Hill's equations that follows (`polaris model-error`). While
+    the guarantee holds, the target must stay within these deviations of a point on an ellipse with the
+    system's mean motion and at most this eccentricity.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s] of Hill's linear equations.
     inclination_max : float [rad]
-        Largest inclination to the equator, or 180 degrees minus it if retrograde; 90 covers every orbit.
+        Largest inclination, of a retrograde orbit 180 degrees minus it; 90 covers every orbit.
     radius_deviation : float [m]
-        Largest deviation of the target's distance from the Earth's centre.
+        Largest deviation of the geocentric distance.
     radial_rate : float [m/s]
-        Largest deviation of the rate of that distance.
+        Largest deviation of its rate.
     rate_deviation : float
-        Largest deviation of the frame's rate about the orbit normal, relative to the mean motion.
+        Largest relative deviation of the frame's rate about the orbit normal.
     density : float [kg/m^3]
-        Air density at the radius of the circle, or the semi-major axis.
+        Air density at the semi-major axis.
     scale_height : float [m]
         Smallest scale height of the density.
     ballistic : float [m^2/kg]
@@ -51,9 +51,9 @@ class Environment:
     ballistic_difference : float [m^2/kg]
         Largest difference of another craft's coefficient.
     other : float [m/s^2]
-        Bound on all other relative accelerations: thrust errors, radiation pressure, plumes, harmonics.
+        Bound on all other relative accelerations, such as radiation pressure.
     eccentricity : float
-        Largest eccentricity of the ellipses.
+        Largest eccentricity.
     j2 : bool
         Whether J2 acts; without it (and without density) what is left is the two-body problem.
     """

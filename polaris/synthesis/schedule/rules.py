@@ -44,12 +44,11 @@ class SwitchingRules:
     min_dwell : int
         Least number of steps between switches.
     max_switches : int, optional
-        Largest number of switches; by default no limit. One is reserved for the return to S, and 0 leaves S
-        alone.
+        Largest number of switches. One is reserved for the return to S, and 0 leaves S alone.
     weights : tuple of float
         Worth of one step under each experimental controller, in their order of preference.
     beam : int
-        Schedules that `look_ahead` keeps per step, number of switches and controller; time grows with it.
+        Schedules that `look_ahead` keeps per step, number of switches and controller.
     delta_v_price : float
         Share of U given up to save the delta-v of S alone.
     switch_price : float

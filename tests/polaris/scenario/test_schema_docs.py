@@ -138,19 +138,33 @@ def test_both_parts_of_the_reference_are_made_anew(monkeypatch):
     assert re.findall(r"-->\n\n(.*?)\n\n<!-- end -->", text, re.S) == ["one", "two"]
 
 
+ITEM = re.compile(r"^- ((?:`\w+`(?:,\s+)?)+)(?: \(|:|$)", re.M)
+"""Item of the reference: one key, or more with equal values and descriptions."""
+
+
 def test_reference_names_every_field_of_every_table():
     text = reference_text()
+    named = {name for keys in ITEM.findall(text) for name in re.findall(r"\w+", keys)}
+    named |= set(re.findall(r"^#+ `\[+(?:\w+\.)*(\w+)\]+`$", text, re.M)) | {"kind"}
+    named |= set(re.findall(r"`\[+(\w+)\]+`", text))
     for table, node in _tables():
-        for name in node["properties"]:
-            assert f"\n- `{name}` (" in text, f"{table}.{name}"
+        assert set(node["properties"]) <= named, table
 
 
 def test_items_of_the_reference_are_keys_and_its_lines_fit():
     names = {name for _, node in _tables() for name in node["properties"]}
     for part in re.findall(r"-->\n\n(.*?)\n\n<!-- end -->", reference_text(), re.S):
         assert max(map(len, part.splitlines())) <= 100
-        for line in re.findall(r"^ *(?:[-+*]|\d+\.) .*", part, re.M):
-            assert re.match(r"- `(\w+)` \(", line)[1] in names, line
+        items = re.findall(r"^ *(?:[-+*]|\d+\.) .*", part, re.M)
+        keys = ITEM.findall(part)
+        assert len(keys) == len(items) and {name for key in keys for name in re.findall(r"\w+", key)} <= names
+
+
+def test_an_item_leaves_out_what_its_key_says():
+    text = reference_text()
+    assert "\n- `semi_major_axis_m` (required)\n" in text  # a number in metres, the semi-major axis
+    assert "\n- `position_error_m`, `velocity_error_m_s` (number or list, default 0): " in text
+    assert "[m/s^2]" not in text and "- `bias` ([unit of h], default 0): " in text
 
 
 def test_schema_is_json():
