@@ -371,7 +371,7 @@ def test_recipes_name_files_that_exist():
 GUIDES = (
     *("campaigns", "comparison", "error-costs", "falsification", "index", "inspection"),
     *("inspection-assured", "missions", "model-error", "model-error-theory", "monitor-theory"),
-    *("online-monitor", "orbits", "reach-tutorial", "report", "tour", "trace-format", "traces"),
+    *("online-monitor", "orbits", "reach-tutorial", "report", "tour", "traces"),
     *("tradeoff", "training", "tutorial", "../CONTRIBUTING"),
 )
 

@@ -1,4 +1,4 @@
-"""The numbers of RTAEval, defect by defect, beside the right ones. docs/traces.md has the same table."""
+"""The numbers of RTAEval, defect by defect, beside the right ones. docs/traces.md lists the defects."""
 
 import gzip
 import json
