@@ -70,8 +70,8 @@ synthesis/safety/continuation.py
 + clearance.cells * clearance.q)
 ! synthesis/tracker/test_margins.py::test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it
 synthesis/schedule/abort_branch.py
-- at_nodes(tube.bow), until[k]))
-+ at_nodes(tube.bow), until[k - 1] if k else 0.0))
+- at_nodes(tube.intersample), until[k])
++ at_nodes(tube.intersample), until[k - 1] if k else 0.0)
 ! synthesis/schedule/test_powered_abort.py::test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before
 synthesis/schedule/spending.py
 - spent.sum(axis=-1).max(axis=0).sum()
@@ -83,7 +83,7 @@ synthesis/safety/carried_rows.py
 ! synthesis/schedule/test_powered_abort.py::test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit
 # The checker
 certificate/model/craft/tightening.py
-- (first + later / (1 - self.memory.c))
+- (first + later / (1 - self.settling.c))
 + first
 ! certificate/test_recovery.py::test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit
 certificate/model/limits.py
@@ -99,8 +99,8 @@ certificate/claims/continuation.py
 + pass
 ! certificate/test_recovery.py::test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed
 certificate/claims/drift.py
-- column(bow) + column(self.state_offset) + bent
-+ column(bow) + bent
+- column(intersample) + column(self.state_offset) + bent
++ column(intersample) + bent
 ! certificate/test_certificate_math.py::test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft
 certificate/claims/argument.py
 - flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
@@ -131,7 +131,7 @@ certificate/kernel/zonotopes.py
 + pass
 ! certificate/test_certificate_math.py::test_nearly_parallel_generators_are_merged_with_each_other
 certificate/claims/recovery.py
-- reach + bows.next_to(lag)[row] + disturbance
+- reach + intersamples.next_to(lag)[row] + disturbance
 + reach + disturbance
 ! certificate/test_recovery.py::test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at
 certificate/model/transients.py

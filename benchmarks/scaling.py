@@ -57,7 +57,7 @@ def filled(n: int, dense: bool) -> tuple[reach.LinearSystem, reach.Interval]:
     return reach.LinearSystem(A if dense else sparse.csr_matrix(A), np.eye(n)[:, :2], U), start
 
 
-def memory() -> float:
+def settling() -> float:
     """Return the most memory that this process has had, in MB."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size / (2**20 if sys.platform == "darwin" else 2**10)
@@ -72,7 +72,7 @@ def case(kind: str, n: int, steps: int) -> dict[str, float | int | str]:
     rows = np.zeros((2, n))
     rows[0, 0] = rows[1, n // 4] = 1.0
     reach.support_tube(*chain(2, dense=True), 1.0, [[1.0, 0.0]], step=0.5)  # imports
-    before, begun = memory(), perf_counter()
+    before, begun = settling(), perf_counter()
     gap = float("nan")
     if kind == "zonotope":
         reach.zonotope_tube(system, start, horizon, step=horizon / steps)
@@ -85,7 +85,7 @@ def case(kind: str, n: int, steps: int) -> dict[str, float | int | str]:
         "states": n,
         "steps": steps,
         "seconds": seconds,
-        "MB": memory() - before,
+        "MB": settling() - before,
         "gap": gap,
     }
 

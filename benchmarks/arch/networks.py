@@ -146,11 +146,11 @@ def docking(file: Path, speed: float, note: str) -> Row:
     def proves(node: Zonotope) -> bool:
         largest = -np.inf
         for _ in range(40):
-            after, bow, _ = loop.step(node)
+            after, intersample, _ = loop.step(node)
             towards = (node.c + after.c)[:2]
             away = np.tile(-2 * MEAN * towards / np.linalg.norm(towards), (len(FASTEST), 1))
             rows = np.hstack([away, FASTEST])  # at least 2 n |p|, at most |v|: one row for both
-            levels = np.maximum(node.support(rows), after.support(rows)) + np.abs(rows) @ bow
+            levels = np.maximum(node.support(rows), after.support(rows)) + np.abs(rows) @ intersample
             largest = max(largest, float(levels.max()))
             if largest > 0.2:
                 return False

@@ -116,9 +116,12 @@ class Scene:
             raise ValueError(f"{folder}: is of another scenario, or of other settings")
         self.system, self.env = self.scenario.system(), Environment.from_scenario(self.scenario)
         tubes = read_arrays(folder / "tubes.npz")
-        half, bow = np.abs(tubes["generators"]).sum(axis=1).transpose(1, 0, 2), tubes["bow"].max(axis=1)
-        self.lower = (tubes["center"] - half).min(axis=1) - bow
-        self.upper = (tubes["center"] + half).max(axis=1) + bow
+        half, intersample = (
+            np.abs(tubes["generators"]).sum(axis=1).transpose(1, 0, 2),
+            tubes["intersample"].max(axis=1),
+        )
+        self.lower = (tubes["center"] - half).min(axis=1) - intersample
+        self.upper = (tubes["center"] + half).max(axis=1) + intersample
         self.modes = np.array(FlightSoftware.of(folder).modes)
         self.code = None
         if precision is not None:

@@ -17,7 +17,7 @@ from ..rta.permission import Permission
 from ..synthesis.schedule.schedule import Schedule
 from .rounding import UNIT, gap_error
 
-SHRINKS = 12  # halvings of the errors for which U may fly, until limits beyond the memory are met
+SHRINKS = 12  # halvings of the errors for which U may fly, until limits beyond the settling horizon are met
 SAME = 1e-15  # largest difference of rows that count as one
 MORE = 1.1  # of what is needed far ahead, where no decision looks: the checker may need more than synthesis
 NEAR = 1e-9  # of clearances, by which they are stored too low: rounding of the synthesis
@@ -76,12 +76,12 @@ def _size(prospect: Permission, apart: Array) -> float:
 def _tightenings(prospect: Permission, apart: Array) -> Array:
     """Return what is booked of every row so many nodes after the decision, shape (lags, r)."""
     recovery, n = prospect.recovery, prospect.grid.system.n
-    size, facets = _size(prospect, apart), len(recovery.bow)
+    size, facets = _size(prospect, apart), len(recovery.intersample)
     tall = prospect.demand.tall
     later = (tall[:, n] * size + tall[:, n + 1]).reshape(-1, len(recovery.rows))
     first = np.full(len(recovery.rows), -FREE)  # S commands nothing before the next node
     known = np.abs(recovery.rows[:facets, :n]) @ prospect.grid.half_widths
-    first[:facets] = recovery.bow + recovery._bent * (size + recovery._radius) + known
+    first[:facets] = recovery.intersample + recovery._bent * (size + recovery._radius) + known
     return np.vstack([first, later])
 
 
@@ -110,7 +110,7 @@ def _laid_out(
 ) -> Tables:
     """Return the tables for errors up to `apart`, rounded by up to `off`, and so many nodes a decision."""
     grid, recovery, u = prospect.grid, prospect.recovery, float(UNIT[precision])
-    n, q, facets = grid.system.n, grid.clearance.q, len(recovery.bow)
+    n, q, facets = grid.system.n, grid.clearance.q, len(recovery.intersample)
     gain = np.array(document.laws[0].gain)
     held, force = discretize(np.array(document.A), np.array(document.B), grid.h)
     rows, kind, sign = _kinds(-recovery.rows[:, :n], facets)

@@ -160,8 +160,8 @@ class ClosestApproach:
         rates = dot(places, (z @ self.velocities).reshape(places.shape))
         circle = z @ self._circle
         pull = n**2 * np.sqrt(dot(circle, circle))  # largest acceleration
-        bow = pull * (length**2 / 8)
-        drop = (np.sqrt(squares.max(axis=1)) + bow) * bow
+        intersample = pull * (length**2 / 8)
+        drop = (np.sqrt(squares.max(axis=1)) + intersample) * intersample
         # Near an instant q >= q_k + rate (t - t_k) - C (t - t_k)^2 / 2: least half a segment away.
         above = (squares - squares.min(axis=1, keepdims=True)) / 2 - drop[:, None]
         rates_half = rates * (length / 2)
@@ -173,7 +173,7 @@ class ClosestApproach:
         pull = pull[row]
         first, last = flown(parts, n, start), flown(parts, n, end)
         speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
-        reach = np.sqrt(squares.max(axis=1))[row] + bow[row]
+        reach = np.sqrt(squares.max(axis=1))[row] + intersample[row]
         quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
         _Search(best, at[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
 

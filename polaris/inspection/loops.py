@@ -127,7 +127,7 @@ def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, 
 @inlined
 def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: Array, out: Parts) -> None:
     """All rows of a free flight, as `PassiveSegments`."""
-    S, bow, margin, turn, (h, G, bound) = len(flights) - 2, numbers[15], numbers[16], numbers[17], out
+    S, intersample, margin, turn, (h, G, bound) = len(flights) - 2, numbers[15], numbers[16], numbers[17], out
     n, places, growth, o = numbers[0], np.zeros((S + 2, 6)), np.zeros(4), np.empty(3)
     drift = z[3], z[4], z[5], 3 * n**2 * z[0] + 2 * n * z[4], -2 * n * z[3], -(n**2) * z[2]
     for s in range(S + 2):  # where each map leads, and how that changes without thrust
@@ -138,12 +138,12 @@ def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: A
     amplitude = np.sqrt((places[S:, :3] ** 2).sum() + margin**2)
     for s in range(S, S + 2):
         for i in range(3):
-            part = bow / amplitude * places[s, i]
+            part = intersample / amplitude * places[s, i]
             growth[3] += part * places[s, 3 + i]
             for j in range(3):
                 growth[j] += part * flights[s, i, 3 + j]
     rate = turn * motion[3]
-    turned = bow * (rate**2 / max(amplitude - rate * numbers[11], margin) + n * rate)
+    turned = intersample * (rate**2 / max(amplitude - rate * numbers[11], margin) + n * rate)
     for s in range(S - 1):
         along = across = 0.0
         for i in range(3):
@@ -157,7 +157,7 @@ def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: A
             o[i] /= by
         for k in range(2 * s, 2 * s + 2):
             at, gain = s + k % 2, flights[s + k % 2]
-            value, rate = -values[0] - bow * amplitude, -growth[3]
+            value, rate = -values[0] - intersample * amplitude, -growth[3]
             for i in range(3):
                 value, rate = value + o[i] * places[at, i], rate + o[i] * places[at, 3 + i]
             for j in range(3):

@@ -37,7 +37,7 @@ class PlanProblem:
     Of the objectives `fuel` is the least velocity change; `distance` the largest smallest clearance (eq. 19),
     at any price; `margin_then_fuel` the `extra_margin` on top of `margins`, or as much of it as there is,
     then the least velocity change. Of each facet, should it be the separating one, the clearance in `margins`
-    is kept over the whole of the cell (the error tube; the bow of the path between waypoints is *not*
+    is kept over the whole of the cell (the error tube; the path's intersample bound is *not*
     included, the planner takes care of it).
     """
 

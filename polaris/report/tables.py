@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..model.checks import counted
-from ..runs.files.tables import pilots
+from ..runs.files.tables import controllers
 from ..runs.inspections.inspection import MEANING
 from ..simulation.metrics import possible
 
@@ -186,7 +186,7 @@ BRIEF = (  # metrics that the command line shows of a run
 
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
     """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
-    who = pilots(summary)
+    who = controllers(summary)
     every = (
         Measure.in_tables(*(summary[name] for name in who)) if keys is None else map(Measure.from_key, keys)
     )

@@ -225,7 +225,7 @@ class Engine(Integrator):
         applied, pushed = self.applied(u, node), w @ Dd.T
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
         self.start(node)
-        after = x @ Ad.T + applied @ Bd.T + pushed + self.bow(0)
+        after = x @ Ad.T + applied @ Bd.T + pushed + self.intersample(0)
         if self.faults is not None:
             eta = 0.0 if self.eta is None else self.eta[0]
             self.faults.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)

@@ -122,7 +122,7 @@ class Permission:
 
     def _lay_out_inner(self, inner: list[PredictedError]) -> None:
         """The facets at the nodes before the end: one matrix, and one row of constants per decision."""
-        recovery, o, n = self.recovery, len(self.recovery.bow), self.grid.system.n
+        recovery, o, n = self.recovery, len(self.recovery.intersample), self.grid.system.n
         facets, starts = recovery.matrix[:o], np.arange(len(self.known)) * self.grid.nodes
         self.inner, none = len(inner) * o, np.zeros((len(starts), 0))
         booked = [recovery.demand(stage.G).tall[:o, -1] for stage in inner]
@@ -202,7 +202,7 @@ class Permission:
             tightening *= self.inner_limits[k]
             at = int(tightening.argmax())
             if tightening[at] > share:
-                j, row = divmod(at, len(self.recovery.bow))
+                j, row = divmod(at, len(self.recovery.intersample))
                 share, where = float(tightening[at]), row + (j + 1 - self.grid.nodes) * r  # before the end
         return share, where, True
 
@@ -223,7 +223,7 @@ class Permission:
         if end > self.grid.last:
             return "the end of the plan"
         if where == -1:
-            return "limits beyond the loop's memory"
+            return "limits beyond the settling horizon"
         lag, row = divmod(where, len(self.recovery.rows))
         return f"{self.recovery.names[row]} at t = {(end + lag) * self.grid.h:g} s"
 

@@ -6,8 +6,8 @@ the rows nor the bookings depend on time: a decision is one product of a tall ma
 with the reciprocals of the limits (a window of one array), and one maximum.
 
 The facets are drawn in by what any motion under any admissible input may stray from its chord between two
-nodes (`Recovery.bow`). So if two successive nodes meet the facets of the cell between them, the path from
-one to the other does, whoever flies.
+nodes (`Recovery.intersample`). So if two successive nodes meet the facets of the cell between them, the
+path from one to the other does, whoever flies.
 """
 
 from dataclasses import dataclass, replace
@@ -86,7 +86,7 @@ class Recovery:
     def matrix(self) -> Array:
         """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
-        carried, booked = self.sets.table.carried[..., : tracking.system.n], self.sets.table.bend.copy()
+        carried, booked = self.sets.table.carried[..., : tracking.system.n], self.sets.table.curvature.copy()
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
         booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
         out = np.concatenate([carried, booked[..., None]], axis=-1)
@@ -96,7 +96,7 @@ class Recovery:
     def booked(self) -> Array:
         """Tightening of every row by S's disturbance, round-off and the path between nodes, shape (L r,)."""
         out = self.sets.beside_errors[: self.lags].copy()
-        out[:, : len(self.bow)] += self.bow + self._bent * self._radius
+        out[:, : len(self.intersample)] += self.intersample + self._bent * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
     @cached_property
@@ -116,7 +116,7 @@ class Recovery:
         return LinearFlow.continuous(system.A, system.D, system.w_max, self.grid.h, E)
 
     @cached_property
-    def bow(self) -> Array:
+    def intersample(self) -> Array:
         """Intersample bound per facet [m], (o,): inputs and disturbance take no path farther off its chord.
 
         By ``h^2/8`` times the second derivative, commands being held; a rate along the row that is not
@@ -129,16 +129,16 @@ class Recovery:
         within = pushed + flow.period_box
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
-        bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
+        curvature = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
         wrong = system.impulse_rates[
             :, system.m * bool(system.timing.carried_impulse) :
         ]  # not constant over a period
-        bend = bend + np.abs(rate @ system.unknown).sum(axis=1)
-        bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
+        curvature = curvature + np.abs(rate @ system.unknown).sum(axis=1)
+        curvature = flow.h**2 / 8 * (curvature + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
         varying = np.abs(rows @ wrong).sum(axis=1) + np.linalg.norm(rows @ system.D, axis=1) * system.w_max
         uneven = system.thrusters.error(system.u_max) + spread * bool(system.transients)  # a fault begins
         varying = varying + np.abs(rows @ system.B) @ uneven
-        return np.asarray(bend + flow.h / 2 * varying)
+        return np.asarray(curvature + flow.h / 2 * varying)
 
     @cached_property
     def _bent(self) -> Array:
@@ -220,7 +220,7 @@ class Recovery:
         return tightening
 
     def far(self, node: int) -> float:
-        """Largest ``norm(W e)`` at a node with which all limits beyond the memory are met."""
+        """Largest ``norm(W e)`` at a node with which all limits beyond the settling horizon are met."""
         allowed = self._far[0]
         return float(allowed[min(node, len(allowed) - 1)])
 
@@ -228,14 +228,14 @@ class Recovery:
     def _far(self) -> tuple[Array, Array, Array]:
         """`far` at all nodes; shares of the clearance used without any error, and per unit of ``norm(W e)``.
 
-        What `bow` and `_bent` book is booked here too: U may take over when S has flown for longer than
+        `intersample` and `_bent` count here too: U may take over when S has flown for longer than
         the memory, and the facets of the node where it does were met by this condition alone.
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
-        tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
+        tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.intersample)
         ends = self.grid.clearance.limits.available
         tightening = np.zeros_like(ends) + self.sets.beside_errors[-1] * (1 + ROUNDING)
-        path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
+        path = (self.intersample + self._bent * self._radius) * (1 + ROUNDING)
         tightening[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         tightening[1, : self.grid.last, :o] += path
         weight = tracking.per_size(self.rows)
@@ -248,7 +248,7 @@ class Recovery:
         base = np.where(possible, np.max((tightening + jump) / whole, axis=2), NEVER)
         steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
         last = self.grid.last if tail else ends.shape[1]
-        at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
+        at = np.minimum(np.arange(len(self.limits)) + tracking.settling, last)
         worst = np.stack([-allowed, base, steep]).max(axis=1)  # of both ends
         worst = np.hstack([worst, [[-np.inf], [0.0], [0.0]]])  # nothing limits beyond the last period
         later = np.maximum.accumulate(worst[:, ::-1], axis=1)[:, ::-1][:, at]
@@ -273,7 +273,7 @@ class Recovery:
         index = clearance.obstacle_rows[1]
         names = [
             " or ".join(dict.fromkeys(u.name for o, u in enumerate(clearance.unsafe) if row in index[:, o]))
-            for row in range(len(self.bow))
+            for row in range(len(self.intersample))
         ]
         return [*names, *axes * ((len(self.rows) - len(names)) // len(axes))]
 

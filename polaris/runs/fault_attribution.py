@@ -22,10 +22,10 @@ def attribute_faults(schedule: Schedule) -> list[dict[str, Any]]:
     for step in schedule.steps if faults else ():
         for law in schedule.controllers[1:] if step.mode == 0 else ():
             tube = propagate_states(law, starts[step.k], step.k, safety.controller)
-            if tube.refused or not ideal.holds(step.k, tube.nodes, tube.bow):
+            if tube.refused or not ideal.holds(step.k, tube.nodes, tube.intersample):
                 continue
-            if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):
-                margins = [sets.margin(step.k, tube.nodes, tube.bow) for sets in alone]
+            if not safety.recoverable.holds(step.k, tube.nodes, tube.intersample):
+                margins = [sets.margin(step.k, tube.nodes, tube.intersample) for sets in alone]
                 worst = min(margin.value for margin in margins)
                 for each, margin in zip(rows, margins, strict=True):
                     if not margin.inside or margin.value == worst:

@@ -61,7 +61,7 @@ class TubeData:
 
     centre: Array  # (K, q+1, d)
     generators: Array  # (K, q+1, d, g)
-    bow: Array  # (K, q, d)
+    intersample: Array  # (K, q, d)
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,8 +142,8 @@ def adjoint_worst_case(
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
-        bends = isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox))
-        about = _undisturbed(flight) if about is None and (bends or grows) else about
+        curvatures = isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox))
+        about = _undisturbed(flight) if about is None and (curvatures or grows) else about
         made = kick if spends is None else kick + spends[step]  # how much what is applied counts
         asked = made  # and what is commanded
         if about is not None and flight.thrusters.constant:
@@ -153,7 +153,7 @@ def adjoint_worst_case(
         if asked is not kick:
             answer = (kick - asked if clipped is None else (kick - asked) * ~clipped[step]) @ gain
             carried, direction[:, own.stop :] = carried + answer, direction[:, own.stop :] + answer
-        if about is not None and bends:
+        if about is not None and curvatures:
             x = about.states[:, step // flight.substeps]
             answer, heard = _answered(flight, number, step, x, asked)
             w[step, :, bodies.start : bodies.start + heard.shape[1]] = np.sign(heard)

@@ -158,7 +158,7 @@ class Firing:
         """Mean of inputs from one share of a period to another, less those that are held, (R, m)."""
         return self._beyond(0, start, end) / np.maximum(end - start, 1e-300)
 
-    def bow(self, sub: int) -> Array | float:
+    def intersample(self, sub: int) -> Array | float:
         """Return the state offset by pulses and jitter at the end of a step of a period, (R, n)."""
         if not self.parts:
             return 0.0

@@ -189,7 +189,7 @@ class Integrator(Firing):
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States (R, n) a step later, u being held."""
         (Ad, Bd, Dd), sub = self.discrete, step % self.substeps
-        return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow(sub))
+        return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.intersample(sub))
 
     def period(
         self, number: int, k: int, place: int, x: Array, w: Sequence[Array] | Array

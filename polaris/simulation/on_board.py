@@ -89,7 +89,7 @@ class FlightCode:
         size, *others = (ctypes.c_int32 * 3).in_dll(self._library, "sizes")
         if others != [self._input.itemsize, self._output.itemsize]:
             raise PolarisError(f"{source}: another layout of structures; export the code again")
-        self._memory = np.zeros((0, size), dtype=np.uint8)
+        self._settling = np.zeros((0, size), dtype=np.uint8)
         self.modes: NDArray[np.int_] = np.zeros(0, dtype=int)
         self.answers: Counter[tuple[int, int]] = Counter()
 
@@ -111,9 +111,9 @@ class FlightCode:
 
     def start(self, runs: int) -> None:
         """Begin so many flights."""
-        self._memory = np.zeros((runs, self._memory.shape[1]), dtype=np.uint8)
+        self._settling = np.zeros((runs, self._settling.shape[1]), dtype=np.uint8)
         self.modes = np.zeros(runs, dtype=int)
-        self._library.start(runs, self._memory.ctypes)
+        self._library.start(runs, self._settling.ctypes)
 
     def step(
         self,
@@ -153,9 +153,9 @@ class FlightCode:
             if measured is None:
                 raise ScenarioError("code", self.tables.sizes, "has an observer, which needs measurements")
             given["measured"] = measured
-        memory = np.ascontiguousarray(self._memory[rows])
-        self._library.step(len(given), memory.ctypes, given.ctypes, answer.ctypes)
-        self._memory[rows], self.modes[rows] = memory, answer["mode"]
+        settling = np.ascontiguousarray(self._settling[rows])
+        self._library.step(len(given), settling.ctypes, given.ctypes, answer.ctypes)
+        self._settling[rows], self.modes[rows] = settling, answer["mode"]
         self.answers.update(zip(answer["mode"].tolist(), answer["fault"].tolist(), strict=True))
         clipped = (answer["mode"] == 0) & (answer["fault"] & CLIPPED > 0)
         return np.asarray(answer["command"].astype(float) * (1 + PAST * clipped[:, None]))

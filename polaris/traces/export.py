@@ -160,7 +160,7 @@ def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> dict[str, Any
 
 
 def export_run(
-    folder: str | Path, pilot: str | None = None, label: str = "closest", *, nominal: bool = False
+    folder: str | Path, controller: str | None = None, label: str = "closest", *, nominal: bool = False
 ) -> Export:
     """One flight of a run folder or a comparison folder, as a trace.
 
@@ -193,9 +193,9 @@ def export_run(
     else:
         with readable(run.path):
             flights = read_flights(run.path / "trajectories.npz")
-    pilot = pilot or ("schedule" if option == "--method" else "polaris")
-    one_of(option, pilot, flights)
-    flown = flights[pilot]
+    controller = controller or ("schedule" if option == "--method" else "polaris")
+    one_of(option, controller, flights)
+    flown = flights[controller]
     one_of("--run", label, flown.labels)
     row = flown.labels.index(label)
     if option == "--method":

@@ -36,7 +36,7 @@ class NetworkTube:
     times : ndarray, shape (K+1,)
         Samples [s], from 0.
     nodes : Zonotope, batch (K+1,)
-    bow : ndarray, shape (K, n)
+    intersample : ndarray, shape (K, n)
         Over the period after node k the state leaves the hull of corresponding points of the two nodes by no
         more than this, elementwise.
     inputs : Zonotope, batch (K,)
@@ -45,14 +45,14 @@ class NetworkTube:
 
     times: Array
     nodes: Zonotope
-    bow: Array
+    intersample: Array
     inputs: Zonotope
 
     def support(self, directions: ArrayLike) -> Array:
         """Bounds on ``d x(t)`` over every period for rows d, shape (K, r) for rows (r, n)."""
         D = as_directions(directions, self.nodes.dim)
         nodes = self.nodes.support(D)
-        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T)
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.intersample @ np.abs(D).T)
 
     def at(self, t: ArrayLike) -> Zonotope:
         """Boxes that hold the state at given times, batch (len(t),)."""
@@ -66,7 +66,7 @@ class NetworkTube:
 def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) -> tuple[Zonotope, Array]:
     """One period of open-loop motion under held inputs whose first generators are those of the states.
 
-    Returned are the states at the next sample, not reduced, and the bow as in `NetworkTube`.
+    Returned are the states at the next sample, not reduced, and the intersample bound as in `NetworkTube`.
     """
     A, phi, held, drive = flow.A_x, flow.phi, flow.input_map(B), inputs.c
     G = np.pad(states.G, ((0, 0), (0, inputs.G.shape[1] - states.G.shape[1])))
@@ -75,8 +75,8 @@ def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) ->
     noise = flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
     # x'' = e^{A s} A (A x + B u), states and inputs taken together.
     bend = np.abs(A @ (A @ G + B @ inputs.G)).sum(axis=1) + np.abs(A @ (A @ states.c + B @ drive))
-    bow = flow.h**2 / 8 * flow.growth @ bend + flow.period_box
-    return after + noise.reduce(NOISE_ORDER), bow
+    intersample = flow.h**2 / 8 * flow.growth @ bend + flow.period_box
+    return after + noise.reduce(NOISE_ORDER), intersample
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ class NetworkLoop:
         -------
         after : Zonotope
             States at the next sample, not reduced.
-        bow : ndarray, shape (n,)
+        intersample : ndarray, shape (n,)
             As in `NetworkTube`, disturbance included.
         command : Zonotope
             Commands of the network.
@@ -189,11 +189,11 @@ class NetworkLoop:
             If the sets grow beyond floating point.
         """
         require_single("the initial set", initial)
-        nodes, bows, inputs = [initial], [], []
+        nodes, intersamples, inputs = [initial], [], []
         for _ in range(as_count("periods", periods)):
-            after, bow, command = self.step(nodes[-1])
+            after, intersample, command = self.step(nodes[-1])
             nodes.append(after if after.order_count <= order * after.dim else after.reduce(order / 3))
-            bows.append(bow)
+            intersamples.append(intersample)
             inputs.append(command)
         times = np.arange(len(nodes)) * np.float64(self.h)
-        return NetworkTube(times, Zonotope.stack(nodes), np.array(bows), Zonotope.stack(inputs))
+        return NetworkTube(times, Zonotope.stack(nodes), np.array(intersamples), Zonotope.stack(inputs))

@@ -42,7 +42,7 @@ class Block:
     attained: Array  # what one of its points attains there, (m+1, r)
     upper: Array  # what one step adds for each input set, never less than it can, (m, p, r)
     lower: Array  # never more than some input attains, (m, p, r)
-    bow: Array  # how far the bound exceeds the line between two nodes, without inputs, (m, r)
+    intersample: Array  # how far the bound exceeds the line between two nodes, without inputs, (m, r)
     bend: Array  # the same for each input set, (m, p, r)
     size: Array  # sizes of the terms of the support, and of the rate of its integral, (2, m+1, r)
 

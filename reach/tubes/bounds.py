@@ -25,7 +25,7 @@ class RowBounds:
     attained: Array  # what one of its points attains there, (K+1, r)
     upper: Array  # support of the response to the inputs alone: bound, (K+1, r)
     lower: Array  # and attained value, (K+1, r)
-    bow: Array  # how far the first part exceeds the lines that join the nodes, (K, r)
+    intersample: Array  # how far the first part exceeds the lines that join the nodes, (K, r)
     bend: Array  # and how far the response to the inputs does, (K, r)
     rounding: Array  # booked rounding of the sum of the two parts, (K+1, r)
     driven: Array  # the part of `first` that a nominal input causes, (K+1, r)
@@ -47,7 +47,7 @@ class RowBounds:
     def between(self) -> Array:
         """Bounds over the steps that were asked for, shape (K / parts, r)."""
         above = self.above
-        over = np.maximum(above[1:], above[:-1]) + self.bow + self.bend
+        over = np.maximum(above[1:], above[:-1]) + self.intersample + self.bend
         return np.asarray(over.reshape(-1, self.parts, over.shape[1]).max(axis=1))
 
     def coarse(self) -> RowBounds:
@@ -55,13 +55,15 @@ class RowBounds:
         s = self.parts
         if s == 1:
             return self
-        bow, bend = (s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend))
+        intersample, bend = (
+            s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.intersample, self.bend)
+        )
         kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
-        bow = bow + np.diff(self.times[::s])[:, None] / 4 * kinks
+        intersample = intersample + np.diff(self.times[::s])[:, None] / 4 * kinks
         nodes: dict[str, Any] = {
             name: part[::s] for name, part in vars(self).items() if isinstance(part, np.ndarray)
         }
-        return replace(self, **nodes | {"bow": bow, "bend": bend, "parts": 1})
+        return replace(self, **nodes | {"intersample": intersample, "bend": bend, "parts": 1})
 
 
 @dataclass
@@ -96,10 +98,10 @@ def collect(
         at_nodes([getattr(block, name) for _, block in pairs]) for name in ("first", "attained", "rows")
     )
     states, rates = (at_nodes([block.size[i] for _, block in pairs]) for i in (0, 1))
-    steps = np.repeat([h for h, _ in pairs], [len(block.bow) for _, block in pairs])
-    upper, lower, bow, bend = (
+    steps = np.repeat([h for h, _ in pairs], [len(block.intersample) for _, block in pairs])
+    upper, lower, intersample, bend = (
         np.concatenate([getattr(block, name) for _, block in pairs])
-        for name in ("upper", "lower", "bow", "bend")
+        for name in ("upper", "lower", "intersample", "bend")
     )
     # Where steps differ they are powers of two of the horizon, so that their sum is exact.
     times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
@@ -114,11 +116,13 @@ def collect(
         raise Overflow("the bounds or their rounding are beyond floating point")
     motion, kinks = np.zeros((2, *first.shape))
     if known is not None:
-        motion, kinks, bow = known.values, known.kinks, bow + known.bow
+        motion, kinks, intersample = known.values, known.kinks, intersample + known.intersample
     kept = rows / adjoint.rows.scale if keep else None
     upper, lower, bend = _totals(upper, starts), _totals(lower, starts), _bends(bend, starts)
     first, attained = first + motion, attained + motion
-    return RowBounds(times, first, attained, upper, lower, bow, bend, rounding, motion, kinks, kept, parts)
+    return RowBounds(
+        times, first, attained, upper, lower, intersample, bend, rounding, motion, kinks, kept, parts
+    )
 
 
 def _rounding(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:

@@ -122,7 +122,7 @@ class LinearFlow:
         return discretize(self.A_x, np.eye(len(self.phi)), self.h)[1]
 
     @checked
-    def bow(self, nodes: Zonotope) -> Array:
+    def intersample(self, nodes: Zonotope) -> Array:
         """Bound ``(h^2/8) sup |M''(s) e|`` on ``|e(t) - chord|`` after each node, shape (..., n)."""
         return np.asarray(self.h**2 / 8 * ((self.A_x @ self.A_c) @ nodes).extent @ self.growth.T)
 

@@ -40,7 +40,7 @@ class Flowpipes:
         Start sets at local time 0 (with a last coordinate that is constantly 1 if there is a drift).
     maps : ndarray, shape (K+1, M, n, d)
         ``x(t_k) = maps[k] x(0)`` but for the inputs; M is N, or 1 if the offsets are alike.
-    bow : ndarray, shape (K, N, n)
+    intersample : ndarray, shape (K, N, n)
         Between two nodes the state leaves the set that joins them by no more, rounding included.
     low, high : ndarray, shape (K, n)
         Bounds on the response to the inputs over every step.
@@ -50,14 +50,14 @@ class Flowpipes:
     offset: Array
     start: Zonotope
     maps: Array
-    bow: Array
+    intersample: Array
     low: Array
     high: Array
 
     @property
     def shape(self) -> tuple[int, int]:
         """Steps and start sets, (K, N)."""
-        return self.bow.shape[0], self.bow.shape[1]
+        return self.intersample.shape[0], self.intersample.shape[1]
 
     def support(self, directions: Array) -> Array:
         """Bounds on ``d x(t)`` over every step, shape (K, N, r) for rows (r, n)."""
@@ -66,7 +66,7 @@ class Flowpipes:
         nodes = middle + spread
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
         extra = (middle @ D.T + half @ np.abs(D).T)[:, None]
-        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D).T + extra)
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.intersample @ np.abs(D).T + extra)
 
     def sets(self, k: NDArray[np.intp], i: NDArray[np.intp]) -> Zonotope:
         """Zonotopes over chosen steps of chosen starts, batch (len(k),)."""
@@ -76,7 +76,7 @@ class Flowpipes:
         a = Zonotope((before @ c[..., None])[..., 0], before @ G)
         b = Zonotope((after @ c[..., None])[..., 0], after @ G)
         middle, half = (self.low[k] + self.high[k]) / 2, (self.high[k] - self.low[k]) / 2
-        return (a.hull(b) + middle).inflate(self.bow[k, i] + half)
+        return (a.hull(b) + middle).inflate(self.intersample[k, i] + half)
 
 
 class Propagator:
@@ -109,9 +109,9 @@ def flowpipes(
 ) -> Flowpipes:
     """Follow a stack of start sets over a horizon, in steps of a length at most.
 
-    Steps are halved (`HALVINGS` times at most) until the bow meets a tolerance (n,). With an `offset` (N,)
-    each start is followed from that local time on, without the inputs (see `input_response`). `going` says
-    of every block which starts (N,) go on.
+    Steps are halved (`HALVINGS` times at most) until the intersample bound meets a tolerance (n,). With an
+    `offset` (N,) each start is followed from that local time on, without the inputs (see `input_response`).
+    `going` says of every block which starts (N,) go on.
     """
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
@@ -123,8 +123,8 @@ def flowpipes(
         left = horizon - done
         length, count = (left, 1) if h >= left * (1 - 1e-12) else (h, int(min(BLOCK, left // h)))
         block = stepper.block(done, length, count)
-        error = 0.0 if limit is None else float((block.bow / limit).max())
-        if not np.all(np.isfinite(block.bow)):
+        error = 0.0 if limit is None else float((block.intersample / limit).max())
+        if not np.all(np.isfinite(block.intersample)):
             error = np.inf
         if error > 1 and h > step * 2.0**-HALVINGS:
             h = min(h, length) / 2
@@ -147,7 +147,7 @@ def _joined(blocks: list[Flowpipes]) -> Flowpipes:
     def joined(name: str, after: int) -> Any:
         return np.concatenate([getattr(first, name), *(getattr(b, name)[after:] for b in blocks[1:])])
 
-    steps = {name: joined(name, 0) for name in ("bow", "low", "high")}
+    steps = {name: joined(name, 0) for name in ("intersample", "low", "high")}
     return replace(first, times=joined("times", 1), maps=joined("maps", 1), **steps)
 
 
@@ -193,11 +193,11 @@ class _Stepper:
         curve = np.maximum(p2[1:], p2[:-1])
         grown = rows.closing(f, self.extent.T).T if f > 0 else self.extent
         curve = curve + f**2 / 8 * (R4 @ grown[..., None])[..., 0]
-        bow = h**2 / 8 * curve.reshape(count, parts, *curve.shape[1:]).max(axis=1)
+        intersample = h**2 / 8 * curve.reshape(count, parts, *curve.shape[1:]).max(axis=1)
         coarse = R[::parts]
         work = self.work + count * (parts + h * rows.norm)
         rounding = ROUNDING * work * (np.abs(coarse) @ self.weights[..., None])[..., 0]
-        bow = bow + np.maximum(rounding[1:], rounding[:-1])
+        intersample = intersample + np.maximum(rounding[1:], rounding[:-1])
         low = high = np.zeros((count, n))
         added = self.sum
         if raw is not None:
@@ -209,7 +209,7 @@ class _Stepper:
         self._next = every[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
         maps = np.asarray(coarse / rows.scale, dtype=float)
-        return Flowpipes(nodes, self.offset, self.start, maps, bow, low, high)
+        return Flowpipes(nodes, self.offset, self.start, maps, intersample, low, high)
 
     def accept(self) -> None:
         """Go on from the end of the last block."""

@@ -19,7 +19,7 @@ class KnownResponse:
     """The part of ``d x(t)`` that a known signal causes, for r rows d."""
 
     values: Array  # at the nodes, (K+1, r)
-    bow: Array  # between two nodes it leaves the line that joins them by 4 s (1 - s) bow at most, (K, r)
+    intersample: Array  # path and chord between two nodes differ by at most 4 s (1 - s) intersample, (K, r)
     kinks: Array  # by how much its slope jumps at the nodes, (K+1, r)
     states: Array  # the trajectory itself, (K+1, n)
 
@@ -45,10 +45,10 @@ def known_response(system: LinearSystem, D: Array, nodes: Array, steps: Array) -
     jump[1:-1] = np.abs(times(substeps.u[1:] - before, np.asarray(D @ system.B).T))
     at_node = np.r_[substeps.starts, True]
     kinks, inside = jump[at_node], np.where(at_node[:, None], 0.0, jump)[:-1]
-    bow = steps[:, None] ** 2 / 8 * np.maximum.reduceat(curve, first, axis=0)
-    bow += steps[:, None] / 4 * np.add.reduceat(inside, first, axis=0)
+    intersample = steps[:, None] ** 2 / 8 * np.maximum.reduceat(curve, first, axis=0)
+    intersample += steps[:, None] / 4 * np.add.reduceat(inside, first, axis=0)
     y = y[at_node]
-    return KnownResponse(times(y, D.T), bow, kinks, y)
+    return KnownResponse(times(y, D.T), intersample, kinks, y)
 
 
 class _Substeps:

@@ -242,7 +242,7 @@ class Sweep:
         axes = np.vstack([np.eye(n), -np.eye(n)])
         rows = D if np.array_equal(D, axes) else np.vstack([D, axes])
         first, upper, lower, attained = (np.zeros((K + 1, len(rows))) for _ in range(4))
-        bow, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
+        intersample, maps, later = np.empty((K, len(rows))), np.empty((K + 1, n, n)), np.empty((K, n, n))
         boxes = np.empty((K, n))
         maps[0], first[0], size, absolute = np.eye(n), self.initial.support(rows), self.x0, np.abs(rows)
         attained[0] = attained_support(self.initial, rows, first[0])
@@ -260,7 +260,7 @@ class Sweep:
             along = curved @ maps[k]
             known = np.maximum(self.initial.support(along), self.initial.support(-along))
             bend = known + np.abs(curved) @ moved + absolute @ (self.more[k] @ size)
-            bow[k] = h**2 / 8 * bend + absolute @ self.local[k]
+            intersample[k] = h**2 / 8 * bend + absolute @ self.local[k]
             later[:k] = self.P[k] @ later[:k]
             later[k] = np.eye(n)
             maps[k + 1] = self.P[k] @ maps[k]
@@ -275,9 +275,13 @@ class Sweep:
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error
             moved, size = largest(upper[k + 1]), largest(first[k + 1] + upper[k + 1])
-        first, attained, upper, lower, bow = (part[:, :r] for part in (first, attained, upper, lower, bow))
+        first, attained, upper, lower, intersample = (
+            part[:, :r] for part in (first, attained, upper, lower, intersample)
+        )
         none, straight = np.zeros((K + 1, r)), np.zeros((K, r))
-        return RowBounds(self.times, first, attained, upper, lower, bow, straight, none, none, none, D @ maps)
+        return RowBounds(
+            self.times, first, attained, upper, lower, intersample, straight, none, none, none, D @ maps
+        )
 
 
 def _growing(M: Array, more: Array | float) -> Array:

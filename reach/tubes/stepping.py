@@ -127,7 +127,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
             rows = block.rows[-1]
 
     run = collect(adjoint, D, horizon, blocks(), steps.keep, parts, known)
-    if not np.all((run.bow + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
+    if not np.all((run.intersample + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
         raise Unresolved(f"the step {step:g} is too long: its intersample bound is useless; shorten it")
     return run
 
@@ -135,7 +135,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
 def _halved(
     adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, steps: Steps
 ) -> RowBounds:
-    """Steps of one length, halved until nodes and bows each meet half of the tolerance."""
+    """Steps of one length, halved until nodes and intersample bounds each meet half of the tolerance."""
     system = adjoint.system
     changes = system.breaks if system.nominal is None else np.r_[system.breaks, system.nominal.jumps]
     near = [Fraction(t / horizon).limit_denominator(GRID) for t in changes if 0 < t < horizon]
@@ -147,7 +147,7 @@ def _halved(
         above = run.above
         allowed = (SHARE * np.abs(above).max(axis=0) if goal is None else goal) / 2
         room = np.maximum(allowed, ceiling - np.maximum(above[1:], above[:-1]))
-        if np.all(above - run.below <= allowed) and np.all(run.bow + run.bend <= room):
+        if np.all(above - run.below <= allowed) and np.all(run.intersample + run.bend <= room):
             return run
         if grid <= GRID and np.any(2 * run.rounding > allowed):
             raise Unresolved(f"the tolerance {2 * allowed} is below the rounding of the bounds")
@@ -160,7 +160,8 @@ def _adaptive(
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 
     Half of it is for the integral of the inputs, in proportion to time but never less than a twentieth of
-    what is left on one block; half for the bow. Without a goal it is `SHARE` of the largest value met so far.
+    what is left on one block; half for the intersample bound. Without a goal it is `SHARE` of the largest
+    value met so far.
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
@@ -189,7 +190,7 @@ def _adaptive(
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
-            bend = block.bow + block.bend.sum(axis=1)
+            bend = block.intersample + block.bend.sum(axis=1)
             node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
             room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
             share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)

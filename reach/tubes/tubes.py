@@ -36,9 +36,9 @@ class SupportTube:
         Some initial state and input reach at least this, so the exact support lies between the two.
     interval : ndarray, shape (K, r)
         ``d x(t) <= interval[k]`` for every t in ``[times[k], times[k+1]]``.
-    bow : ndarray, shape (K, r)
+    intersample : ndarray, shape (K, r)
         Between two nodes the support exceeds the line that joins ``upper`` by no more than
-        ``4 s (1 - s) bow``, s in [0, 1] running from one node to the next.
+        ``4 s (1 - s) intersample``, s in [0, 1] running from one node to the next.
     """
 
     times: Array
@@ -46,7 +46,7 @@ class SupportTube:
     upper: Array
     attained: Array
     interval: Array
-    bow: Array
+    intersample: Array
 
     def at(self, t: ArrayLike) -> Array:
         """Upper bounds at given times, shape (len(t), r).
@@ -58,7 +58,9 @@ class SupportTube:
         """
         k, s = locate(self.times, t)
         s = s[:, None]
-        return np.asarray((1 - s) * self.upper[k] + s * self.upper[k + 1] + 4 * s * (1 - s) * self.bow[k])
+        return np.asarray(
+            (1 - s) * self.upper[k] + s * self.upper[k + 1] + 4 * s * (1 - s) * self.intersample[k]
+        )
 
     @property
     def most(self) -> Array:
@@ -127,7 +129,7 @@ def tube_of(
     if steps.step is not None and not system.discrete:
         warn_if_wide(between.max(axis=0), below.max(axis=0), np.abs(above).max(axis=0))
     upper, attained = above[:: run.parts], below[:: run.parts]
-    return SupportTube(coarse.times, D, upper, attained, between, coarse.bow + coarse.bend)
+    return SupportTube(coarse.times, D, upper, attained, between, coarse.intersample + coarse.bend)
 
 
 @short_repr
@@ -142,16 +144,16 @@ class ZonotopeTube:
     nodes : Zonotope, batch (K+1,)
         ``x(t_k)`` lies in ``nodes[k]`` for every initial state and every input. The generators of
         the initial set come first, in its order; then one per axis of the frame, for the inputs.
-    bow : ndarray, shape (K, n)
+    intersample : ndarray, shape (K, n)
         Between two nodes the state leaves the set that joins them by no more than
-        ``4 s (1 - s) bow`` along the axes of the frame, s in [0, 1] from one node to the next.
+        ``4 s (1 - s) intersample`` along the axes of the frame, s in [0, 1] from one node to the next.
     frame : ndarray, shape (n, n)
         Columns: the axes.
     """
 
     times: Array
     nodes: Zonotope
-    bow: Array
+    intersample: Array
     frame: Array
 
     @property
@@ -165,7 +167,7 @@ class ZonotopeTube:
         g = self.nodes.order_count - n
         before, after = self.nodes[:-1], self.nodes[1:]
         first = Zonotope(before.c, before.G[..., :g]).hull(Zonotope(after.c, after.G[..., :g]))
-        widths = np.maximum(self._widths[:-1], self._widths[1:]) + self.bow
+        widths = np.maximum(self._widths[:-1], self._widths[1:]) + self.intersample
         return first + Zonotope(np.zeros_like(before.c), self.frame * widths[:, None, :])
 
     def at(self, t: ArrayLike) -> Zonotope:
@@ -175,7 +177,7 @@ class ZonotopeTube:
         before, after = self.nodes[k], self.nodes[k + 1]
         c = (1 - s) * before.c + s * after.c
         G = (1 - s)[..., None] * before.G + s[..., None] * after.G
-        extra = self.frame * (4 * s * (1 - s) * self.bow[k])[:, None, :]
+        extra = self.frame * (4 * s * (1 - s) * self.intersample[k])[:, None, :]
         n = self.nodes.dim
         return Zonotope(c, np.concatenate([G[..., :-n], G[..., -n:] + extra], axis=-1))
 
@@ -183,7 +185,7 @@ class ZonotopeTube:
         """Bounds on ``d x(t)`` over every interval for rows d, shape (K, r) for rows (r, n)."""
         D = np.atleast_2d(as_numbers("directions", directions))
         nodes = self.nodes.support(D)
-        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.bow @ np.abs(D @ self.frame).T)
+        return np.asarray(np.maximum(nodes[1:], nodes[:-1]) + self.intersample @ np.abs(D @ self.frame).T)
 
     @property
     def _widths(self) -> Array:
@@ -242,17 +244,19 @@ def zonotope_tube(
     assert run.rows is not None
     if step is not None and not system.discrete:
         nodes = run.above.max(axis=0)
-        warn_if_wide(nodes + (run.bow + run.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
+        warn_if_wide(nodes + (run.intersample + run.bend).max(axis=0, initial=0.0), nodes, np.abs(nodes))
     start = start.to_zonotope()
     image = run.rows[:, :n] @ (start if isinstance(system, LTVSystem) else augmented(system, start)[1])
     # The second half of the rows is the first half with the sign turned, or left out if alike.
     high, low = (run.upper[:, rows] + run.rounding[:, rows] for rows in (slice(n), slice(-n, None)))
-    bow = np.maximum(run.bow[:, :n], run.bow[:, -n:]) + np.maximum(run.bend[:, :n], run.bend[:, -n:])
-    return along_frame(run.times, image, (low - run.driven[:, :n], high + run.driven[:, :n]), bow, F)
+    intersample = np.maximum(run.intersample[:, :n], run.intersample[:, -n:]) + np.maximum(
+        run.bend[:, :n], run.bend[:, -n:]
+    )
+    return along_frame(run.times, image, (low - run.driven[:, :n], high + run.driven[:, :n]), intersample, F)
 
 
 def along_frame(
-    times: Array, image: Zonotope, inputs: tuple[Array, Array], bow: Array, F: Array
+    times: Array, image: Zonotope, inputs: tuple[Array, Array], intersample: Array, F: Array
 ) -> ZonotopeTube:
     """A tube from the image of the initial set along the axes F, batch (K+1,), and bounds on the inputs."""
     low, high = inputs
@@ -261,7 +265,7 @@ def along_frame(
     # The inverse of F is one to rounding only.
     widths = widths + ROUNDING * len(F) * size @ (np.abs(np.linalg.inv(F)) @ np.abs(F)).T
     G = np.concatenate([F @ image.G, F * widths[:, None, :]], axis=-1)
-    return ZonotopeTube(times, Zonotope((image.c + middle) @ F.T, G), bow, F)
+    return ZonotopeTube(times, Zonotope((image.c + middle) @ F.T, G), intersample, F)
 
 
 @checked

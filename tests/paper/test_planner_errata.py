@@ -64,9 +64,9 @@ def test_note_9_waypoints_and_chord_are_safe_but_the_path_is_not():
     start = np.array([0, -1000, 0, -0.1 * delta / 2, 0, 0.0])
     t = np.linspace(0, delta, 201)
     path = np.array([(expm(block * s) @ np.r_[start, u])[:3] for s in t])
-    bow = np.max(path[0, 0] + (path[-1, 0] - path[0, 0]) * t / delta - path[:, 0])
-    assert bow > 60.0  # metres
-    body = box((-(bow / 2 + 100), path[:, 1].mean(), 0), (100, 400, 100), 1)
+    intersample = np.max(path[0, 0] + (path[-1, 0] - path[0, 0]) * t / delta - path[:, 0])
+    assert intersample > 60.0  # metres
+    body = box((-(intersample / 2 + 100), path[:, 1].mean(), 0), (100, 400, 100), 1)
     facet = body.offsets[0, 0, 0]
     assert path[0, 0] > facet and path[-1, 0] > facet  # eq. 23 without error bound: accepted
     assert path[:, 0].min() < facet  # and yet inside

@@ -244,7 +244,7 @@ def test_parts_of_a_block_bound_what_they_say(case, steps):
         for share in (0.25, 0.5, 0.75):
             row = D @ expm(system.A * (k + share) * h)
             line = (1 - share) * block.first[k] + share * block.first[k + 1]
-            assert np.all(X.support(row) <= line + 4 * share * (1 - share) * block.bow[k] + slack)
+            assert np.all(X.support(row) <= line + 4 * share * (1 - share) * block.intersample[k] + slack)
         if adjoint.input_pieces:
             fine = h / 200
             rows = np.array([D @ expm(system.A * (k * h + (j + 0.5) * fine)) for j in range(200)])

@@ -44,13 +44,13 @@ def test_path_stays_within_the_bow_of_its_chord(kind, seed, h):
     rng = np.random.default_rng(seed)
     z = Zonotope(rng.normal(size=6) * [9, 9, 9, 1, 1, 1], rng.normal(size=(6, 4)))
     f = flow(kind, h)
-    bow = f.bow(z)
+    intersample = f.intersample(z)
     worst = np.zeros(6)
     for e in z.sample(rng, 8):
         for share in np.linspace(0, 1, 9):
             chord = (1 - share) * e + share * (f.phi @ e)
             worst = np.maximum(worst, np.abs(inside_period(kind, share * h) @ e - chord))
-    assert np.all(worst <= bow * (1 + 1e-9) + 1e-12)
+    assert np.all(worst <= intersample * (1 + 1e-9) + 1e-12)
 
 
 def test_bow_is_not_idle():
@@ -58,7 +58,7 @@ def test_bow_is_not_idle():
     f = flow("continuous", 5.0)
     chord = 0.5 * e + 0.5 * f.phi @ e
     reached = np.abs(expm(A_C * 2.5) @ e - chord)[0]
-    assert 0.6 < reached / f.bow(Zonotope.point(e))[0] <= 1
+    assert 0.6 < reached / f.intersample(Zonotope.point(e))[0] <= 1
 
 
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])
@@ -243,12 +243,12 @@ def test_of_84_random_systems_nothing_that_is_reached_is_missed(kind, seed):
         assert np.all(np.maximum(reached, attained) <= nodes[k + 1].support(rows) + grain)
     assert np.all(np.abs(f.input_map(D) @ rng.uniform(-1, 1, p) * w_max / p) <= f.period_box * (1 + 1e-9))
     start = truth.body("zonotope", n, rng)
-    bow = f.bow(start)
+    intersample = f.intersample(start)
     for e in truth.vertices(start, 6, rng):
         for share in np.linspace(0, 1, 9):
             As, Bs = discretize(A, B, share * h)
             path, chord = (As - Bs @ K if sampled else As) @ e, (1 - share) * e + share * (f.phi @ e)
-            assert np.all(np.abs(path - chord) <= bow * (1 + 1e-9) + 1e-9 * np.abs(f.phi) @ np.abs(e))
+            assert np.all(np.abs(path - chord) <= intersample * (1 + 1e-9) + 1e-9 * np.abs(f.phi) @ np.abs(e))
 
 
 def test_an_input_that_changes_sign_within_a_period_is_enclosed():

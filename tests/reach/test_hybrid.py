@@ -293,7 +293,7 @@ def test_fast_and_slow_motion_by_a_tolerance():
     automaton = HybridAutomaton([Mode("a", LinearSystem(np.diag([-50.0, -0.1])))])
     tube = hybrid_tube(automaton, BOX, 20.0, HybridOptions(step=2.0, tolerance=1e-3))
     (segment,) = tube.segments
-    assert np.all(segment.flowpipes.bow <= 1e-3)
+    assert np.all(segment.flowpipes.intersample <= 1e-3)
     lengths = np.diff(segment.flowpipes.times)
     assert lengths.max() > 20 * lengths.min()
     holds_all(automaton, BOX, 20.0, tube)

@@ -115,7 +115,7 @@ def test_sampled_trajectories_stay_inside(arguments):
     loose = {"step": 0.3}.get(next(iter(arguments), ""), 0.02)
     assert np.all(center[-1] @ D.T + reached >= tube.upper[-1] - loose)
     if "tolerance" in arguments:
-        assert np.all(tube.bow <= 0.5e-3 * 1.05)
+        assert np.all(tube.intersample <= 0.5e-3 * 1.05)
 
 
 def test_a_specification_of_a_motion_with_a_nominal_input_is_decided():
@@ -135,13 +135,15 @@ def test_a_known_motion_that_is_back_at_the_nodes_is_bounded_between_them():
 
 
 def test_a_break_of_slope_between_nodes_is_of_second_order_and_a_jump_of_first():
-    bows = {}
+    intersamples = {}
     for name, signal in (("kink", Signal([0.0, 0.55, 1.0], [[0.0], [1.0], [0.0]])), ("jump", RAMPS)):
         system = LinearSystem(A, B, nominal=signal)
-        at = [support_tube(system, BOX, 2.0, [[0.0, 1.0]], step=h).bow.max() for h in (0.2, 0.1, 0.05)]
-        bows[name] = at[0] / at[1], at[1] / at[2]
-    assert min(bows["kink"]) > 3
-    assert min(bows["jump"]) > 1.5
+        at = [
+            support_tube(system, BOX, 2.0, [[0.0, 1.0]], step=h).intersample.max() for h in (0.2, 0.1, 0.05)
+        ]
+        intersamples[name] = at[0] / at[1], at[1] / at[2]
+    assert min(intersamples["kink"]) > 3
+    assert min(intersamples["jump"]) > 1.5
 
 
 def test_a_discrete_system_takes_the_signal_at_its_steps():

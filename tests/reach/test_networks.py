@@ -126,13 +126,13 @@ def test_flights_stay_in_the_tube_between_samples_too(seed):
 def test_periods_agree_with_matrix_exponentials():
     loop = a_loop(0)
     x = np.array([0.3, -0.2])
-    after, bow, command = loop.step(Zonotope.point(x), v=np.array([0.4]))
+    after, intersample, command = loop.step(Zonotope.point(x), v=np.array([0.4]))
     u = loop.network(x) + 0.4
     joined = np.block([[loop.A, (loop.B @ u)[:, None]], [np.zeros((1, 3))]])
     exact = expm(joined * loop.h) @ np.r_[x, 1.0]
     assert np.abs(after.c - exact[:2]).max() < 1e-12
     assert command.c + 0.4 == pytest.approx(u)
-    assert np.all(bow >= loop.flow.period_box)
+    assert np.all(intersample >= loop.flow.period_box)
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_halving_the_step_quarters_the_excess(system):
     for steps in (64, 128, 256):
         tube = support_tube(system, BOX, 2.0, D, step=2.0 / steps)
         excess.append((tube.upper[-1] - value).max())
-        above.append(tube.bow.max())
+        above.append(tube.intersample.max())
     assert np.all(error < 1e-3 * excess[-1])
     for sizes in (excess, above):
         assert 3.5 < sizes[0] / sizes[1] < 4.6
@@ -146,7 +146,7 @@ def test_every_carrier_gives_the_same_bounds(case):
     alone = support_tube(plain, X.interval_hull(), 1.0, D, step=1 / 40)
     parts = support_tube(pair, both, 1.0, np.hstack([D, 0 * D]), step=1 / 40)
     slack = 1e-9 * truth.size(system, X, D)  # rounding is booked in each by what is known of its growth
-    for name in ("upper", "attained", "interval", "bow"):
+    for name in ("upper", "attained", "interval", "intersample"):
         assert np.all(np.abs(getattr(thin, name) - getattr(dense, name)) <= slack)
         assert np.all(np.abs(getattr(parts, name) - getattr(alone, name)) <= slack)
 
@@ -172,7 +172,7 @@ def test_a_discrete_system_is_exact(case):
                 value = value + steps.U[int(j >= 3)].support(row @ steps.B)
         assert np.allclose(tube.upper[-1], value, rtol=1e-11, atol=1e-11 * truth.size(steps, X, D, 9.0).max())
         assert np.all(tube.attained[-1] <= tube.upper[-1])
-        assert not np.any(tube.bow)
+        assert not np.any(tube.intersample)
 
 
 def test_a_limit_saves_steps_and_is_kept():

@@ -64,7 +64,7 @@ def test_sampled_trajectories_stay_inside_a_tube_by_tolerance(case, exponent):
     tolerance = 10**exponent * truth.size(system, X, np.eye(system.dim)) + 1e-6
     tube = zonotope_tube(system, X, 1.0, tolerance=tolerance)
     holds(tube, system, X, rng)
-    assert np.all(tube.bow <= tolerance / 2 * (1 + 1e-9))
+    assert np.all(tube.intersample <= tolerance / 2 * (1 + 1e-9))
 
 
 @given(truth.cases(kinds=("random", "oscillating", "units", "nilpotent")))
@@ -134,7 +134,7 @@ def test_every_carrier_gives_the_same_zonotopes():
     thin = zonotope_tube(LinearSystem(sparse.csr_matrix(A), B, U, c), start, 1.0, step=0.02)
     assert np.allclose(dense.nodes.c, thin.nodes.c, rtol=1e-10, atol=1e-10)
     assert np.allclose(dense.nodes.G, thin.nodes.G, rtol=1e-9, atol=1e-9)
-    assert np.allclose(dense.bow, thin.bow, rtol=1e-9, atol=1e-12)
+    assert np.allclose(dense.intersample, thin.intersample, rtol=1e-9, atol=1e-12)
 
 
 def test_a_discrete_system_follows_its_recursion():

@@ -55,8 +55,8 @@ class Argument:
         assert document.laws[0].gain is not None  # as of every safety controller
         self.gain = matrix(document.laws[0].gain)
         self.craft = craft_of(document, self.plant, self.gain)
-        self.pilots = [ControllerModel.for_law(law, self.craft, document) for law in document.laws]
-        networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
+        self.controllers = [ControllerModel.for_law(law, self.craft, document) for law in document.laws]
+        networks = [controller.policy for controller in self.controllers if controller.law.kind == "neural"]
         self.upsets = wrong_thrust(document, self.craft, networks)
 
     def run(self) -> None:
@@ -89,7 +89,7 @@ class Argument:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
             held = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
             taken = spent(flown, self.K * doc.q, doc.weights[: self.K]) / doc.mass
-            arrival = Arrival(flight, held, taken, self.pilots[0], merging, flown)
+            arrival = Arrival(flight, held, taken, self.controllers[0], merging, flown)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.joint is not None:
                 self.record.holds("joint", check_joint(arrival, self.stated.joint))
@@ -134,7 +134,9 @@ class Argument:
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.state_offset)
             flown.append(
-                enclose_step(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets)
+                enclose_step(
+                    self.controllers[mode], sets[-1], k, path, barrier, merging, departures, self.upsets
+                )
             )
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
@@ -154,7 +156,7 @@ class Argument:
             within = flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         flight.keeps(reached, claimed)
-        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond"
+        ahead = f"{flight.tracker.settling.periods} periods ahead and beyond"
         self.record.holds("recoverable", f"S can take over at {len(reached)} instants, {ahead}")
         claims = [margin for margin in claimed.values() if margin > 0]
         least = f", at least {min(claims):.3g} of the clearance" if claims else ""

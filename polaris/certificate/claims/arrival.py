@@ -50,7 +50,7 @@ class Arrival:
     flight: Continuation
     held: tuple[HandOver, ...]
     spent: arb
-    pilot: ControllerModel | None = None  # S, where it is flown on
+    controller: ControllerModel | None = None  # S, where it is flown on
     merging: Merging | None = None  # of the sets that it flies
     before: Sequence[FlownStep] = ()  # steps until T
     _flown: list[FlownStep] = field(default_factory=list, repr=False)
@@ -73,7 +73,7 @@ class Arrival:
         if reached == (by is None):
             raise Rejected("goal", "by_s must be given exactly where the goal is claimed to be reached")
         rows = WeightedRows.from_goal(spec, self.velocity_time, self.document)
-        tightenings = Tightening(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
+        tightenings = Tightening(self.flight.tracker.craft, self.flight.tracker.settling, rows.rows)
         self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(tightenings))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
@@ -176,16 +176,16 @@ class Arrival:
         doc = self.document
         jump = diagonal(self.flight.jump.entries())
         reached = self.held[-1].errors.plus(self.flight.tracker.craft.lifted(jump))
-        assert self.pilot is not None and self.merging is not None
+        assert self.controller is not None and self.merging is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
-            self._flown.append(enclose_step(self.pilot, start, k, self.flight.path, None, self.merging))
+            self._flown.append(enclose_step(self.controller, start, k, self.flight.path, None, self.merging))
         return self._flown
 
     def error_bounds(self, tightenings: Tightening, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
         least = self.flight.tightening(tightenings, self.held, self._first + node)
-        if self.pilot is None or not self.document.feedback_bound or node == self._last:
+        if self.controller is None or not self.document.feedback_bound or node == self._last:
             return least
         pairs = zip(least, self._flown_at(tightenings.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
@@ -221,7 +221,7 @@ class Arrival:
     def _drifting(self) -> Tightening:
         row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
         tracker = self.flight.tracker
-        return Tightening(tracker.craft, tracker.memory, above(matrix([row]), -matrix([row])))
+        return Tightening(tracker.craft, tracker.settling, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T, each for itself [m/s]."""
@@ -256,7 +256,7 @@ class Arrival:
         craft = self.flight.tracker.craft
         if not craft.lag < node:
             return craft.plant.u_max
-        last = max(node, self.flight.tracker.memory.periods + 1)
+        last = max(node, self.flight.tracker.settling.periods + 1)
         tops = maxima(*map(self.max_commands, range(node - craft.lag - 1, last + 1)))
         return [smallest(pair) for pair in zip(tops, craft.plant.u_max, strict=True)]
 
@@ -273,4 +273,6 @@ class Arrival:
 
     @cached_property
     def _commands(self) -> Tightening:
-        return Tightening(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)
+        return Tightening(
+            self.flight.tracker.craft, self.flight.tracker.settling, self.flight.tracker.commands
+        )

@@ -27,14 +27,14 @@ def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
     return Path.propagate(plant, column(document.center), document.inputs, document.steps, coasts)
 
 
-def prolonged(document: Document, path: Path, memory: Settling) -> tuple[Path, list[list[int]]]:
+def prolonged(document: Document, path: Path, settling: Settling) -> tuple[Path, list[list[int]]]:
     """Return the path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
     facet will do, and the one with most clearance is taken.
     """
     doc, chosen, arcs = document, list(document.facets), list(path.arcs)
-    missing = doc.steps * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
+    missing = doc.steps * doc.q + settling.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
     for _ in range(-(-missing // doc.q)):
         arcs.append(Arc.from_state(path.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
         chosen.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])

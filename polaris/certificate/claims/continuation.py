@@ -27,7 +27,7 @@ class Tracker:
 
     document: Document
     craft: Craft
-    memory: Settling
+    settling: Settling
     upsets: Sequence[arb_mat]  # boxes, one of which holds what a fault adds until it is isolated
     _known: dict[Any, Tightening] = field(default_factory=dict, repr=False)
 
@@ -36,13 +36,13 @@ class Tracker:
         cls, document: Document, craft: Craft, upsets: Sequence[arb_mat], sets: Sequence[Zonotope]
     ) -> "Tracker":
         """Build the tracker from errors within any of the sets."""
-        memory = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.feedback_bound)
-        return cls(document, craft, memory, upsets)
+        settling = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.feedback_bound)
+        return cls(document, craft, settling, upsets)
 
     def tightenings(self, of: Any, rows: arb_mat) -> Tightening:
         """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
         if of not in self._known:
-            doc, tightenings = self.document, Tightening(self.craft, self.memory, rows)
+            doc, tightenings = self.document, Tightening(self.craft, self.settling, rows)
             if doc.transients:
                 tightenings = replace(
                     tightenings, upset=transient_tightening(tightenings, [*self.upsets], self.outages)
@@ -53,7 +53,7 @@ class Tracker:
     @cached_property
     def outages(self) -> list[Differences]:
         """Differences that losses of navigation make of the loop state."""
-        return outage_differences(self.document, self.craft, self.memory)
+        return outage_differences(self.document, self.craft, self.settling)
 
     @property
     def commands(self) -> arb_mat:
@@ -70,7 +70,7 @@ class HandOver:
     last: int
     box: arb_mat | None = None  # its size (N, 1), which alone bounds what bends between nodes
     _since: dict[tuple[Tightening, int, bool], list[arb]] = field(default_factory=dict, repr=False)
-    _bows: dict[Tightening, SetIntersample] = field(default_factory=dict, repr=False)
+    _intersamples: dict[Tightening, SetIntersample] = field(default_factory=dict, repr=False)
 
     @classmethod
     def within(cls, size: arb_mat, first: int, last: int) -> "HandOver":
@@ -81,13 +81,15 @@ class HandOver:
         """Bound the errors alone along rows after `lag` periods; if `around`, next to that node, too."""
         key = tightenings, lag, around
         if key not in self._since:
-            if lag > tightenings.memory.periods:
+            if lag > tightenings.settling.periods:
                 self._since[key] = tightenings.tightening_after_settling(self.errors.size())
             elif around and self.box is not None:
                 self._since[key] = tightenings.boxed(self.box, lag)
             else:
-                bows = self._bows.setdefault(tightenings, SetIntersample(tightenings, self.errors))
-                more = [bows.next_to(lag)] if around else []
+                intersamples = self._intersamples.setdefault(
+                    tightenings, SetIntersample(tightenings, self.errors)
+                )
+                more = [intersamples.next_to(lag)] if around else []
                 self._since[key] = sums(self.errors.support(tightenings.carried[lag]), *more)
         return self._since[key]
 
@@ -112,7 +114,7 @@ class Continuation:
         """
         key = tightenings, handed, node, around
         if key not in self._known:
-            last, bounds = tightenings.memory.periods + 1, []
+            last, bounds = tightenings.settling.periods + 1, []
             pushed = tightenings.disturbed if around else tightenings.at_nodes
             for each in handed:
                 lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
@@ -164,7 +166,7 @@ class Continuation:
     @cached_property
     def further(self) -> tuple[Path, list[list[int]]]:
         """Return the path and its facets until the loop has forgotten what it was at T."""
-        return prolonged(self.document, self.path, self.tracker.memory)
+        return prolonged(self.document, self.path, self.tracker.settling)
 
     @cached_property
     def scheduled(self) -> Feedforward | None:
@@ -172,7 +174,7 @@ class Continuation:
         by_step = self.document.error_by_step and self.tracker.craft.base is not None
         if not (self.document.feedback_bound or by_step):
             return None
-        return Feedforward(self.document, self.tracker.craft, self.tracker.memory, self.further[0])
+        return Feedforward(self.document, self.tracker.craft, self.tracker.settling, self.further[0])
 
     @cached_property
     def recovery(self) -> Recovery:

@@ -67,12 +67,12 @@ class Corrections:
     @cached_property
     def _tightenings(self) -> Tightening:
         """Needs of commands."""
-        return Tightening(self.tracker.craft, self.tracker.memory, self.tracker.craft.commands)
+        return Tightening(self.tracker.craft, self.tracker.settling, self.tracker.craft.commands)
 
     @cached_property
     def _summed(self) -> arb_mat:
         """Sums over the settling horizon of the sizes of commands by a unit of each loop state, (m, N)."""
-        first, *others = map(magnitude, self._tightenings.carried[: self.tracker.memory.periods])
+        first, *others = map(magnitude, self._tightenings.carried[: self.tracker.settling.periods])
         return sum(others, first)
 
     @cached_property
@@ -100,7 +100,7 @@ class Corrections:
 
     def _later(self, size: arb_mat, count: int) -> list[arb]:
         """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
-        more = max(count - self.tracker.memory.periods, 0)
+        more = max(count - self.tracker.settling.periods, 0)
         return [x * more for x in self._tightenings.tightening_after_settling(size)]
 
     def planned(self, inputs: Sequence[Sequence[float]], q: int) -> arb:
@@ -120,8 +120,8 @@ class Corrections:
     def _near(self) -> tuple[arb_mat, arb_mat]:
         """Answers in the first part of the settling horizon, and sums of the sizes of the rest."""
         carried, count = (
-            self._tightenings.carried[: self.tracker.memory.periods],
-            self.tracker.memory.periods // NEAR,
+            self._tightenings.carried[: self.tracker.settling.periods],
+            self.tracker.settling.periods // NEAR,
         )
         first, *others = map(magnitude, carried[count:])
         return above(*carried[:count]), sum(others, first)
@@ -151,7 +151,7 @@ class Corrections:
         misses periods has not learned in an outage may add to every later command.
         """
         tightenings, plant, spent = self._tightenings, self.tracker.craft.plant, [arb(0)]
-        carried = tightenings.carried[: self.tracker.memory.periods]
+        carried = tightenings.carried[: self.tracker.settling.periods]
         for fault, flights, wrong in self._faults():
             each = [difference_along(rows, flights) for rows in carried]
             size = column(difference_along(identity(carried[0].ncols()), flights))

@@ -71,11 +71,14 @@ class Departures:
     def _over(self) -> arb_mat:
         return magnitude(exponential_over(-self.plant.A, self.plant.h))
 
-    def check(self, i: int, base: Arc, d: Zonotope, moved: Zonotope, end: Zonotope, bow: list[arb]) -> None:
+    def check(
+        self, i: int, base: Arc, d: Zonotope, moved: Zonotope, end: Zonotope, intersample: list[arb]
+    ) -> None:
         """Check that states in which thrust may stop in period i lead back into the group's parallelotope.
 
-        `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the second
-        less the first, point by point; `bow` bounds how far states leave the chords (Proposition 15 (a)).
+        `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the
+        second less the first, point by point; `intersample` bounds the distance from the chords
+        (Proposition 15 (a)).
         """
         A, h, first, last = self.plant.A, self.plant.h, base.nodes[i], base.nodes[i + 1]
         group = self.groups[self._group[i]]
@@ -86,7 +89,7 @@ class Departures:
         bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
         beyond = (
             magnitude(inverse * self._back[i])
-            * (self._over * (column(bow) + column(self.state_offset) + bent))
+            * (self._over * (column(intersample) + column(self.state_offset) + bent))
         ).entries()
         for z, back in zip(ends, self._back[i : i + 2], strict=True):
             M = inverse * back
@@ -151,7 +154,7 @@ class Drifts:
             pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
             constants = (motion.constant_gain(rows, push, self._claim.parts) for push in self.plant.bias)
             pushed = sums(pushed, *constants)
-            self._known[key] = row, motion.bend(row * self.plant.A), pushed
+            self._known[key] = row, motion.curvature(row * self.plant.A), pushed
         return self._known[key]
 
     def check(self, least: float | None) -> str:
@@ -193,10 +196,10 @@ class Drifts:
         """Room beyond one facet of one unsafe set in every part."""
         p, item, clearances = self._claim.parts, self.document.unsafe[o], []
         for j, facet in enumerate(chosen):
-            row, bend, pushed = self._bookings(o, facet)
+            row, curvature, pushed = self._bookings(o, facet)
             cell, place = divmod(j, p)
             first, last = arb(item.start[k + cell][facet]), arb(item.end[k + cell][facet])
-            more = (bend * sizes[j])[0, 0] + pushed[j]
+            more = (curvature * sizes[j])[0, 0] + pushed[j]
             for at in (0, 1):
                 middle, *spread = (row * states[j + at]).entries()
                 offset = first + (last - first) * arb(place + at) / p

@@ -171,7 +171,7 @@ class ControllerModel:
 class FlownStep:
     """One step flown."""
 
-    pilot: ControllerModel
+    controller: ControllerModel
     start: Zonotope  # loop states at its start
     end: Zonotope  # loop states at its end
     spells: list[Spell]
@@ -179,7 +179,7 @@ class FlownStep:
 
 
 def enclose_step(
-    pilot: ControllerModel,
+    controller: ControllerModel,
     start: Zonotope,
     k: int,
     path: Path,
@@ -194,9 +194,9 @@ def enclose_step(
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
-    base, craft = pilot.base(k, path), pilot.craft
+    base, craft = controller.base(k, path), controller.craft
     clearance, (unit, whole) = list[list[arb]](), craft.intersample(craft.unit)
-    bows = base.bows(unit.rows) if departures is not None else []
+    intersamples = base.intersamples(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, clearance = barrier.rows.M, base.clearance(barrier.rows.M, barrier.offsets)
         weights = magnitude(craft.whole(rows))
@@ -206,28 +206,30 @@ def enclose_step(
         ]
     z = start.translate(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
-        z = merging.at_start(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
+        z = merging.at_start(z, controller.period(z, base, k, 0)[0].columns * controller.plant.q)
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
-    for i in range(pilot.plant.q):
-        period, spell = pilot.period(z, base, k, i, since)
+    for i in range(controller.plant.q):
+        period, spell = controller.period(z, base, k, i, since)
         since.append(period.bounds)
         spells.append(spell)
         end = period.ends(z)
         if departures is not None:
             moved = z.image(whole.M * period.F - whole.M).translate(whole.M * period.moved)
-            extra = zip(*period.extra(unit, z, held=False), bows, strict=True)
+            extra = zip(*period.extra(unit, z, held=False), intersamples, strict=True)
             held = [whole.M * each for each in period.held]
             ends = z.through(whole), moved.plus(*held), end.through(whole).plus(*held)
-            departures.check(i, base, *ends, [largest((a, b)) + bow[i] for a, b, bow in extra])
+            departures.check(
+                i, base, *ends, [largest((a, b)) + intersample[i] for a, b, intersample in extra]
+            )
         if barrier is not None:
-            where = f"step {k}, part {i}, under {pilot.law.name}"
+            where = f"step {k}, part {i}, under {controller.law.name}"
             along, rows_of = craft.intersample(barrier.rows)
             for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
                 _separate(barrier, rows_of, x, more, clearance[place], where)
         z = merging.within(period.next_set(end))
         nodes.append(z.translate(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
     leave = z.translate(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
-    return FlownStep(pilot, start, leave, spells, nodes[:-1])
+    return FlownStep(controller, start, leave, spells, nodes[:-1])
 
 
 def _separate(

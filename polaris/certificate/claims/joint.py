@@ -39,7 +39,7 @@ class _Check:
     @cached_property
     def tightenings(self) -> Tightening:
         one, tracker = identity(len(self.joint.center)), self.arrival.flight.tracker
-        return Tightening(tracker.craft, tracker.memory, above(one, -one))
+        return Tightening(tracker.craft, tracker.settling, above(one, -one))
 
     @cached_property
     def off(self) -> list[arb]:
@@ -81,7 +81,7 @@ class _Check:
         if spec.later:
             if doc.horizon != "infinite":
                 raise Rejected("joint", "GO in later revolutions needs safety for all time")
-            begin = doc.steps * doc.q + max(self.last, flight.tracker.memory.periods + 2) + 1
+            begin = doc.steps * doc.q + max(self.last, flight.tracker.settling.periods + 2) + 1
             settled = sums(flight.tightening(self.tightenings, self.arrival.held, begin), self.bent * 2)
             for first, final in spec.later:
                 for node in range(first, final + 1):

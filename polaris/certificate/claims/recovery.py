@@ -57,7 +57,7 @@ class Recovery:
 
     def lags(self, node: int) -> int:
         """Number of periods after a node that are looked at one by one."""
-        return min(self.tightenings.memory.periods, self.nodes - node)
+        return min(self.tightenings.settling.periods, self.nodes - node)
 
     @cached_property
     def _least(self) -> list[dict[int, NodeLimit]]:
@@ -72,10 +72,10 @@ class Recovery:
         return by_cell[::-1]
 
     def _far_cell(self, node: int) -> int:
-        """First cell whose limits lie beyond the memory, seen from a node."""
+        """First cell whose limits lie beyond the settling horizon, seen from a node."""
         doc = self.document
         last = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
-        return min(node // doc.q + self.tightenings.memory.periods // doc.q, last)
+        return min(node // doc.q + self.tightenings.settling.periods // doc.q, last)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> None:
         """Check that each set is recoverable, and inside by the share of the clearance that is claimed.
@@ -85,9 +85,9 @@ class Recovery:
         """
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         first, which = self.tightenings.alike
-        pairs = zip(self.tightenings.carried, self.tightenings.bend, strict=True)
-        both = ((rows_of(rows, *first), rows_of(bend, *first)) for rows, bend in pairs)
-        each = (spans(rows, sizes) + bend * sizes for rows, bend in both)
+        pairs = zip(self.tightenings.carried, self.tightenings.curvature, strict=True)
+        both = ((rows_of(rows, *first), rows_of(curvature, *first)) for rows, curvature in pairs)
+        each = (spans(rows, sizes) + curvature * sizes for rows, curvature in both)
         coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in each]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
@@ -117,11 +117,11 @@ class Recovery:
         return share if node + lag <= self.document.cells * self.document.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
-        """Check that the share claimed at a set is left of all limits beyond the memory, too."""
+        """Check that the share claimed at a set is left of all limits beyond the settling horizon, too."""
         late = self.tightenings.tightening_after_settling(z.size())
         for row, target in self._least[self._far_cell(k)].items():
             tightening = late[row] + self.tightenings.disturbed[-1][row]
-            where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
+            where = f"the set at {self.time(k)}, {target.name} beyond the settling horizon"
             self._leaves(share, target, tightening, where)
 
     def _leaves(self, share: float, target: NodeLimit, tightening: arb, where: str) -> None:
@@ -137,9 +137,9 @@ class Recovery:
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[NodeLimit]], share: float
     ) -> None:
-        tightenings, bows = self.tightenings, SetIntersample(self.tightenings, z)
+        tightenings, intersamples = self.tightenings, SetIntersample(self.tightenings, z)
         support = z.support(above(*(rows_of(tightenings.carried[lag], row) for lag, row in close)))
-        booked = above(*(rows_of(tightenings.bend[lag], row) for lag, row in close)) * z.size()
+        booked = above(*(rows_of(tightenings.curvature[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):
             disturbance, of = tightenings.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
@@ -147,7 +147,7 @@ class Recovery:
                 if not clearance - tightening >= of * target.whole:  # all of it can be had more exactly
                     at = rows_of(tightenings.carried[lag], row)
                     reach = sums((at * z.c).entries(), z.spread(at))[0]
-                    tightening = reach + bows.next_to(lag)[row] + disturbance
+                    tightening = reach + intersamples.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
                 require(
@@ -158,7 +158,7 @@ class Recovery:
                 self._leaves(of, target, tightening, where)
 
     def check_far(self) -> None:
-        """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
+        """Check the limits beyond the settling horizon for every set."""
         tightening = sums(self.tightenings.forgotten, self.tightenings.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):

@@ -103,9 +103,9 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
 
 def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[WeightedPeriod, arb_mat]]:
     """Return the first periods of a step as those of its loop about the middle, with middles of commands."""
-    if step.pilot.law.kind not in ("safety", "affine", "saturated_affine"):
+    if step.controller.law.kind not in ("safety", "affine", "saturated_affine"):
         raise Rejected("goal", "weights must be left out in steps without an affine law")
-    craft, m = step.pilot.craft, len(step.spells[0].bounds)
+    craft, m = step.controller.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
     periods, known = list[tuple[WeightedPeriod, arb_mat]](), dict[Any, MeanCommands]()
     for spell in step.spells[:count]:
@@ -142,9 +142,9 @@ def together(
 
     At the start of the step that `jump` names, the loop state moves by up to a box (N, 1).
     """
-    plant, start = flights[0].pilot.plant, flights[0].start
+    plant, start = flights[0].controller.plant, flights[0].start
     if bounds := [x for _, _, x in plant.matrix]:
-        fixed, states = arb_mat(len(bounds), 1), beside(start.G, carried_across(flights[0].pilot.craft))
+        fixed, states = arb_mat(len(bounds), 1), beside(start.G, carried_across(flights[0].controller.craft))
         G = above(
             beside(states, arb_mat(states.nrows(), len(bounds))),
             beside(arb_mat(len(bounds), states.ncols()), diagonal(bounds)),

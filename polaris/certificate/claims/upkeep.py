@@ -36,7 +36,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     node = arrival.node_at(claim["settled_s"])
     if any(any(u) for u in doc.inputs[doc.steps :]):
         raise Rejected("upkeep", "the tail must coast, but has thrust")
-    later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
+    later = range(node, max(node, arrival.flight.tracker.settling.periods + 1) + 1)
     tops = list(map(largest, zip(*map(arrival.max_commands, later), strict=True)))
     for top, x in zip(plant.u_max, tops, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
@@ -50,20 +50,20 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
 
 def check_estimate(arrival: Arrival, stated: FileClaims, flown: Sequence[FlownStep]) -> str:
     """Check bounds on the errors of an observer's estimates, by state: while others than S fly, and later."""
-    craft, memory, doc = arrival.flight.tracker.craft, arrival.flight.tracker.memory, arrival.document
+    craft, settling, doc = arrival.flight.tracker.craft, arrival.flight.tracker.settling, arrival.document
     n, claim, checked = len(doc.A), stated.estimate or {}, []
     more = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
     rows = craft.sees - craft.whole(identity(n))
     both = above(rows, -rows)
     if (claimed := claim["experimental"]) is not None:
-        steps = [each for each in flown if each.pilot.law.kind != "safety"]
+        steps = [each for each in flown if each.controller.law.kind != "safety"]
         tightenings = [z.support(both) for each in steps for z in (each.start, *each.nodes, each.end)]
         checked.append(("while others fly", claimed, maxima(*tightenings), craft.plant.u_max))
     if (claimed := claim["settled"]) is not None:
         if stated.upkeep is None:
             raise Rejected("goal", "settled estimate errors must be given exactly with an upkeep")
         first, T = arrival.node_at(stated.upkeep["settled_s"]), doc.steps * doc.q
-        along, later = Tightening(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
+        along, later = Tightening(craft, settling, both), range(first, max(first, settling.periods + 1) + 1)
         tightenings = [arrival.flight.tightening(along, arrival.boxes, T + node) for node in later]
         checked.append(("once S has settled", claimed, maxima(*tightenings), arrival.tops_before(first)))
     for when, bounds, tightening, most_before in checked:
@@ -87,7 +87,7 @@ def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | 
     lasting = MeanCommands(craft, plant.thruster_error(tops), seen).lasting()
     if lasting is None:
         return None
-    tightenings = Tightening(craft, arrival.flight.tracker.memory, lasting.rows)
+    tightenings = Tightening(craft, arrival.flight.tracker.settling, lasting.rows)
     sizes = zip(*(arrival.states(tightenings, node) for node in later), strict=True)
     once = sum((x * x for x in map(largest, sizes)), arb(0)) / 2
     bits = plant.weighted(list(map(arb, plant.without_delay.bits or [0.0] * len(tops))))

@@ -122,21 +122,23 @@ class DecisionBound:
             return [([], [])] * 2
         rows = part(rows_of(tightenings.given, *range(count)), plant.A.nrows())
         along, whole = craft.intersample(Directions(rows))
-        bows = []
+        intersamples = []
         for share in (0, 1):
             rates, turned = (
                 magnitude(M * craft.drifts) * self.start(share)
                 + magnitude(M * plant.B) * self.max_reference_input
                 for M in (identity(plant.A.nrows()), plant.A)
             )
-            bows.append(((along.bends[0] * rates).entries(), (along.bends[1] * turned).entries()))
-        which = [0 if a <= b else 1 for a, b in zip(*bows[1], strict=True)]
-        bend, last = along.disturbance
+            intersamples.append(
+                ((along.curvatures[0] * rates).entries(), (along.curvatures[1] * turned).entries())
+            )
+        which = [0 if a <= b else 1 for a, b in zip(*intersamples[1], strict=True)]
+        curvature, last = along.disturbance
         for push in self.pushes:
-            bend = sums(bend, along.motion.push_bend(rows, push))
+            curvature = sums(curvature, along.motion.push_curvature(rows, push))
             last = sums(last, along.motion.push_gain(rows, push))
         known = [widths(each * self.hidden) for each in (whole.M, whole.M * craft.free)]
-        firsts = [sums([both[i][row] for row, i in enumerate(which)], bend) for both in bows]
+        firsts = [sums([both[i][row] for row, i in enumerate(which)], curvature) for both in intersamples]
         return [(sums(first, known[0]), sums(first, last, known[1])) for first in firsts]
 
     def tightening(self, lag: int, share: int) -> list[arb]:
@@ -147,7 +149,7 @@ class DecisionBound:
         carried = tightenings.carried[lag - 1]
         known = (
             widths(carried * craft.free * self.hidden),
-            (tightenings.bend[lag - 1] * self.end(share)).entries(),
+            (tightenings.curvature[lag - 1] * self.end(share)).entries(),
         )
         total = sums(row_sums(carried * self.added), *known, tightenings.disturbed[lag - 1])
         if lag == 1:
@@ -188,7 +190,7 @@ class DecisionBound:
         rounded = first * rounding_factor(n + m, precision) + least(n, n + m, precision)
         off = magnitude(free) * self.off + magnitude(held - free) * apart
         off += magnitude(force - push) * fed + magnitude(push) * wrong + rounded
-        known = tightenings.memory.powers[: len(tables.booked)]
+        known = tightenings.settling.powers[: len(tables.booked)]
         powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in known]
         spread = [magnitude(part(carried, n)) for carried in tightenings.carried[: len(tables.booked)]]
         each = magnitude(loop) * rounding_factor(n, precision) + magnitude(loop - F)
@@ -228,7 +230,7 @@ def check_online(flight: Continuation, tables: Tables, precision: str) -> str:
         raise Rejected(CLAIM, "the monitor needs thrust without pulses, jitter and faults isolated late")
     flight = _with_largest_errors(flight)
     last = doc.steps * doc.q + len(tables.booked) - 2
-    if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.memory.periods:
+    if len(tables.booked) < 2 or len(tables.booked) > flight.tracker.settling.periods:
         raise Rejected(CLAIM, f"the tables look {len(tables.booked)} nodes ahead, which is not supported")
     if len(tables.clearance) <= last // doc.q:
         raise Rejected(CLAIM, f"the tables have {len(tables.clearance)} steps, but use {last // doc.q + 1}")
@@ -279,8 +281,8 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     doc.feedback_bound, doc.error_by_step = [], []
     plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
     craft = replace(craft, plant=plant, off=off, base=None, _along={})
-    memory = replace(tracker.memory, feedback_bound=[], rates=[])
-    tracker = Tracker(doc, craft, memory, tracker.upsets)
+    settling = replace(tracker.settling, feedback_bound=[], rates=[])
+    tracker = Tracker(doc, craft, settling, tracker.upsets)
     return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
 
 
@@ -313,7 +315,7 @@ def _check_later(decision: DecisionBound) -> None:
                 clearances[target.row] = target
         least_of.append(clearances)
     least_of.reverse()
-    periods, end = flight.tracker.memory.periods, decision.end(1)
+    periods, end = flight.tracker.settling.periods, decision.end(1)
     for at in range(len(decision.tables.booked) - 1, periods + 2):
         beyond = at > periods
         grown = tightenings.tightening_after_settling(end) if beyond else tightenings.boxed(end, at)

@@ -21,7 +21,7 @@ STEP_COLUMNS = (
 )
 """Header of ``schedule.csv``."""
 
-BEYOND = "limits beyond the loop's memory"  # what limits a step besides unsafe sets and inputs
+BEYOND = "limits beyond the settling horizon"  # what limits a step besides unsafe sets and inputs
 
 LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"  # the law that ``gains.json`` states
 

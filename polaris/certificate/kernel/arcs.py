@@ -28,24 +28,24 @@ class Arc:
         heights: list[list[arb]] = (rows * beside(*self.nodes)).tolist()
         return heights
 
-    def bows(self, rows: arb_mat) -> list[list[arb]]:
+    def intersamples(self, rows: arb_mat) -> list[list[arb]]:
         """Bound on how far ``row x(t)`` leaves its chord in each period, ``[row][period]``."""
-        bows: list[list[arb]] = (self.plant.open.bend(rows) * magnitude(self.rates)).tolist()
-        return bows
+        intersamples: list[list[arb]] = (self.plant.open.curvature(rows) * magnitude(self.rates)).tolist()
+        return intersamples
 
     def clearance(self, rows: arb_mat, offsets: list[tuple[arb, arb]]) -> list[list[arb]]:
-        """Room beyond facets, ``[node][facet]``: ``-row x - b(t)`` less the bow next to it.
+        """Clearance beyond facets, ``[node][facet]``: ``-row x - b(t)`` less its intersample bound.
 
         `rows` are ``-n C``, one per facet; `offsets` b at both ends of the step, linear in between.
         """
-        facets = list(zip(self.heights(rows), self.bows(rows), offsets, strict=True))
+        facets = list(zip(self.heights(rows), self.intersamples(rows), offsets, strict=True))
         clearances = []
         for i in range(self.plant.q + 1):
             s = arb(i) / self.plant.q
             clearances.append(
                 [
-                    -height[i] - (first * (1 - s) + last * s) - largest(bow[max(i - 1, 0) : i + 1])
-                    for height, bow, (first, last) in facets
+                    -height[i] - (first * (1 - s) + last * s) - largest(intersample[max(i - 1, 0) : i + 1])
+                    for height, intersample, (first, last) in facets
                 ]
             )
         return clearances

@@ -234,7 +234,7 @@ class Motion:
         """Enclosure of ``e^{A s}`` for all s of the period."""
         return exponential_over(self.A, self.plant.h)
 
-    def bend(self, rows: arb_mat) -> arb_mat:
+    def curvature(self, rows: arb_mat) -> arb_mat:
         """Bound on ``(h^2/8) |row A e^{A s}|``, entry by entry, for all s of the period.
 
         By the chord lemma ``row x(s)`` differs from the chord of its end values by at most this times
@@ -277,7 +277,7 @@ class Motion:
         each = (rows * (self.gamma * push.V)).tolist()
         reached = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
         ends = push.along(matrix(list(reached)))
-        each_part = sums([largest(pair) for pair in pairwise(ends)], self.push_bend(rows, push))
+        each_part = sums([largest(pair) for pair in pairwise(ends)], self.push_curvature(rows, push))
         return [largest(each_part[max(j - later, 0) : j + 1]) for j in range(len(each_part))]
 
     def gains_over(self, rows: arb_mat, pushes: Sequence[InputSet], count: int) -> tuple[list[arb], arb_mat]:
@@ -293,7 +293,7 @@ class Motion:
         units = (InputSet.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
         return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
 
-    def push_bend(self, rows: arb_mat, push: InputSet) -> list[arb]:
+    def push_curvature(self, rows: arb_mat, push: InputSet) -> list[arb]:
         """Bound on how far `push_gain` over a part of the period exceeds that part of the whole period's.
 
         ``P(s) = int_0^s |row e^{A r} V v| dr`` starts at 0, and its slope changes by no more than
@@ -312,32 +312,32 @@ class RowIntersample:
     pushes: Sequence[InputSet] = ()
 
     @cached_property
-    def bends(self) -> tuple[arb_mat, arb_mat]:
+    def curvatures(self) -> tuple[arb_mat, arb_mat]:
         """`Motion.bend`, and the same without A."""
         motion = self.motion
-        return motion.bend(self.rows), magnitude(self.rows * motion.over * (motion.plant.h**2 / 8))
+        return motion.curvature(self.rows), magnitude(self.rows * motion.over * (motion.plant.h**2 / 8))
 
-    def bow(self, rate: Zonotope) -> list[arb]:
+    def intersample(self, rate: Zonotope) -> list[arb]:
         """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``x'(0)``.
 
         The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
         """
         return self.lesser_bow(rate.size(), rate.through(self.motion.plant.turning).size())
 
-    def closer_bow(self, rate: Zonotope) -> list[arb]:
-        """Lesser of `bow` and ``|row A rate| + h |row A e^{A s}| |A rate|``: both are bounds."""
+    def closer_intersample(self, rate: Zonotope) -> list[arb]:
+        """Lesser of `intersample` and ``|row A rate| + h |row A e^{A s}| |A rate|``: both are bounds."""
         turned, h = rate.image(self.motion.A), self.motion.plant.h
         size, along = turned.size(), turned.image(self.rows).size() * (h**2 / 8)
-        third = (along + self.bends[0] * size * h).entries()
+        third = (along + self.curvatures[0] * size * h).entries()
         return [a if a <= b else b for a, b in zip(self.lesser_bow(rate.size(), size), third, strict=True)]
 
     def lesser_bow(self, rate: arb_mat, turned: arb_mat) -> list[arb]:
-        """Bound as `bow` does, from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
-        both = (self.bends[0] * rate).entries(), (self.bends[1] * turned).entries()
+        """Bound as `intersample` does, from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
+        both = (self.curvatures[0] * rate).entries(), (self.curvatures[1] * turned).entries()
         return [a if a <= b else b for a, b in zip(*both, strict=True)]
 
     @cached_property
     def disturbance(self) -> tuple[list[arb], list[arb]]:
         """`Motion.push_bend` and `Motion.push_gain` of all that pushes in every period."""
-        bends = [self.motion.push_bend(self.rows, push) for push in self.pushes]
-        return sums(*bends), self.motion.gains_over(self.rows, self.pushes, 1)[0]
+        curvatures = [self.motion.push_curvature(self.rows, push) for push in self.pushes]
+        return sums(*curvatures), self.motion.gains_over(self.rows, self.pushes, 1)[0]

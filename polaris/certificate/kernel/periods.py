@@ -47,10 +47,10 @@ class Period:
         inputs have done grows from nothing. What `held` ones have done may be part of the end values.
         """
         motion, rows = along.motion, along.rows
-        bend, last = along.disturbance
-        first = sums(along.bow(z.through(self.rates).translate(self.g)), bend)
+        curvature, last = along.disturbance
+        first = sums(along.intersample(z.through(self.rates).translate(self.g)), curvature)
         for push in (*self.constant, *self.pushes):
-            first = sums(first, motion.push_bend(rows, push))
+            first = sums(first, motion.push_curvature(rows, push))
         for push in (*(self.constant if held else ()), *self.pushes):
             last = sums(last, motion.push_gain(rows, push))
         return first, sums(first, last)

@@ -118,7 +118,7 @@ class Limits:
             reduced = []
             for i, met in enumerate(nodes):
                 lag = tail * path.plant.q + i
-                spent = cost[lag] if lag <= tightenings.memory.periods else late
+                spent = cost[lag] if lag <= tightenings.settling.periods else late
                 reduced.append([t.less(spent[t.row]) for t in met])
             targets.append(reduced)
         return Limits(self.rows, targets)

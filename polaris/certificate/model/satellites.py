@@ -87,8 +87,8 @@ class Satellite:
             if part == parts:
                 break
             second, following = carried * over, carried * small
-            bend = (absolute(second * self.state) + spans(second, self.half)) * (h**2 / 8)
-            margin = bend.entries()
+            curvature = (absolute(second * self.state) + spans(second, self.half)) * (h**2 / 8)
+            margin = curvature.entries()
             later = [norms(following * M) for M, _ in self.pushes]
             for (M, accel), g, after in zip(self.pushes, now, later, strict=True):
                 for f, (x, y, z) in enumerate(zip(g, after, lengths(second * M), strict=True)):

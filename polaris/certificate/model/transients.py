@@ -163,17 +163,17 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
     return [largest(each).upper() for each in zip(*lists, strict=True)]
 
 
-def outage_differences(document: Document, craft: Craft, memory: Settling) -> list[Differences]:
+def outage_differences(document: Document, craft: Craft, settling: Settling) -> list[Differences]:
     """Return what the loss of navigation adds to the loop state; in no more than one of them it is lost."""
     outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
     if document.observer is not None and remembers(document):
         return [_unmade(document, craft, _periods(craft.plant, lasts)) for lasts in outages]
     boxed = _predicted if document.observer is None else _unlearned
-    boxes = (boxed(document, craft, memory, lasts) for lasts in outages)
+    boxes = (boxed(document, craft, settling, lasts) for lasts in outages)
     return [[(diagonal(box), arb_mat(len(box), 0))] for box in boxes]
 
 
-def _predicted(document: Document, craft: Craft, memory: Settling, lasts: float) -> list[arb]:
+def _predicted(document: Document, craft: Craft, settling: Settling, lasts: float) -> list[arb]:
     """Return errors of predictions while navigation is lost, and what is left of the first estimate's."""
     plant, n = craft.plant, craft.plant.A.nrows()
     age = arb(lasts) + document.timing.get("delay", 0.0)
@@ -182,17 +182,22 @@ def _predicted(document: Document, craft: Craft, memory: Settling, lasts: float)
     first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
     measured = sums(map(arb, document.measured_error or [0.0] * n), map(arb, document.state_offset))
     return sums(
-        predicted(plant, measured, age), Tightening(craft, memory, identity(n)).tightening_at_any_time(first)
+        predicted(plant, measured, age),
+        Tightening(craft, settling, identity(n)).tightening_at_any_time(first),
     )
 
 
-def _unlearned(document: Document, craft: Craft, memory: Settling, lasts: float) -> list[arb]:
+def _unlearned(document: Document, craft: Craft, settling: Settling, lasts: float) -> list[arb]:
     """Return what estimates of an observer that misses an outage make of the state, where a box holds them.
 
     They are compared with those it would have made if only as many periods had been missed as may be, with
     measurements as close to what it expects as their errors allow.
     """
-    plant, filtering, count = craft.plant, ObserverErrors.from_document(document, craft.plant), memory.periods
+    plant, filtering, count = (
+        craft.plant,
+        ObserverErrors.from_document(document, craft.plant),
+        settling.periods,
+    )
     n, late, stated = plant.A.nrows(), filtering.late, document.observer or {}
     M, noise = absolute(matrix(stated["measures"])), column(stated["noise"])
     measured = sums(map(arb, document.measured_error or [0.0] * n), map(arb, document.state_offset))
@@ -215,7 +220,7 @@ def _unlearned(document: Document, craft: Craft, memory: Settling, lasts: float)
     carried = arb_mat(n, n, maxima(*ages))
     known = [maxima(left[0], apart.entries())] * (missing - late) + [left[0]] * late + left
     off = [(carried * column(known[min(i, len(known) - 1)])).entries() for i in range(count)]
-    tightenings = Tightening(craft, memory, identity(n))
+    tightenings = Tightening(craft, settling, identity(n))
     older, bent = tightenings.response(off, True)
     return sums(maxima(*tightenings.noise.summed(off)), older, bent, off[0])
 

@@ -75,17 +75,17 @@ class AllTime:
         z = np.concatenate([x, every[0][:, i] - every[0][:, j]], axis=1)
         # Axes that keep their direction in space: those of Hill's frame at the time t.
         at = z[..., :3] @ turned(-n * D * np.arange(len(x)))
-        bow, bow_hill, jolt = self._bows(z)
+        intersample, bow_hill, jolt = self._intersamples(z)
         wide = np.concatenate([around, every[1][:, i] + every[1][:, j]], axis=1)
         radius = np.repeat([q.separation, q.deputy_separation], [N, len(i)])
         astray, slip = around[..., 0], around[..., 1]
-        r, closest = _convex(at, length(at), _units(at), bow)
+        r, closest = _convex(at, length(at), _units(at), intersample)
         clear = (closest - wide[..., 0]).min(axis=0) - radius
         sun = q.sun_angle(t, self.sun_start)
         # Signed distances from both cones about the sun's line, over every period, (L+1, N + P) [m].
-        beyond = (_convex(at, *self._normal(at, float(sun), side), bow)[1] for side in (1.0, -1.0))
+        beyond = (_convex(at, *self._normal(at, float(sun), side), intersample)[1] for side in (1.0, -1.0))
         cones = [(part - wide[..., 0]).min(axis=0) for part in beyond]
-        inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - bow[:N]
+        inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - intersample[:N]
         fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + slip
         allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - astray)
         speed = (allowed - fastest).min(axis=0)
@@ -107,7 +107,7 @@ class AllTime:
         of_pairs = [v[N:].reshape(ways, -1).min(axis=0) for v in (clear, passive, *cones)]
         return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
 
-    def _bows(self, z: Array) -> tuple[Array, Array, Array]:
+    def _intersamples(self, z: Array) -> tuple[Array, Array, Array]:
         """Lemma D: how far flights leave chords, (N + P,): in fixed axes, in Hill's [m], speeds [m/s]."""
         q, D, n = self.inspection, self.brake.period, self.inspection.mean_motion
         several = np.repeat([1.0, 2.0], [q.deputies, z.shape[1] - q.deputies])
@@ -140,11 +140,11 @@ class AllTime:
         value = np.cos(half) * length(across) - np.sin(half) * along
         return value, np.cos(half) * _units(across) - np.sin(half) * axis
 
-    def _passive(self, z: Array, wide: Array, bow: Array, jolt: Array, radius: Array) -> Array:
+    def _passive(self, z: Array, wide: Array, intersample: Array, jolt: Array, radius: Array) -> Array:
         """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""
         gain_p, gain_v = self._gains
         spread = (wide @ self._gains).max(axis=0)
-        lost = spread + gain_p * bow + gain_v * jolt + radius
+        lost = spread + gain_p * intersample + gain_v * jolt + radius
         plane, across = self.brake.drifting
         held = np.hypot(plane * length(z[-1, :, :2]), across * np.abs(z[-1, :, 2])) - spread - radius
         n, step = self.inspection.mean_motion, self.approach.times[1]
@@ -196,7 +196,7 @@ def _over_periods(values: Array) -> Array:
     return np.concatenate([np.maximum(values[1:], values[:-1]), values[-1:]])
 
 
-def _convex(at: Array, value: Array, slope: Array, bow: Array) -> tuple[Array, Array]:
+def _convex(at: Array, value: Array, slope: Array, intersample: Array) -> tuple[Array, Array]:
     """Values (L+1, K) of a convex function, and bounds over each period: tangents on chords, less bows."""
     chord = at[1:] - at[:-1]
     falls, rises = dot(slope[:-1], chord), dot(slope[1:], chord)
@@ -204,7 +204,7 @@ def _convex(at: Array, value: Array, slope: Array, bow: Array) -> tuple[Array, A
     bends = np.maximum(rises - falls, 1e-300)
     meet = first + falls * np.clip((first - last + rises) / bends, 0.0, 1.0)
     least = np.where(falls >= 0, first, np.where(rises <= 0, last, np.minimum(meet, np.minimum(first, last))))
-    return value, np.concatenate([least - bow, value[-1:]])
+    return value, np.concatenate([least - intersample, value[-1:]])
 
 
 def _nearest(corners: Array, start: Array) -> Array:

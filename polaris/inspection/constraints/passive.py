@@ -84,11 +84,11 @@ class PassiveSegments(Passive):
     @property
     def numbers(self) -> tuple[tuple[float, ...], Array]:
         """Numbers of compiled loops: bow, margin, turn of thrust; maps, their norms, maps to the circle."""
-        _, _, bow, margin, to_circle = self._reach
+        _, _, intersample, margin, to_circle = self._reach
         maps = np.zeros((len(self.approach.times) + 2, 4, 6))
         maps[:-2, :3], maps[-2:, :3] = self.approach.place_maps, to_circle.reshape(2, 3, 6)
         maps[:-2, 3, :2] = np.transpose(map_norms(self.approach.place_maps))
-        return (bow, margin, float(np.linalg.norm(to_circle[:, 3:], 2))), maps
+        return (intersample, margin, float(np.linalg.norm(to_circle[:, 3:], 2))), maps
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate K flights, shape (..., K, 6); the rows of a flight follow each other, (..., K rows)."""

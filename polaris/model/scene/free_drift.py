@@ -82,7 +82,7 @@ class _Search:
         self.tolerance = tolerance
         self.A, self.C = system.A, system.position
         self.coarse = powers(expm(system.A * self.h), self.count)
-        self.bend = np.abs(self.C @ system.A @ system.A) @ growth(system.A, self.h)
+        self.curvature = np.abs(self.C @ system.A @ system.A) @ growth(system.A, self.h)
 
     def first_entry(self, shape: Shape, y: Array, c: Array, v: Array) -> Array:
         """Entry time [s] of ``C e^{A s} y - c - v s`` into the shape, shape (N,)."""
@@ -97,15 +97,15 @@ class _Search:
         p = states @ self.C.T - c[:, None] - v[:, None] * s[:, None]
         distance = shape.signed_distance(p)
         entry = np.where(distance <= 0, s, np.inf).min(axis=1)
-        bow = self.h**2 / 8 * np.linalg.norm(np.abs(states[:, :-1]) @ self.bend.T, axis=-1)
+        intersample = self.h**2 / 8 * np.linalg.norm(np.abs(states[:, :-1]) @ self.curvature.T, axis=-1)
         path = np.linalg.norm(np.diff(p, axis=1), axis=-1)
-        open_ = (distance[:, :-1] + distance[:, 1:] - path) / 2 - bow <= 0
+        open_ = (distance[:, :-1] + distance[:, 1:] - path) / 2 - intersample <= 0
         point, left = np.nonzero(open_ & (s[:-1] < entry[:, None]))
         if len(point) == 0:
             return np.asarray(entry)
         ends = np.stack([p[point, left], p[point, left + 1]])
         gaps = np.stack([distance[point, left], distance[point, left + 1]])
-        bent, start, h = bow[point, left], s[left], self.h
+        bent, start, h = intersample[point, left], s[left], self.h
         halvings = int(np.clip(np.ceil(np.log2(max(bent.max() / self.tolerance, 1.0)) / 2), 0, MOST_HALVINGS))
         near = powers(expm(self.A * self.h / 2**halvings), 2**halvings)
         cell, offset = left, np.zeros(len(left), dtype=int)

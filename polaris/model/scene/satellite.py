@@ -78,12 +78,14 @@ class SatelliteObstacle(Obstacle):
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
         normals = self._normals(system)
-        wanted, parts, bow = max(1e-3, 1e-4 * self.radius), 1, np.inf
+        wanted, parts, intersample = max(1e-3, 1e-4 * self.radius), 1, np.inf
         rule = f"must stay finite when propagated over {cells * delta:g} s"
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                while not bow <= wanted and parts <= MOST_PARTS:
-                    offsets, bow, _ = self._cover(system, normals @ system.position, delta, cells, parts)
+                while not intersample <= wanted and parts <= MOST_PARTS:
+                    offsets, intersample, _ = self._cover(
+                        system, normals @ system.position, delta, cells, parts
+                    )
                     parts *= 2
         except Unresolved as error:  # beyond floating point
             raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
@@ -112,7 +114,7 @@ class SatelliteObstacle(Obstacle):
         middle = carried @ self._x0
         nominal = np.abs((near @ (far @ self._x0)[:, None, :, None])[:, :-1, :, 0])
         bent = np.abs(carried[:, :-1] @ A @ A) @ grown
-        bow = h**2 / 8 * (bent @ half + nominal @ (np.abs(rows @ A @ A) @ grown).T)
+        intersample = h**2 / 8 * (bent @ half + nominal @ (np.abs(rows @ A @ A) @ grown).T)
         node = middle + np.abs(carried) @ half + self.radius
         size = np.abs(carried) @ (np.abs(self._x0) + half) + self.radius
         for M, accel in self.pushes(system):
@@ -123,15 +125,19 @@ class SatelliteObstacle(Obstacle):
             steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
             node = node + gained[steps]
             size = size + gained[steps]
-            bow = bow + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
+            intersample = intersample + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
         node = node + ROUNDING * size
         lifted = node.copy()
-        lifted[:, :-1] += bow
-        lifted[:, 1:] = np.maximum(lifted[:, 1:], node[:, 1:] + bow)
+        lifted[:, :-1] += intersample
+        lifted[:, 1:] = np.maximum(lifted[:, 1:], node[:, 1:] + intersample)
         s = np.linspace(0.0, 1.0, parts + 1)[:, None]
         chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
-        return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max()), node[:, 0]
+        return (
+            np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1),
+            float(intersample.max()),
+            node[:, 0],
+        )
 
     def state_boxes(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d)."""

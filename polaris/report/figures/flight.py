@@ -31,7 +31,7 @@ def _over_time(name: str, height: float, run: InspectionRun) -> Any:
 
 
 def _overview(run: InspectionRun) -> Any:
-    figure, known, pilots = new_figure(7.2, 2 * WIDTH), diagrams(run), deputies(run)
+    figure, known, controllers = new_figure(7.2, 2 * WIDTH), diagrams(run), deputies(run)
     thrust = known["thrust"]
     both = replace(thrust[0], label="Thrust", series=list(chain(*(panel.series for panel in thrust))))
     chosen = [None, *(known.get(name) for name in ("separation", "sun", "deputy_sun")), None, [both]]
@@ -39,7 +39,7 @@ def _overview(run: InspectionRun) -> Any:
         if letter in "ae":
             (_speed if letter == "a" else _passive)(ax, run)
         elif panels:
-            draw_panel(ax, panels[0], pilots)
+            draw_panel(ax, panels[0], controllers)
         else:
             ax.set_axis_off()
             continue

@@ -110,13 +110,13 @@ def _fuel(run: FuelRun) -> Any:
     timeline = fuel_timeline(run)
     spent = timeline.panels[0]
     panel = replace(spent, series=[*spent.series, *predicted_fuel(run)])
-    return timeline_figure([panel], timeline.pilots, timeline.marks, 2.0)
+    return timeline_figure([panel], timeline.controllers, timeline.marks, 2.0)
 
 
 def _thrust(run: FuelRun) -> Any:
     """Draw the thrust along each axis between its limits, and when the backup took over."""
     timeline = fuel_timeline(run)
-    return timeline_figure(timeline.panels[1:], timeline.pilots, timeline.marks)
+    return timeline_figure(timeline.panels[1:], timeline.controllers, timeline.marks)
 
 
 FUEL_FIGURES = {"path": _path, "fuel": _fuel, "thrust": _thrust}  # figures of a flight into the fuel limit

@@ -35,7 +35,7 @@ MOST_NAMED = 10  # most lines that a legend names
 
 def timeline_figure(
     panels: Sequence[Panel],
-    pilots: Sequence[Actor],
+    controllers: Sequence[Actor],
     marks: Sequence[tuple[float, str]] = (),
     height: float = 1.25,
 ) -> Any:
@@ -44,7 +44,7 @@ def timeline_figure(
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
     named: set[str] = set()
     for ax, panel in zip(axes, panels, strict=True):
-        draw_panel(ax, panel, pilots, named)
+        draw_panel(ax, panel, controllers, named)
         ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
         for t, text in marks:  # after T a line is not seen
             ax.axvline(t, color=GREEN, lw=1.2, ls=GOAL_DASHES)
@@ -54,17 +54,19 @@ def timeline_figure(
     return figure
 
 
-def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Actor], named: set[str] | None = None) -> None:
+def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], named: set[str] | None = None) -> None:
     """Draw one diagram of the first runs; its legend has the lines that have not been `named` above."""
-    known, named = {one.key: one for one in pilots}, set() if named is None else named
+    known, named = {one.key: one for one in controllers}, set() if named is None else named
     # Inputs of pilots that are not shown at first would hide those that are.
-    lines = [one for one in panel.series if one.pilot is None or known[one.pilot].on or not one.step]
-    heavy = [one for one in pilots if one.on] if not all(one.on for one in pilots) else []
-    end = max(float(one.times[-1]) for one in [pilot.flights for pilot in pilots] or lines)
+    lines = [
+        one for one in panel.series if one.controller is None or known[one.controller].on or not one.step
+    ]
+    heavy = [one for one in controllers if one.on] if not all(one.on for one in controllers) else []
+    end = max(float(one.times[-1]) for one in [controller.flights for controller in controllers] or lines)
     low, high = _range(panel, lines, known)
     handles: dict[str, Any] = {}
     for order, line in enumerate(lines):
-        own = line if line.pilot is None else known[line.pilot]
+        own = line if line.controller is None else known[line.controller]
         label = own.name if isinstance(own, Series) else own.short
         step: Any = {"step": "post"} if line.step else {}
         if line.fill or line.band is not None and np.all(np.isfinite(line.band)):
@@ -72,7 +74,7 @@ def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Actor], named: set[str] |
             ax.fill_between(line.times, *ends, color=tint(own.colour, 0.22), lw=0, zorder=2, **step)
         look: Any = {"drawstyle": "steps-post"} if line.step else {}
         look |= {"color": own.colour, "ls": DASHES[own.dash], "zorder": 3 + 0.01 * order}
-        look["lw"] = 1.6 if line.pilot and own in heavy else 1.0
+        look["lw"] = 1.6 if line.controller and own in heavy else 1.0
         values = first_run(line)
         (handles[label],) = ax.plot(line.times, values, label=label, **look)
         if np.any(values > high):
@@ -87,7 +89,7 @@ def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Actor], named: set[str] |
     mark_cuts(ax)
     unique = [one for label, one in handles.items() if label and label not in named]
     named.update(handles)
-    if len(unique) <= MOST_NAMED and (len(pilots) > 1 or not all(line.pilot for line in lines)):
+    if len(unique) <= MOST_NAMED and (len(controllers) > 1 or not all(line.controller for line in lines)):
         legend_above(ax, unique, 5)
 
 
@@ -107,7 +109,7 @@ def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Actor]) ->
         return np.array([values.min(initial=np.inf), values.max(initial=-np.inf)])
 
     low, high = ends(lines)
-    shown = ends([one for one in lines if one.pilot is None or known[one.pilot].on])
+    shown = ends([one for one in lines if one.controller is None or known[one.controller].on])
     if 0 < FAR * np.ptp(shown) < high - min(shown):
         high = shown[1]
     if panel.log:
@@ -130,7 +132,7 @@ def _draw_limit(ax: Any, limit: Limit, view: tuple[float, float], end: float) ->
 def distance_figure(picture: PlotData) -> Any:
     """Draw the distance to the nearest unsafe set, the velocity change so far, and the inputs."""
     timeline = schedule_timeline(picture, drawn_pilots(picture), picture.delta_v_max is not None)
-    figure = timeline_figure(timeline.panels, timeline.pilots, timeline.marks)
+    figure = timeline_figure(timeline.panels, timeline.controllers, timeline.marks)
     lower = figure.axes[-1]
     for mode in np.unique(picture.modes):  # along the foot, which controller flies
         look = {"transform": lower.get_xaxis_transform(), "zorder": 5}

@@ -52,15 +52,19 @@ def comparison_page(folder: RunFolder) -> Page:
 
 def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
     """Return the plot data of a comparison; methods without flights are left out."""
-    pilots: list[Actor] = []
+    controllers: list[Actor] = []
     for method in (method for method in picture.table["methods"] if method["key"] in picture.shown):
-        name, look, flights = str(method["name"]), method_style(len(pilots)), picture.shown[method["key"]]
-        pilots.append(Actor(str(method["key"]), name, name, *look, flights, len(pilots) < FIRST))
-    known = [one.flights for one in pilots[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
+        name, look, flights = (
+            str(method["name"]),
+            method_style(len(controllers)),
+            picture.shown[method["key"]],
+        )
+        controllers.append(Actor(str(method["key"]), name, name, *look, flights, len(controllers) < FIRST))
+    known = [one.flights for one in controllers[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
     return schedule_data(
-        replace(picture.run.plot_data(), slices=None), pilots, proved, by="pilot", opened=opened
+        replace(picture.run.plot_data(), slices=None), controllers, proved, by="pilot", opened=opened
     )
 
 

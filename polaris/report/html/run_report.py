@@ -59,12 +59,14 @@ def run_page(folder: RunFolder) -> Page:
     )
 
 
-def schedule_data(picture: PlotData, pilots: Sequence[Actor], proved: bool, **how: Any) -> dict[str, Any]:
+def schedule_data(
+    picture: PlotData, controllers: Sequence[Actor], proved: bool, **how: Any
+) -> dict[str, Any]:
     """Return the plot data of a schedule and its pilots; see `schedule_timeline`."""
     C = picture.system.position
-    paths = [one.flights.states[0] @ C.T for one in pilots]
+    paths = [one.flights.states[0] @ C.T for one in controllers]
     scene = describe(picture, paths, shown_axes(picture, paths))
-    data = page_data(scene, schedule_timeline(picture, pilots, proved, **how), C)
+    data = page_data(scene, schedule_timeline(picture, controllers, proved, **how), C)
     data["panels"].insert(min(len(picture.obstacles), 1), _margins(picture))
     return data
 

@@ -23,18 +23,18 @@ Samples = NDArray[np.intp]
 
 def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any]:
     """Return the plot data of a page: a scene and what flies in it; `position` (d, n) is that of a state."""
-    pilots, chosen = timeline.pilots, dict[str, Samples]()
-    for key, runs in ((one.key, one.flights) for one in pilots):  # the closest approach among them
+    controllers, chosen = timeline.controllers, dict[str, Samples]()
+    for key, runs in ((one.key, one.flights) for one in controllers):  # the closest approach among them
         chosen[key] = kept(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])
     return {
         "scene": scene_data(scene),
-        "end": plain(max((one.flights.times[-1] for one in pilots), default=timeline.opened)),
+        "end": plain(max((one.flights.times[-1] for one in controllers), default=timeline.opened)),
         "open": plain(timeline.opened),
         "modes": [{"mode": mode, "name": name, "colour": colour} for mode, name, colour in timeline.modes],
         "modes_title": timeline.modes_title,
         "by": timeline.by,
         "marks": [{"t": plain(t), "text": text} for t, text in timeline.marks],
-        "pilots": [_pilot(one, scene, position, chosen[one.key]) for one in pilots],
+        "pilots": [_pilot(one, scene, position, chosen[one.key]) for one in controllers],
         "panels": [_panel(one, chosen) for one in timeline.panels],
     }
 
@@ -67,9 +67,9 @@ def _panel(one: Panel, chosen: dict[str, Samples]) -> dict[str, Any]:
 
 
 def _series(one: Series, chosen: dict[str, Samples]) -> dict[str, Any]:
-    fields: dict[str, Any] = {"pilot": one.pilot, "step": one.step}
-    if one.pilot is not None:
-        samples = chosen[one.pilot]
+    fields: dict[str, Any] = {"pilot": one.controller, "step": one.step}
+    if one.controller is not None:
+        samples = chosen[one.controller]
         band = {} if one.band is None else {"band": plain(one.band[:, samples])}
         return fields | band | {"runs": plain(one.values[:, samples])}
     look = {key: getattr(one, key) for key in ("name", "meaning", "colour", "dash", "fill")}

@@ -30,14 +30,15 @@ class DrawnShape:
         return DrawnShape(self.kind, self.points + shift, self.faces)
 
 
-def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
+def tube_support(centre: Array, generators: Array, intersample: Array, parts: int, rays: Array) -> Array:
     """Support (K, parts, R) [m] of a tube over parts of every step along rays (R, e).
 
-    From centres (K, q+1, e) and generators (K, q+1, e, g) at nodes, and the bow (K, q, e) between them.
+    From centres (K, q+1, e) and generators (K, q+1, e, g) at nodes, and the intersample bound (K, q, e)
+    between them.
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
-    between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
-    return np.asarray(np.maximum.reduceat(between, part_edges(bow.shape[1], parts)[:-1], axis=1))
+    between = np.maximum(node[:, :-1], node[:, 1:]) + intersample @ np.abs(rays).T
+    return np.asarray(np.maximum.reduceat(between, part_edges(intersample.shape[1], parts)[:-1], axis=1))
 
 
 def part_edges(q: int, parts: int) -> NDArray[np.int_]:

@@ -126,7 +126,7 @@ class Actor(NamedTuple):
 
 def drawn_pilots(picture: PlotData) -> list[Actor]:
     """Everyone whose flights a picture holds; several experimental controllers are named."""
-    pilots, several = [], len(picture.controllers) > 2
+    controllers, several = [], len(picture.controllers) > 2
     for key in (key for key in {**PILOTS, **picture.flights} if key in picture.flights):
         name, short, colour, dash = PILOTS.get(key, PILOTS["experimental"])
         flights = picture.flights[key]
@@ -134,8 +134,8 @@ def drawn_pilots(picture: PlotData) -> list[Actor]:
             name = short = f"{short} ({flights.controller})"
             if flights.controller in picture.controllers:
                 colour = mode_colour(picture.controllers.index(flights.controller))
-        pilots.append(Actor(key, name, short, colour, dash, flights, key == "polaris"))
-    return pilots
+        controllers.append(Actor(key, name, short, colour, dash, flights, key == "polaris"))
+    return controllers
 
 
 def alone(picture: PlotData) -> list[Actor]:

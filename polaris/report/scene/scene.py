@@ -157,15 +157,17 @@ def _part(part: DrawnShape, axes: list[int]) -> DrawnShape | None:
 def _tube(picture: PlotData, axes: list[int]) -> list[Item]:
     """Return the reachable positions over each part of a step, whatever the disturbance."""
     tube, dim, delta = picture.tube, len(axes), picture.reference.delta
-    if tube is None or not len(tube.bow):
+    if tube is None or not len(tube.intersample):
         return []
-    K, q = tube.bow.shape[:2]
+    K, q = tube.intersample.shape[:2]
     parts = max(1, min(q, 4 if dim == 2 else q, MOST_FRAMES[dim - 1] // K))
     edges = geometry.part_edges(q, parts)
     times = ((np.arange(K)[:, None] + edges[:-1] / q) * delta).ravel()
     rays = directions(32) if dim == 2 else directions_in_space(dim)
     centre = tube.centre[..., axes]
-    support = geometry.tube_support(centre, tube.generators[..., axes, :], tube.bow[..., axes], parts, rays)
+    support = geometry.tube_support(
+        centre, tube.generators[..., axes, :], tube.intersample[..., axes], parts, rays
+    )
     support = support.reshape(-1, len(rays))
     shapes: list[DrawnShape | None]
     if dim == 1:

@@ -42,7 +42,7 @@ class Series:
 
     times: Array
     values: Array
-    pilot: str | None = None
+    controller: str | None = None
     name: str = ""
     meaning: str = ""
     colour: str = ""
@@ -70,10 +70,10 @@ class Timeline:
     """Pilots and diagrams with one time axis; the page opens at `opened` [s].
 
     `modes` are those that occur, with their names and colours. A page colours its scene `by` ``mode`` or by
-    ``pilot``. `marks` are instants [s] with a text.
+    ``controller``. `marks` are instants [s] with a text.
     """
 
-    pilots: Sequence[Actor]
+    controllers: Sequence[Actor]
     panels: Sequence[Panel]
     modes: Sequence[tuple[int, str, str]]
     opened: float
@@ -88,7 +88,11 @@ def modes_present(present: ArrayLike, named: Callable[[int], tuple[str, str]]) -
 
 
 def schedule_timeline(
-    picture: PlotData, pilots: Sequence[Actor], proved: bool, by: str = "mode", opened: float | None = None
+    picture: PlotData,
+    controllers: Sequence[Actor],
+    proved: bool,
+    by: str = "mode",
+    opened: float | None = None,
 ) -> Timeline:
     """Describe the flights of a schedule and its pilots over time.
 
@@ -101,7 +105,7 @@ def schedule_timeline(
         known = 0 <= mode < len(picture.controllers)
         return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
 
-    runs = {one.key: one.flights for one in pilots}
+    runs = {one.key: one.flights for one in controllers}
     spent = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
     bound = picture.delta_v_max if proved else None
     text = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
@@ -121,7 +125,7 @@ def schedule_timeline(
     ]
     present = np.concatenate([picture.modes, *(np.ravel(each.modes) for each in runs.values())])
     return Timeline(
-        pilots,
+        controllers,
         panels,
         modes_present(present, named),
         picture.closest if opened is None else opened,
@@ -150,7 +154,7 @@ def _of_axis(one: Series, axis: int, limit: float) -> Series:
     """Return a series of one input; values that are 0 but for rounding are 0."""
     values, band = one.values[..., axis], None if one.band is None else one.band[..., axis]
     values = np.where(np.abs(values) < ROUND_OFF * limit, 0.0, values)
-    return Series(one.times, values, one.pilot, dash=one.dash, step=True, band=band)
+    return Series(one.times, values, one.controller, dash=one.dash, step=True, band=band)
 
 
 def _distances(picture: PlotData, runs: dict[str, FlightEnvelope], proved: bool) -> Panel:
@@ -194,7 +198,8 @@ def _limit_panel(
     if proved and (known := proven_distance(picture, limit)) is not None and picture.tube is not None:
         reach = np.abs(picture.tube.centre) + np.abs(picture.tube.generators).sum(axis=-1)
         distance = np.linalg.norm(
-            np.maximum(reach[:, :-1], reach[:, 1:]) + _bow(picture, picture.tube, system.position), axis=-1
+            np.maximum(reach[:, :-1], reach[:, 1:]) + _intersample(picture, picture.tube, system.position),
+            axis=-1,
         )
         series.append(
             _proven(picture, shown(known, distance), f"{'most' if of_speed else 'least'} that is proven")
@@ -216,9 +221,10 @@ def _proven(picture: PlotData, bound: Array, name: str) -> Series:
 def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array | None:
     """Least distance (K, q) [m] from all unsafe sets, or to a limit, that a proved schedule promises.
 
-    The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
-    the gap to a facet is least at an end. Negative gaps rest on S taking over: no more than 0 is promised.
-    What the true position is displaced by is in the tube, and in the sets that are perceived: it counts once.
+    The tube lies in the hull of its ends, up to its intersample bound and that of the reference; offsets
+    run linearly, so the gap to a facet is least at an end. Negative gaps rest on S taking over: no more
+    than 0 is promised. What the true position is displaced by is in the tube, and in the sets that are
+    perceived: it counts once.
     """
     system, M = picture.system, picture.system.position
     tube, obstacles = picture.tube, picture.obstacles
@@ -227,7 +233,7 @@ def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array
     unsafe = perceive(obstacles, system, picture.reference.delta, picture.planned)
     if tube is None or not unsafe:
         return None
-    q, bow = tube.bow.shape[1], _bow(picture, tube, M)
+    q, intersample = tube.intersample.shape[1], _intersample(picture, tube, M)
     gaps, twice = (
         [],
         np.stack([system.state_offset_at_nodes, system.state_offset - system.state_offset_at_nodes]),
@@ -238,15 +244,15 @@ def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array
         size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
         gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
         apart = np.abs(rows @ M) @ twice[0] + np.abs(rows) @ np.abs(M) @ twice[1]
-        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T
+        between = np.minimum(gap[:, :-1], gap[:, 1:]) - intersample @ np.abs(rows).T
         gaps.append((between if timed.of_state else between + apart).max(axis=-1))
     return np.asarray(np.maximum(np.min(gaps, axis=0), 0.0))
 
 
-def _bow(picture: PlotData, tube: TubeData, M: Array) -> Array:
+def _intersample(picture: PlotData, tube: TubeData, M: Array) -> Array:
     """Bound how far M x is from the hull of the ends of a period, in the tube and about the reference."""
-    q, system, reference = tube.bow.shape[1], picture.system, picture.reference
+    q, system, reference = tube.intersample.shape[1], picture.system, picture.reference
     inputs = (reference.nu[: picture.planned] @ system.B.T)[:, None, :]
     rate = reference.fine(q)[: picture.planned, :-1] @ system.A.T + inputs
     grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
-    return np.asarray(tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(M @ system.A).T)
+    return np.asarray(tube.intersample + (reference.delta / q) ** 2 / 8 * grown @ np.abs(M @ system.A).T)

@@ -66,7 +66,7 @@ class ImplicitASIF(Method):
         moves = [step * grid.system.u_max]
         for _ in range(grid.nodes - 1):
             moves.append(phi @ moves[-1] + moves[0])
-        facets = self.recovery.matrix[: len(self.recovery.bow), :-1]
+        facets = self.recovery.matrix[: len(self.recovery.intersample), :-1]
         none = np.zeros((0, grid.system.m))
         self.inner_moves = np.vstack([none, *(facets @ moved for moved in moves[:-1])])
         demand = self.prospect.demand

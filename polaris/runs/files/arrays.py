@@ -59,7 +59,7 @@ def set_arrays(schedule: Schedule, slices: SliceData) -> dict[str, Any]:
 def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """Return the reachable set of every step at its nodes, in error and in absolute coordinates.
 
-    ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
+    ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, widened by ``intersample``.
     Generators (q+1, g, K, n) are in single precision; a box of what that takes, and of what jitter, pulses
     and carried impulses displace the true state from the modelled one, is the last n of them.
     """
@@ -76,7 +76,7 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
         "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
         "center_error": nodes.c,
         "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
-        "bow": np.stack([step.tube.bow for step in schedule.steps])
+        "intersample": np.stack([step.tube.intersample for step in schedule.steps])
         + (system.timing.intersample_offset or 0.0),
         "final_center_error": final.c,
         "final_generators": np.hstack([final.G, np.diag(away)]),
@@ -90,7 +90,7 @@ def tube_pictures(arrays: Mapping[str, Any], C: Array) -> dict[str, TubeData]:
         name: TubeData(
             arrays["center"] @ M.T,
             (arrays["generators"] @ M.T).transpose(2, 0, 3, 1),
-            arrays["bow"] @ np.abs(M).T,
+            arrays["intersample"] @ np.abs(M).T,
         )
         for name, M in matrices.items()
     }

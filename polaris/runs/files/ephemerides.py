@@ -82,10 +82,10 @@ def _tracks(path: Path, scenario: ScheduleScenario) -> Iterator[Track]:
         left = left.extend(max(len(branch.facets) - branch.step - len(inputs), 0))
         comment = f"Reference of an abort from step {branch.step} on."
         yield Track(f"branch-{branch.step}", *_fine(left, branch.step), comment)
-    for pilot, flown in read_flights(path / "trajectories.npz").items():
+    for controller, flown in read_flights(path / "trajectories.npz").items():
         for label, states in zip(flown.labels, flown.states, strict=True):
-            comment = f"Simulated flight {label} of {pilot} by the linear model."
-            yield Track(f"{pilot}-{label.replace(' ', '-')}", flown.times, states, comment)
+            comment = f"Simulated flight {label} of {controller} by the linear model."
+            yield Track(f"{controller}-{label.replace(' ', '-')}", flown.times, states, comment)
 
 
 def _fine(reference: Reference, first: int) -> tuple[Array, Array]:

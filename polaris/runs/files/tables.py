@@ -52,7 +52,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
         writer.writerows(map(strict, rows))
 
 
-def pilots(summary: Mapping[str, Any]) -> dict[str, str]:
+def controllers(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return who flew, by key, as people call them; experimental controllers by name if there are several."""
     alone = [key for key in summary if key.startswith("experimental")]
     named = (f" ({summary[key]['controller']})" if len(alone) > 1 else "" for key in alone)

@@ -101,9 +101,9 @@ class Claims:
         safety, out = self.schedule.safety, []
         for u in self.unsafe:
             clearance = facet_clearance(safety.tracking, safety.reference, u)[: self.cells]
-            tightening, bow = self._tightenings(-u.rows(self.system))
+            tightening, intersample = self._tightenings(-u.rows(self.system))
             left = clearance - tightening
-            out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))
+            out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - intersample))
         return out
 
     @cached_property
@@ -114,12 +114,14 @@ class Claims:
         """
         safety, m, o = self.schedule.safety, self.system.m, len(self.unsafe)
         gain = safety.tracking.gain
-        tightening, bow = self._tightenings(np.vstack([gain, -gain]))
+        tightening, intersample = self._tightenings(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
         wrong = command_errors(self.system, gain, self.cells, safety.problem.K)
         clearance = np.tile(self.system.u_max - wrong, 2) + np.hstack([nu, -nu])
         left = np.min((clearance[:, None, :] - tightening).reshape(self.cells, self.q + 1, 2, m), axis=2)
-        thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
+        thrust = np.minimum(left[:, :-1], left[:, 1:]) - intersample.reshape(self.cells, self.q, 2, m).max(
+            axis=2
+        )
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
         by_s = np.repeat(self.modes == 0, self.q)
         out[by_s] = np.maximum(out[by_s], 0.0)
@@ -135,16 +137,16 @@ class Claims:
         """Largest ``row e`` at the nodes (cells, q+1, r), and what may be added between (cells, q, r)."""
         safety, q = self.schedule.safety, self.q
         tightening = np.empty((self.cells, q + 1, len(rows)))
-        bow = np.zeros((self.cells, q, len(rows)))
+        intersample = np.zeros((self.cells, q, len(rows)))
         for k, step in enumerate(self.schedule.steps):
             tightening[k] = step.tube.nodes.support(rows)
-            bow[k] = step.tube.bow @ np.abs(rows).T
+            intersample[k] = step.tube.intersample @ np.abs(rows).T
         K = len(self.schedule.steps)
         if self.cells > K:
             tube = error_tube(safety.tracking, safety.clearance.after_jump(self.schedule.final), rows)
             ages = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
             tightening[K:] = tube.at_ages(ages) + safety.clearance.scheduled(rows)[K : self.cells]
-        return tightening, bow
+        return tightening, intersample
 
     def period_at(self, time: float) -> int:
         """Number of the period that holds an instant [s]."""
@@ -169,7 +171,7 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     x = runs.states.reshape(-1, system.n).T
-    # How far a path may bow away from its chords, by the accelerations seen.
+    # How far a path may bend away from its chords, by the accelerations seen.
     change = np.abs(np.diff(runs.states, axis=1) @ system.A.T).max(axis=1) * claims.h / 4
     change = change + (np.array(system.timing.intersample_offset) if system.timing.pulse_thrust else 0.0)
     every = np.arange(shape[0])
@@ -182,12 +184,12 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
         out.margin[:, o] = ends[every, best]
         out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
         out.below[:, o] = np.max(claims.floor[:, o] - ends, axis=1)
-        few, bow = (
+        few, intersample = (
             min(LOOKED_AT, ends.shape[1]),
             (change @ np.abs(u.rows(system)).T).max(axis=1, keepdims=True),
         )
         near = np.argpartition(ends, few - 1, axis=1)[:, :few]
-        run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
+        run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + intersample)
         _look_closer(claims, runs, o, run, near[run, place], out)
     if claims.asks is not None:  # flight code says where it clips S
         left = np.where(runs.demanded > 1, 1 - runs.demanded, np.inf)

@@ -54,7 +54,7 @@ def visited(schedule: Schedule) -> Region:
     curve = _curve(safety)
     lower, upper = [], []
     for k, step in enumerate(schedule.steps):
-        booked = at_nodes(step.tube.bow) + at_nodes(curve[k])
+        booked = at_nodes(step.tube.intersample) + at_nodes(curve[k])
         middle = safety.clearance.nodes[k] + step.tube.nodes.c
         width = step.tube.nodes.half_widths + booked + safety.problem.system.state_offset
         lower.append((middle - width).min(axis=0))
@@ -83,13 +83,13 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
     tube = error_tube(tracking, start, np.vstack([eye, -eye]))
     tightening = np.maximum(tube.over_cells(cells, q), tube.tightening[-1])
     tightening = tightening + safety.clearance.scheduled(tube.table.rows)[first:].max(axis=1)
-    nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
+    nodes, intersample = safety.clearance.nodes[first:], curve[first:].max(axis=1)
     n, tightening = tracking.system.n, tightening + np.tile(tracking.system.state_offset, 2)
     return Region(
         ("safety",) * cells,
         _times(first, cells, tracking.delta),
-        nodes.min(axis=1) - bow - tightening[:, n:],
-        nodes.max(axis=1) + bow + tightening[:, :n],
+        nodes.min(axis=1) - intersample - tightening[:, n:],
+        nodes.max(axis=1) + intersample + tightening[:, :n],
     )
 
 

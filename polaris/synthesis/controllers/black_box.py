@@ -145,19 +145,21 @@ class BlackBox:
         """
         system, fit = self.system, self.fits[k] if k in self.fits else self._fitted(start, k, before)
         n, rounding = system.n, self.reference.rounding[k]
-        nodes, bows = [start], []
+        nodes, intersamples = [start], []
         for row in fit:
             e, K, c, r = nodes[-1], row[:, :n], row[:, n], row[:, n + 1]
             G = np.hstack([K @ e.G, np.diag(r)])
-            after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
+            after, intersample = held_step(
+                self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G)
+            )
             commanded = np.abs(K @ e.c + c) + np.abs(G).sum(axis=1) * (1 + WIDER)
             push, within = thruster_offset(system, self.flow, np.minimum(commanded, system.u_max))
             nodes.append(reduced(after + push))
-            bows.append(bow + rounding + within)
+            intersamples.append(intersample + rounding + within)
             if not np.all(nodes[-1].extent < FARTHEST):
                 return FittedSegment(*no_tube(start, self._q), "its sets grow beyond all bounds")
         end = reduced(nodes[-1].inflate(rounding))
-        return FittedSegment(Zonotope.stack(nodes), np.array(bows), end, fit=fit)
+        return FittedSegment(Zonotope.stack(nodes), np.array(intersamples), end, fit=fit)
 
     @property
     def _q(self) -> int:

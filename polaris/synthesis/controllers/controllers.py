@@ -37,8 +37,8 @@ class TubeSegment:
     ----------
     states : Zonotope
         Stack of q+1 sets of the loop state, or of errors alone. The errors over ``[t_i, t_{i+1}]`` lie within
-        the convex hull of those at the two nodes (corresponding points), up to `bow`.
-    bow : ndarray, shape (q, n)
+        the convex hull of those at the two nodes (corresponding points), up to `intersample`.
+    intersample : ndarray, shape (q, n)
         Elementwise bound on the distance from that hull: curvature of the motion, and the disturbance
         since the node.
     end : Zonotope
@@ -50,7 +50,7 @@ class TubeSegment:
     """
 
     states: Zonotope
-    bow: Array
+    intersample: Array
     end: Zonotope
     refused: str = ""
     slopes: Array | None = None
@@ -58,7 +58,7 @@ class TubeSegment:
     @cached_property
     def nodes(self) -> Zonotope:
         """Errors at the nodes, a stack of q+1 sets."""
-        n = self.bow.shape[-1]
+        n = self.intersample.shape[-1]
         if self.states.dim == n:
             return self.states
         G = self.states.G[:, :n]
@@ -152,18 +152,18 @@ class AffineController(AffineLaw):
         zeta, n = self.whole_offset(k), self.system.n
         d = start - zeta[0]
         nodes = self.powers @ d + self.disturbance
-        bow = affine_bow(self, nodes[:-1], k)
-        commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
+        intersample = affine_bow(self, nodes[:-1], k)
+        commanded, refused, slopes = self._at_most(nodes, intersample, k), "", None
         over = commanded + self.noise - self.system.u_max
         excess, axis = float(over.max()), int(np.argmax(over))
         if excess > 0 and self.clips:  # errors of the estimate come after the clip (Proposition 5 (a))
             nodes = self.powers @ d + self.disturbance_if_cut
-            bow = affine_bow(self, nodes[:-1], k)
-            commanded = self._at_most(nodes, bow, k)
+            intersample = affine_bow(self, nodes[:-1], k)
+            commanded = self._at_most(nodes, intersample, k)
         if self.clips and np.any(commanded > self.system.u_max):
             nodes, slopes = self._clipped_nodes(d, k)
-            bow = clipped_bow(self, nodes[:-1], k)
-            commanded = self._at_most(nodes, bow, k)
+            intersample = clipped_bow(self, nodes[:-1], k)
+            commanded = self._at_most(nodes, intersample, k)
         elif excess > 0 and not self.clips:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         # The two references are stored states: what separates them is known up to their round-off.
@@ -172,7 +172,7 @@ class AffineController(AffineLaw):
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
         whole = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
         order = ORDER if self.system.ideal else WIDE if states.dim == n else whole
-        segment = TubeSegment(states, bow + rounding, end.reduce(order, "parallel"), refused, slopes)
+        segment = TubeSegment(states, intersample + rounding, end.reduce(order, "parallel"), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
     @cached_property
@@ -188,19 +188,19 @@ class AffineController(AffineLaw):
             vars(law).update({name: vars(self)[name] for name in LOOP_ALONE & vars(self).keys()})
         return law
 
-    def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
+    def commanded(self, nodes: Zonotope, intersample: Array, k: int) -> tuple[Array, Array]:
         """Command before clipping in step k, `noise` apart, its middle and spread, shapes (q+1, m) [N].
 
-        `nodes` are loop states about the law's own reference. With the bow on either side booked, the hull of
-        two nodes holds what is commanded in the part between them.
+        `nodes` are loop states about the law's own reference. With the intersample bound on either side
+        booked, the hull of two nodes holds what is commanded in the part between them.
         """
         centre = self.own.nu[k] - nodes.c @ self.closed.K.T
         spread = np.abs(self.closed.K @ nodes.G).sum(axis=-1)
-        return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
+        return centre, spread + at_nodes(intersample) @ np.abs(self.gain).T
 
-    def _at_most(self, nodes: Zonotope, bow: Array, k: int) -> Array:
+    def _at_most(self, nodes: Zonotope, intersample: Array, k: int) -> Array:
         """Bound on the unclipped command in the step, `noise` apart [N], shape (m,)."""
-        centre, spread = self.commanded(nodes, bow, k)
+        centre, spread = self.commanded(nodes, intersample, k)
         return np.asarray(((np.abs(centre) + spread) * (1 + ROUNDING)).max(axis=0))
 
     def _clipped_nodes(self, d: Zonotope, k: int) -> tuple[Zonotope, Array]:
@@ -262,10 +262,11 @@ class AnyThrust:
         stack = Zonotope.stack(spread)
         drift = np.abs(self.system.B @ self.reference.nu[k])  # the known part of the rate
         bent = (
-            self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
+            self.flow.intersample(stack[:-1])
+            + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
-        bow = bent + self.flow.period_box
-        return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
+        intersample = bent + self.flow.period_box
+        return TubeSegment(stack, intersample, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
 def propagate_states(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:

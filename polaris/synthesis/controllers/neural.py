@@ -180,25 +180,25 @@ class NeuralController:
 
     def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
-        nodes, bows, mu = [start], [], self.reference.nu[k]
+        nodes, intersamples, mu = [start], [], self.reference.nu[k]
         read, off = self.reference_input
         try:
             for i in range(self.feedback.nodes_per_cell):
                 spread = self.sight * self.obstacle_motion[1][k, i]
-                after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
+                after, intersample, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
                 commanded = np.abs(command.c) + command.half_widths * (1 + WIDER)
                 push, within = thruster_offset(self.system, self.loop.flow, commanded)
                 nodes.append(reduced(after.inflate(wider + self.booked) + push))
-                bows.append(bow + wider + within)
+                intersamples.append(intersample + wider + within)
         except Unresolved as error:
             return TubeSegment(*no_tube(start, self.feedback.nodes_per_cell), str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         end = reduced(nodes[-1].inflate(rounding))
-        return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
+        return TubeSegment(Zonotope.stack(nodes), np.array(intersamples) + rounding, end)
 
-    def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
+    def commanded(self, nodes: Zonotope, intersample: Array, k: int) -> tuple[Array, Array]:
         """Command in step k, its middle and spread at every node [N], shapes (q+1, m).
 
         `nodes` are errors about the law's own reference. What is commanded at a node is held from there on.
@@ -223,7 +223,7 @@ def thruster_offset(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonot
 
 
 def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
-    """Return the nodes, bow and end of a refused `TubeSegment` of q parts."""
+    """Return the nodes, intersample bound and end of a refused `TubeSegment` of q parts."""
     return Zonotope.stack([start] * (q + 1)), np.zeros((q, start.dim)), start
 
 

@@ -27,7 +27,7 @@ from .goal_rows import inset
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
-AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no clearance
+AFRESH = 2  # how often it is planned again where intersample bounds or errors by time leave no clearance
 AGAIN = 1000, 2  # linear programs of a plan with coasting: so many, or so many times those without it
 
 
@@ -114,23 +114,23 @@ class Attempts:
         """Return the problem with margins that the last plan lacked; None if it fails for other reasons.
 
         They hold errors by the time of the flight, as large as along that plan, and how much the bounds here
-        on the reference's bow between nodes, which a checker shares, exceed those of the planner.
+        on the reference's intersample bound, which a checker shares, exceed those of the planner.
         """
         if self.margin.inside:
             return None
         system, K = self.problem.system, self.problem.K
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
         clearances = (facet_clearance(self.tracking, last, unsafe).min(axis=1) for unsafe in asked.unsafe)
-        bows = [
+        intersamples = [
             seen - clearance for seen, clearance in zip(path_bounds(asked, last), clearances, strict=True)
         ]
         short = self.margin.tightening - self.margin.clearance
-        if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
+        if not self.tracking.varies and all(np.all(intersample < short) for intersample in intersamples):
             return None
         caused, rows = Feedforward(self.tracking, last, K), self.tracking.commands
         margins = tuple(
-            margin + np.clip(bow, 0, 1.1 * short) + caused.response(-each.rows(system)).max(axis=1)
-            for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
+            margin + np.clip(intersample, 0, 1.1 * short) + caused.response(-each.rows(system)).max(axis=1)
+            for each, margin, intersample in zip(asked.unsafe, asked.margins, intersamples, strict=True)
         )
         limit = np.maximum(asked.u_limit - caused.response(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
         return replace(asked, margins=margins, u_limit=limit)

@@ -68,11 +68,12 @@ class BallSets(RecoverableSet):
         later = (least[i:] * np.where(least[i:] > 0, decayed[: count - i], 1.0) for i in range(count))
         return np.array([each.min() for each in later])
 
-    def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
+    def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
         """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
         W, last = self.bounds.W, len(self.allowed) - 1
         norms = (
-            self.clearance.tracking.error(sets).norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)
+            self.clearance.tracking.error(sets).norm_bound(W)
+            + np.linalg.norm(intersample @ np.abs(W).T, axis=-1)
         ) * (1 + ROUNDING)
         # A node belongs to the period before it too, as far as that lies in the cell.
         own = np.minimum(np.maximum(first + np.arange(len(norms)) - (len(norms) > 1), first), last)

@@ -57,7 +57,7 @@ class CarriedRows:
 
     @cached_property
     def carried(self) -> Array:
-        """``row F^l``, shape (memory + 2, r, N)."""
+        """``row F^l``, shape (settling + 2, r, N)."""
         return np.asarray(self.tracking.whole(self.rows) @ self.tracking.whole_transitions)
 
     @cached_property
@@ -71,15 +71,15 @@ class CarriedRows:
 
     @cached_property
     def beside_errors(self) -> Array:
-        """Need of what may be handed over beside a true error, whatever law has flown, (memory + 3, r)."""
+        """Need of what may be handed over beside a true error, whatever law has flown, (settling + 3, r)."""
         tracking = self.tracking
         size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.state_offset))
-        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.bend * size
+        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.curvature * size
         return np.asarray(np.vstack([own, self.beyond * size]) + self.handed[0] @ tracking.remembered)
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need of everything but the state handed over, by age and ever after, shape (memory + 3, r)."""
+        """Need of everything but the state handed over, by age and ever after, shape (settling + 3, r)."""
         tracking = self.tracking
         if self.between:
             return tracking.disturbance(self.rows, self.faults)
@@ -88,24 +88,24 @@ class CarriedRows:
 
     @cached_property
     def _upset(self) -> Array:
-        """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 3, r)."""
+        """Need of a fault that is isolated late up to l periods after it begins, shape (settling + 3, r)."""
         return self.tracking.transient_tightening(self.rows) * self.faults
 
     @cached_property
-    def bend(self) -> Array:
-        """Need between nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
-        bend = self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
-        return np.asarray(bend * self.between)
+    def curvature(self) -> Array:
+        """Need between nodes per unit of ``norm(W e)``, shape (settling + 2, r)."""
+        curvature = self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
+        return np.asarray(curvature * self.between)
 
     @cached_property
     def sizes(self) -> Array:
-        """``norm(row phi^l W^-1)``: need at nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
+        """``norm(row phi^l W^-1)``: need at nodes per unit of ``norm(W e)``, shape (settling + 2, r)."""
         own = self.carried[..., : self.tracking.system.n]
         return np.asarray(np.linalg.norm(own @ self.tracking.W_inverse, axis=-1))
 
     @cached_property
     def beyond(self) -> Array:
-        """Need beyond the memory per unit of ``norm(W e)``, shape (r,)."""
+        """Need beyond the settling horizon per unit of ``norm(W e)``, shape (r,)."""
         size = self.tracking.per_size(self.plant) if self.between else self.sizes[0]
         return np.asarray(size * self.tracking.decay[-1])
 
@@ -120,12 +120,12 @@ class CarriedRows:
         return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled_tightening)
 
     def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
-        """Return the tightenings from a set at ages within the memory, shape (ages, r)."""
+        """Return the tightenings from a set at ages within the settling horizon, shape (ages, r)."""
         start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
         carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
         spread = _spread(carried.reshape(-1, start.dim), start.G).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)
-        return np.asarray(support + self.bend[ages] * radius + between + self.disturbance[:-1][ages])
+        return np.asarray(support + self.curvature[ages] * radius + between + self.disturbance[:-1][ages])
 
     def sizes_of(self, sets: Zonotope) -> tuple[Array, Array]:
         """Return bounds over sets on ``norm(W e)``, shape (...), and on other loop states, (..., N - n)."""
@@ -140,18 +140,20 @@ class CarriedRows:
         tightening = np.vstack([self.from_set(start, slice(None)), beyond])
         return SetTightening(self, tightening + ROUNDING * np.abs(tightening))
 
-    def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:
+    def supports(
+        self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, intersample: Array
+    ) -> Array:
         """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
 
-        Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
+        Elementwise, (sets, n), the intersample bound bounds what lies between each node and its neighbours.
         """
         exact, n = self.carried[lag, row], self.tracking.system.n
         centre = sets.c @ exact.T
         support = _rounded(centre, np.stack([_spread(exact, G) for G in sets.G]))
-        if np.any(bow > 0):
+        if np.any(intersample > 0):
             # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
             before = self.carried[np.maximum(lag - 1, 0), row]
-            support += np.maximum(bow @ np.abs(exact[:, :n]).T, bow @ np.abs(before[:, :n]).T)
+            support += np.maximum(intersample @ np.abs(exact[:, :n]).T, intersample @ np.abs(before[:, :n]).T)
         return support
 
 
@@ -175,7 +177,7 @@ class SetTightening:
     """Needs of S's error from one set along the rows of a table, for all time."""
 
     table: CarriedRows
-    tightening: Array  # by age, (memory + 3, r); the last entry holds for every later time
+    tightening: Array  # by age, (settling + 3, r); the last entry holds for every later time
 
     def at_ages(self, ages: NDArray[np.int_]) -> Array:
         """Return the tightening at ages [periods] of any shape, shape (..., r)."""
@@ -187,7 +189,7 @@ class SetTightening:
         return np.asarray(self.at_ages(np.arange(cells)[:, None] * q + ages).max(axis=1))
 
     def remainder(self, radius: float) -> Array:
-        """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
+        """Return what an error of a given norm still needs beyond the settling horizon, shape (r,)."""
         table = self.table
         return np.asarray(table.beyond * radius + table.beside_errors[-1] + table.disturbance[-1])
 

@@ -82,7 +82,7 @@ class Clearance:
     def distances(self) -> Array:
         """Distance from the reference to its facet at every node [m], shape (cells, q+1, o).
 
-        Reduced by the bow of the reference between the nodes, by the jump into the tail, and by
+        Reduced by the intersample bound of the reference between the nodes, by the jump into the tail, and by
         rounding: a lower bound that holds over the whole of both adjacent parts of the cell.
         """
         distances, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
@@ -227,15 +227,17 @@ def by_ends(places: Array) -> Array:
 def facet_clearance(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) -> Array:
     """Distance from the reference to every facet of one set at every node, shape (cells, q+1, F).
 
-    Already reduced by the bow of the reference between nodes (docs/theory.md, Lemma 3) and by rounding.
+    Already reduced by the reference's intersample bound (docs/theory.md, Lemma 3) and by rounding.
     """
     system, q = tracking.system, tracking.feedback.nodes_per_cell
     nodes, offsets = reference.fine(q), unsafe.fine(q)[: reference.cells]
     rows = unsafe.rows(system)
-    bow = at_nodes((reference.delta / q) ** 2 / 8 * reference.rates(nodes) @ np.abs(rows @ system.A).T)
+    intersample = at_nodes(
+        (reference.delta / q) ** 2 / 8 * reference.rates(nodes) @ np.abs(rows @ system.A).T
+    )
     size = np.abs(nodes) @ np.abs(rows).T + np.abs(offsets)
     distance = nodes @ rows.T - offsets
-    return np.asarray(distance - bow - ROUNDING * size)
+    return np.asarray(distance - intersample - ROUNDING * size)
 
 
 def best_facets(

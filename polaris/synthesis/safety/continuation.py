@@ -81,7 +81,7 @@ class LimitsAhead:
 
     A tightening along the first entries, twice as many as `near` has, is the bound by the norm until it
     is worked out; what is pushed by disturbances is apart. The last entries, `beyond`, stand for all
-    times beyond the memory.
+    times beyond the settling horizon.
     """
 
     near: Array  # (sets, entries of the table)
@@ -148,7 +148,7 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need besides the state, round-off of the reference included, by age, shape (memory + 3, r)."""
+        """Need besides the state, round-off of the reference included, by age, shape (settling + 3, r)."""
         tracking, table = self.clearance.tracking, self.table
         tightening = table.disturbance + self.clearance.round_off(table.plant)
         if tracking.feedback_bound is not None:  # a bound that falls is the first one, of which more is taken
@@ -160,34 +160,39 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def beside_errors(self) -> Array:
-        """Need besides a true error, whatever law has flown, by age, shape (memory + 3, r)."""
+        """Need besides a true error, whatever law has flown, by age, shape (settling + 3, r)."""
         return self.disturbance + self.table.beside_errors
 
     @cached_property
     def _per_size(self) -> Array:
-        """Bound on the tightening per unit of ``norm(W e)``, by lag, shape (memory + 2, r)."""
+        """Bound on the tightening per unit of ``norm(W e)``, by lag, shape (settling + 2, r)."""
         sizes = self.table.sizes * (1 + ROUNDING)
-        return np.asarray(np.maximum(sizes, np.concatenate([sizes[:1], sizes[:-1]])) + self.table.bend)
+        return np.asarray(np.maximum(sizes, np.concatenate([sizes[:1], sizes[:-1]])) + self.table.curvature)
 
     def _later(self, node: int) -> int:
-        """Node from which on limits lie beyond the memory of the loop, seen from a node."""
+        """Node from which on limits lie beyond the settling horizon, seen from a node."""
         # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
         clearance = self.clearance
-        return min(node + clearance.tracking.memory, clearance.planned * clearance.q)
+        return min(node + clearance.tracking.settling, clearance.planned * clearance.q)
 
     def _allowed(self, node: int) -> float:
-        """Largest ``norm(W e)`` at a node that all limits beyond the memory allow, whatever law has flown."""
+        """Largest ``norm(W e)`` allowed by limits beyond the settling horizon, whoever has flown."""
         spare = self.clearance.limits.ahead[self._later(node)] - self.beside_errors[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
     def _ahead(
-        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array], spare: float
+        self,
+        at: NDArray[np.int_],
+        sets: Zonotope,
+        intersample: Array,
+        sizes: tuple[Array, Array],
+        spare: float,
     ) -> "LimitsAhead":
         """Return all limits that may need more than a share `spare` of their room.
 
         Of a stack of sets of the loop state at the nodes `at`, the first one least, or at the only one, with
         bounds on ``norm(W e)`` and on the other states of each. The entries are those of the table, where a
-        period begins and where one ends, and one per row for all times beyond the memory.
+        period begins and where one ends, and one per row for all times beyond the settling horizon.
         """
         radius, others = sizes
         limits, table = self.clearance.limits, self.table
@@ -197,12 +202,14 @@ class Continuation(RecoverableSet):
         beside = handed @ others.max(axis=0, initial=0.0)
         upper = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
         lag, row = np.nonzero(upper > least)
-        size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
+        size, curvature, pushed = (
+            part[lag, row] for part in (self._per_size, table.curvature, self.disturbance)
+        )
         near = np.multiply.outer(radius, size) + others @ handed[lag, row].T
 
         def exact(some: NDArray[np.int_]) -> Array:
-            tightening = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(
-                radius, bend[some]
+            tightening = table.supports(lag[some], row[some], sets, intersample) + np.multiply.outer(
+                radius, curvature[some]
             )
             return np.asarray(tightening + others @ between[lag[some], row[some]].T)
 
@@ -234,46 +241,60 @@ class Continuation(RecoverableSet):
         return share
 
     def _met(
-        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array]
+        self, at: NDArray[np.int_], sets: Zonotope, intersample: Array, sizes: tuple[Array, Array]
     ) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        ahead = self._ahead(at, sets, bow, sizes, 1.0)
+        ahead = self._ahead(at, sets, intersample, sizes, 1.0)
         met = ahead.met()
         if not met.all():
             ahead.work_out(np.asarray(~met.all(axis=0)))
             met = ahead.met()
         return np.asarray(np.all(met, axis=1))
 
-    def _sizes(self, sets: Zonotope, bow: Array) -> tuple[Array, Array]:
+    def _sizes(self, sets: Zonotope, intersample: Array) -> tuple[Array, Array]:
         """Bounds over a tube on ``norm(W e)``, and on the other loop states at every node.
 
         Errors between two nodes are as large as the larger node's.
         """
         W, (radius, others) = self.clearance.tracking.W, self.table.sizes_of(sets)
-        return np.full(len(bow), np.max(radius + np.linalg.norm(bow @ np.abs(W).T, axis=-1))), others
+        return np.full(
+            len(intersample), np.max(radius + np.linalg.norm(intersample @ np.abs(W).T, axis=-1))
+        ), others
 
-    def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
+    def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
         """Margin of sets at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
         sets = self.clearance.tracking.whole_state(sets)
-        at, sizes = first + np.arange(len(bow)), self._sizes(sets, bow)
-        shares = self._shares(at, sets, bow, sizes, COARSE)
+        at, sizes = first + np.arange(len(intersample)), self._sizes(sets, intersample)
+        shares = self._shares(at, sets, intersample, sizes, COARSE)
         if not shares[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
             spare = max((1 - float(shares[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
-            shares = self._shares(at, sets, bow, sizes, spare)
+            shares = self._shares(at, sets, intersample, sizes, spare)
         share, tightening, clearance, (end, period, row) = shares
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
         when, limit = int(period[tight]), int(row[entry])
         node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
-        if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
+        if entry >= len(row) - len(
+            limits.rows
+        ):  # beyond the settling horizon: the start of the tightest step
             when = node = (when + int(limits.available[:, when:, limit].min(axis=0).argmin())) // q * q
         value, needed, available = (float(part[tight]) for part in (share, tightening, clearance))
         time = node * self.clearance.tracking.flow.h
         return Margin(value, limits.name(when // q, limit), time, needed, available)
 
-    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+    def holds(self, k: int, nodes: Zonotope, intersample: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
-        first, bow, nodes = k * self.clearance.q, at_nodes(bow), self.clearance.tracking.whole_state(nodes)
-        return bool(np.all(self._met(first + np.arange(len(bow)), nodes, bow, self._sizes(nodes, bow))))
+        first, intersample, nodes = (
+            k * self.clearance.q,
+            at_nodes(intersample),
+            self.clearance.tracking.whole_state(nodes),
+        )
+        return bool(
+            np.all(
+                self._met(
+                    first + np.arange(len(intersample)), nodes, intersample, self._sizes(nodes, intersample)
+                )
+            )
+        )
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Return True for each error (runs, n) at a node that is recoverable."""
@@ -289,7 +310,7 @@ class Continuation(RecoverableSet):
 
     def radius(self, node: int) -> float:
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
-        allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
+        allowed, per_size = self._allowed(node), self.table.sizes + self.table.curvature
         for end in (0, 1):  # of the periods that begin and that end at a node
             clearance = self.clearance.limits.available[end, node : node + len(per_size) - end]
             lags = slice(end, end + len(clearance))

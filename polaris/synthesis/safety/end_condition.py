@@ -44,7 +44,7 @@ class EndCondition:
 
 def tail_length(tracking: Tracking) -> int:
     """Cells of one further period: the orbit's in Hill's frame, else the memory of the loop."""
-    settle = int(np.ceil((tracking.memory + 1) / tracking.feedback.nodes_per_cell)) + 1
+    settle = int(np.ceil((tracking.settling + 1) / tracking.feedback.nodes_per_cell)) + 1
     eta = tracking.system.mean_motion
     if eta is None or not in_hills_frame(tracking.system):
         return settle
@@ -117,7 +117,7 @@ def prove_end(
     if moving:
         reason = f"unsafe sets that move ({', '.join(moving)}) are covered until {until:g} s only"
         return EndCondition("one_period", until, reason)
-    settled = (tracking.memory + 1) <= tail * tracking.feedback.nodes_per_cell
+    settled = (tracking.settling + 1) <= tail * tracking.feedback.nodes_per_cell
     if not settled:
         return EndCondition("one_period", until, "one period is shorter than the loop's settling horizon")
     return EndCondition("infinite", np.inf, f"the reference ends {word}, and all unsafe sets are static")

@@ -107,7 +107,7 @@ class FreeFlight:
         system, h = self.system, self.delta / self.parts
         rows = -np.vstack([np.zeros((0, system.n)), *(item.rows(system) for item in self.sets)])
         flow, carried = LinearFlow.continuous(system.A, system.D, system.w_max, h), rows @ self._powers
-        bend = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
+        curvature = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
         pushed = flow.disturbance_support(rows, len(carried) - 1)[1:]
         if (biases := system.biases).size:  # constant all along: what one does may cancel
             ends = np.cumsum(carried[:-1] @ flow.input_map(biases), axis=0)
@@ -116,38 +116,38 @@ class FreeFlight:
             each = np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bent
             less = [np.pad(each, ((j, 0), (0, 0)))[: len(each)] for j in range(self.parts + 1)]
             pushed = pushed + np.max(less, axis=0)  # thrust stops up to a step later
-        return carried, bend, pushed
+        return carried, curvature, pushed
 
-    def drifts(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
+    def drifts(self, k: int, nodes: Zonotope, intersample: Array) -> tuple[Drift, ...]:
         """Return the drifts of flights whose thrust stops in step k: one of all, or groups if not clear.
 
-        `nodes` is a stack of q+1 sets of states, which lie on chords between them up to `bow`, shape (q, n).
+        `nodes` is a stack of q+1 sets of states, on chords between them up to `intersample`, (q, n).
         """
-        q, drifts = len(bow), []
+        q, drifts = len(intersample), []
         for groups in (1, min(GROUPS, q)):
             ends = [round(q * i / groups) for i in range(groups + 1)]
             drifts = [
-                self._drift(k, b - a, self._start(nodes[a : b + 1], bow[a:b], a, q))
+                self._drift(k, b - a, self._start(nodes[a : b + 1], intersample[a:b], a, q))
                 for a, b in pairwise(ends)
             ]
             if clear(drifts):
                 break
         return tuple(drifts)
 
-    def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
+    def _start(self, nodes: Zonotope, intersample: Array, first: int, q: int) -> Zonotope:
         """Enclose the states in which thrust may stop, carried to the start of the step (Proposition 15 (a)).
 
         In the periods between some nodes of a step of q periods, the first of them its node `first`.
         """
         system = self.system
         h = self.delta / q
-        back = powers(expm(-system.A * h), first + len(bow))[first:]
+        back = powers(expm(-system.A * h), first + len(intersample))[first:]
         centre, spread = np.einsum("qij,qj->qi", back, nodes.c), back @ nodes.G
         half, grown = nodes.half_widths, growth(system.A, h)
         largest = np.maximum((np.abs(nodes.c) + half)[:-1], (np.abs(nodes.c) + half)[1:])
         apart = np.abs(np.diff(nodes.c, axis=0)) + half[:-1] + half[1:]
         bent = h / 8 * (h * largest @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
-        beyond = (bow + bent) @ grown.T
+        beyond = (intersample + bent) @ grown.T
         L, inverse = self._weight
         tall = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
         _, axes = np.linalg.eigh(L.T @ (tall @ tall.T + np.diag(beyond.max(0) ** 2)) @ L)
@@ -161,13 +161,13 @@ class FreeFlight:
 
     def _drift(self, k: int, periods: int, start: Zonotope) -> Drift:
         """Return the drift of a set of starts at the beginning of step k."""
-        (rows, bend, pushed), shape = self._rows, (len(self.sets), self.cells * self.parts)
+        (rows, curvature, pushed), shape = self._rows, (len(self.sets), self.cells * self.parts)
         fine = [item.fine(self.parts)[k : k + self.cells] for item in self.sets]
         offsets = np.concatenate([np.zeros((self.cells, self.parts + 1, 0)), *fine], axis=-1)
         ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, shape[1], len(rows[0]))
         size = np.abs(self._powers @ start.c) + np.abs(self._powers @ start.G).sum(-1)
         at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
-        chord, upper, large = size[:-1] @ bend.T + pushed, at + reach, np.abs(at) + reach
+        chord, upper, large = size[:-1] @ curvature.T + pushed, at + reach, np.abs(at) + reach
         rounded = ROUNDING * (np.abs(ends) + np.maximum(large[:-1], large[1:]) + chord)
         clearance = (-ends - (np.stack([upper[:-1], upper[1:]]) + chord) - rounded).min(axis=0)
         last = np.cumsum([len(item.normals) for item in self.sets])[:-1].astype(int)

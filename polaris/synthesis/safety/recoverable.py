@@ -33,7 +33,7 @@ class Margin:
     limit : str
         Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
     time : float
-        Time [s] at which the limit bites, under S; for a limit beyond the loop's memory, the start of
+        Time [s] at which the limit bites, under S; for a limit beyond the settling horizon, the start of
         its step.
     tightening, clearance : float
         What the set needs there and what there is, disturbance included, in m or N.
@@ -70,16 +70,17 @@ class RecoverableSet(ABC):
     kind: ClassVar[str]
     clearance: Clearance
 
-    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+    def holds(self, k: int, nodes: Zonotope, intersample: Array) -> bool:
         """Line 13 of Algorithm 2: whether the reach set over ``[t1, t2]`` is inside, pointwise in time.
 
-        The tube over cell k is given by the sets at its q+1 nodes, and the bow over the q parts between them.
+        The tube over cell k is given by the sets at its q+1 nodes, and the intersample bound over the q
+        parts between them.
         """
-        return self.margin(k, nodes, bow).inside
+        return self.margin(k, nodes, intersample).inside
 
-    def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
+    def margin(self, k: int, nodes: Zonotope, intersample: Array) -> Margin:
         """Return the margin of a tube over cell k: at least 0 where `holds`."""
-        return self.tightest(k * self.clearance.q, nodes, at_nodes(bow))
+        return self.tightest(k * self.clearance.q, nodes, at_nodes(intersample))
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
         """Margin of one set at the start of cell k."""
@@ -87,10 +88,10 @@ class RecoverableSet(ABC):
         return self.tightest(k * self.clearance.q, one, np.zeros((1, self.clearance.tracking.system.n)))
 
     @abstractmethod
-    def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
+    def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
         """Margin of a stack of sets at nodes that follow one another from `first` on.
 
-        Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
+        Elementwise, (sets, n), the intersample bound bounds what lies between each node and its neighbours.
         """
 
     @abstractmethod

@@ -28,7 +28,7 @@ class Takeover:
     k: int
     first: int  # node of the grid; the sets follow one another
     sets: Zonotope
-    bow: Array  # elementwise between each and its neighbours, (sets, n)
+    intersample: Array  # elementwise between each and its neighbours, (sets, n)
     spent: float  # velocity change until then at most, that of S in this step apart [m/s]
 
     @classmethod
@@ -40,7 +40,9 @@ class Takeover:
         n, start = safety.tracking.system.n, safety.start
         for k, (mode, tube) in enumerate(flown):
             if mode:
-                takeovers.append(cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.bow), until[k]))
+                takeovers.append(
+                    cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.intersample), until[k])
+                )
                 since, start = (k + 1) * safety.clearance.q, tube.end
             else:
                 one = Zonotope(start.c[None], start.G[None])
@@ -87,7 +89,7 @@ class AbortBranch:
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> AbortStep:
         """Return what is proven of aborts in a step along this branch, the one at a place in their list."""
-        margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.bow)
+        margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.intersample)
         if not margin.inside:
             return AbortStep(
                 None, why=f"S is not proven to recover: {margin}", short=margin.tightening - margin.clearance

@@ -166,7 +166,7 @@ class Tail(Nearness):
         each = [along.tightenings(handed, self.T, self.T + nodes)[0] for handed in self.held]
         tightening: Array = np.min(each, axis=0)
         tightening = tightening + SPARE * np.abs(tightening) * (not tracking.system.ideal)
-        near = min(nodes - 1, tracking.memory)
+        near = min(nodes - 1, tracking.settling)
         if tracking.feedback_bound is None:
             return tightening
         away = np.abs(rows) @ tracking.system.state_offset_at_nodes
@@ -279,7 +279,7 @@ class Tail(Nearness):
     @property
     def settling(self) -> int:
         """Number of periods after T until S has forgotten what it took over."""
-        return self.safety.tracking.memory + 2
+        return self.safety.tracking.settling + 2
 
     @cached_property
     def max_commands(self) -> Array | None:

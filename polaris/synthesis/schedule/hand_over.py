@@ -53,7 +53,7 @@ class HandOvers:
     @cached_property
     def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
         """Nodes at both ends and in the middle of each cell, and which of them each cell has, (K, 3)."""
-        q, last = self.tracking.feedback.nodes_per_cell, self.tracking.memory + 1
+        q, last = self.tracking.feedback.nodes_per_cell, self.tracking.settling + 1
         every = np.arange(self.K)[:, None] * q + np.array([0, q // 2, q])
         nodes, index = np.unique(np.minimum(every, last), return_inverse=True)
         return nodes, np.asarray(index).reshape(self.K, 3)

@@ -233,6 +233,6 @@ class BranchSearch:
             self._tubes[key] = []
             for i in sorted({0, len(taken.sets) // 2, len(taken.sets) - 1}):
                 one = Zonotope(taken.sets.c[i], taken.sets.G[i])
-                one = one.inflate(np.pad(taken.bow[i], (0, one.dim - n)))
+                one = one.inflate(np.pad(taken.intersample[i], (0, one.dim - n)))
                 self._tubes[key].append((taken.first + i, table.tube(one)))
         return self._tubes[key]

@@ -272,7 +272,7 @@ class ReferenceSearch:
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
                 tube = propagate_states(schedule.controllers[intended[k]], reached, k, safety.controller)
-                margin = safety.recoverable.margin(k, tube.states, tube.bow)
+                margin = safety.recoverable.margin(k, tube.states, tube.intersample)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
                     more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]

@@ -92,12 +92,12 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     if not isinstance(tube, TubeSegment):
         raise ScenarioError(name, type(tube).__name__, "must return a polaris.TubeSegment")
     _same(f"{name}.states", tube.states.c.shape, (q + 1, n), "one set per node of the step")
-    _same(f"{name}.bow", np.shape(tube.bow), (q, n), "one row per part of the step")
+    _same(f"{name}.intersample", np.shape(tube.intersample), (q, n), "one row per part of the step")
     _same(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
     if tube.refused:
         return tube
-    if not np.all(tube.bow >= 0):
-        raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
+    if not np.all(tube.intersample >= 0):
+        raise ScenarioError(f"{name}.intersample", float(np.min(tube.intersample)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
     for part, inner, outer in (("states", start, tube.states[0]), ("end", tube.states[-1], tube.end)):
         size = inner.extent

@@ -57,7 +57,7 @@ class Step:
 
         Steps under S need no margin: from a recoverable set S stays safe to the end.
         """
-        return self.recoverable.margin(self.k, self.tube.states, self.tube.bow)
+        return self.recoverable.margin(self.k, self.tube.states, self.tube.intersample)
 
 
 @short_repr
@@ -234,7 +234,7 @@ class Schedule:
         largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
         least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # whatever is commanded
         bounds = {
-            "settled": None if self.upkeep is None else self.tail.estimate(tracking.memory + 2),
+            "settled": None if self.upkeep is None else self.tail.estimate(tracking.settling + 2),
             "experimental": np.max(largest, axis=0) + beside if flown else None,
         }
         more = 1 + slack_factor(tracking)
@@ -322,5 +322,7 @@ def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
         return ()
     system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
     rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
-    bow = tube.bow + system.state_offset + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
-    return flight.drifts(k, tube.nodes + arc, bow)
+    intersample = (
+        tube.intersample + system.state_offset + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    )
+    return flight.drifts(k, tube.nodes + arc, intersample)

@@ -142,7 +142,7 @@ class ScheduleSearch:
         self.came[tube.end] = start, mode
         if mode == SAFETY:
             return tube  # S stays safe from where it took over
-        if tube.refused or not self.safety.recoverable.holds(k, tube.states, tube.bow):
+        if tube.refused or not self.safety.recoverable.holds(k, tube.states, tube.intersample):
             return None
         abort = self.safety.problem.abort
         if abort is not None and abort.required and not clear(drift_of(self.safety, tube, k)):

@@ -41,9 +41,9 @@ class Spell:
     @classmethod
     def from_tube(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
         """Build the spell of step k; a controller known by its thrust limits alone is charged all of them."""
-        q = len(tube.bow)
+        q = len(tube.intersample)
         if isinstance(law, NeuralController):  # it flies on exact states
-            centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
+            centre, spread = law.commanded(tube.nodes - law.offset[k], tube.intersample, k)
             largest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
             middle = np.minimum(np.abs(centre), law.system.u_max)
             return cls(law, tube, k, middle[:-1], law.system.spent(largest)[:-1])
@@ -52,7 +52,7 @@ class Spell:
             spent = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
             return cls(law, tube, k, spent, spent)
         here, system = law.in_step(k), law.system
-        centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
+        centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.intersample, k)
         largest = centre + 0.0
         for i in range(q + 1):
             top = (np.abs(centre[i]) + spread[i] + _noise(here, largest, i)) * (1 + ROUNDING)
@@ -77,7 +77,7 @@ class Spell:
             return None
         law = self.law
         assert isinstance(law, AffineController)
-        here, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.bow)
+        here, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.intersample)
         d, rounding = self.tube.states - here.whole_offset(self.k), law.reference.rounding[self.k]
         within = self.commands.max(axis=0), law.system.u_max
         known: dict[bytes, Inputs] = {}

@@ -71,7 +71,7 @@ class Contraction:
         return np.asarray(np.linalg.inv(self.W))
 
     @cached_property
-    def memory(self) -> int:
+    def settling(self) -> int:
         """Number of periods after which so little of any error (in the norm W) is left, see `LEFT_OVER`."""
         profiled = self.level is not None and self.system.proportional
         share, factor = WITH_PROFILE if profiled else LEFT_OVER, self.flow.lyapunov[1]
@@ -82,13 +82,13 @@ class Contraction:
 
     @cached_property
     def transitions(self) -> Array:
-        """``phi^l`` for l = 0 ... memory + 1, shape (memory + 2, n, n)."""
-        return powers(self.flow.phi, self.memory + 1)
+        """``phi^l`` for l = 0 ... memory + 1, shape (settling + 2, n, n)."""
+        return powers(self.flow.phi, self.settling + 1)
 
     @cached_property
     def decay(self) -> Array:
         """``norm(W phi^l W^-1, 2)`` for l = 0 ... memory + 1."""
-        return self.flow.norms(self.memory + 1)
+        return self.flow.norms(self.settling + 1)
 
     @cached_property
     def decay_before(self) -> Array:

@@ -110,16 +110,18 @@ def _weight(tracking: Tracking, weight: ArrayLike | str) -> Array:
 def _envelope(tracking: Tracking, R: Array, inverse: Array, beta: float, into: float) -> float:
     """``sup_t exp(beta t) norm(R M(t) W^-1)``: nodes, the chord between them, and the tail."""
     flow = tracking.flow
-    count = tracking.memory + 1
+    count = tracking.settling + 1
     while True:
         stack = R @ powers(flow.phi, count) @ inverse
         nodes = np.linalg.norm(stack, 2, axis=(-2, -1))
         decay = flow.norms(count)
-        bend = np.linalg.norm(np.abs(R @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ tracking.W_inverse), 2)
-        between = np.maximum(nodes[:-1], nodes[1:]) + flow.h**2 / 8 * bend * into * decay[:-1]
+        curvature = np.linalg.norm(
+            np.abs(R @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ tracking.W_inverse), 2
+        )
+        between = np.maximum(nodes[:-1], nodes[1:]) + flow.h**2 / 8 * curvature * into * decay[:-1]
         best = float(np.max(between * np.exp(beta * flow.h * np.arange(1, count + 1))))
         # Beyond the last node the contraction takes over: its factor beats exp(-beta h).
-        out = np.linalg.norm(R @ tracking.W_inverse, 2) + flow.h**2 / 8 * bend
+        out = np.linalg.norm(R @ tracking.W_inverse, 2) + flow.h**2 / 8 * curvature
         tail = float(out * into * decay[-1] * np.exp(beta * flow.h * (count + 1)))
         # beta is at most 0.8 of the slowest rate, so the tail falls below the peak: a few doublings.
         if tail <= best or count > 2000:
@@ -135,10 +137,10 @@ def _gain(tracking: Tracking, R: Array) -> float:
 
     left = np.linalg.norm(images @ flow.D, 2, axis=(-2, -1))
     right = np.linalg.norm(images @ np.asarray(expm(flow.A_x * flow.h)) @ flow.D, 2, axis=(-2, -1))
-    bend = np.linalg.norm(
+    curvature = np.linalg.norm(
         np.abs(images @ (flow.A_x @ flow.A_x)) @ flow.growth @ np.abs(flow.D), 2, axis=(-2, -1)
     )
-    period = flow.h / 2 * (left + right) + flow.h**3 / 12 * bend
+    period = flow.h / 2 * (left + right) + flow.h**3 / 12 * curvature
     factor = flow.lyapunov[1]
     out = float(np.linalg.norm(R @ tracking.W_inverse, 2))
     tail = out * tracking.decay[-1] * tracking.period_gain / w_max / (1 - factor)

@@ -14,13 +14,14 @@ SLOWER = 1.5  # ratio of decay times: demand of sets that U leaves to that of a 
 def feedback_bound(
     norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]
 ) -> Array:
-    """Bound on what S's feedback commands so many periods after a hand-over, shape (memory + 2, m) [N].
+    """Bound on what S's feedback commands so many periods after a hand-over, shape (settling + 2, m) [N].
 
     Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
     what errors demand that start with `level`, to what disturbances and the errors of the commands themselves
     demand for ever: each round allows for the errors of the one before. `norms` is what a ball of errors
-    demands, period by period; `left` is added to the level and still left of it beyond the memory; `pushed`
-    bounds what the rows of the commands need under a profile, noise of estimates included.
+    demands, period by period; `left` is added to the level and still left of it beyond the settling
+    horizon; `pushed` bounds what the rows of the commands need under a profile, noise of estimates
+    included.
     """
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
     shape = level * np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)

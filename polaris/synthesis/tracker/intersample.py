@@ -13,7 +13,7 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
 
     `start` is a stack of q sets, loop states about the law's own reference at the nodes; k the planning step.
     """
-    return _bow(law, k, (law.closed.rates @ start).extent + law.held_rates)
+    return _intersample(law, k, (law.closed.rates @ start).extent + law.held_rates)
 
 
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
@@ -23,10 +23,10 @@ def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     push = np.minimum(command, u_max + np.abs(mu))
     rates = np.pad(loop.A, ((0, 0), (0, loop.N - loop.n))) + loop.B @ loop.applied
     rate = (rates @ start).extent + push @ B.T + law.held_rates
-    return _bow(law, k, rate)
+    return _intersample(law, k, rate)
 
 
-def _bow(law: AffineLaw, k: int, rate: Array) -> Array:
+def _intersample(law: AffineLaw, k: int, rate: Array) -> Array:
     """``h^2/8`` times the curvature of the path and of zeta, and the disturbance of a period.
 
     `rate`, shape (q, n), bounds the rate of the path about the law's own reference at every node.

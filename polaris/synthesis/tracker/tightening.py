@@ -168,9 +168,9 @@ class Tightening:
         push = self.closed.pushed(channel)
         if push is not None:
             rate = rate + np.abs(self.closed.loop.B) @ np.abs(push)
-        between = self.bend(plant) @ rate
+        between = self.curvature(plant) @ rate
         if channel.rate is not None:
-            between = between + self.bend(plant) @ np.abs(channel.rate)
+            between = between + self.curvature(plant) @ np.abs(channel.rate)
         return Response(self.closed.gains(channel, carried[: N + 1]), older, between)
 
     def noise(self, bound: Array | None = None) -> Array:
@@ -216,7 +216,7 @@ class Tightening:
             Per unit of the norm at the hand-over, by lag.
         """
         loop, rates = self.closed.loop, self.closed.rates
-        bend = self.bend(rows)
+        curvature = self.curvature(rows)
         moved, fixed = self.carried(rates), np.zeros(len(rows))
         rate = self._from_rest(moved, bound).max(axis=0)
         for channel in loop.channels:
@@ -225,12 +225,12 @@ class Tightening:
                 size = np.linalg.norm(push, axis=1) * sizes[0] if channel.ball else np.abs(push) @ sizes
                 rate = rate + np.abs(loop.B) @ size
             if channel.rate is not None:  # what is added within the period leaves its own chord
-                gains = bend @ np.abs(channel.rate)
+                gains = curvature @ np.abs(channel.rate)
                 fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
-        per_size = np.abs(moved) @ self.v @ bend.T
-        return (fixed + bend @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
+        per_size = np.abs(moved) @ self.v @ curvature.T
+        return (fixed + curvature @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
 
-    def bend(self, rows: Array) -> Array:
+    def curvature(self, rows: Array) -> Array:
         """Return how far rows of the plant leave their chord per unit of a rate at a node, shape (r, n)."""
         loop = self.closed.loop
         return np.asarray(loop.h**2 / 8 * np.abs(rows @ loop.A) @ growth(loop.A, loop.h))

@@ -158,7 +158,7 @@ class Tracking(Contraction):
 
     @cached_property
     def feedback_bound(self) -> Array | None:
-        """Bound on what S's feedback commands after a hand-over, period by period, shape (memory + 2, m).
+        """Bound on what S's feedback commands after a hand-over, period by period, shape (settling + 2, m).
 
         None where errors of thrusters do not depend on it, or are booked for more.
         """
@@ -216,7 +216,7 @@ class Tracking(Contraction):
     def difference_tightening(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
         """Return what differences of loop states need along rows up to l periods later.
 
-        Shape (memory + 3, r, sets), by age and ever after, what lies between nodes included.
+        Shape (settling + 3, r, sets), by age and ever after, what lies between nodes included.
         """
         limits, plant = self.tightening, rows[:, : self.system.n]
         norms = [np.max(each.support(np.eye(self.loop.N)) / limits.v) for each in sets]
@@ -225,13 +225,13 @@ class Tracking(Contraction):
             each, ever = [some.support(limits.carried(rows)) for some in sets], limits.remainder(rows)
             return np.concatenate([np.stack(each, axis=-1), np.multiply.outer(ever, norms)[None]])
 
-        between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
+        between = limits.curvature(plant) @ reach(limits.closed.rates).max(axis=0)
         return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
 
     def transient_tightening(self, rows: Array) -> Array:
-        """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
+        """Return what faults isolated late need along rows up to l periods later, (settling + 3, r)."""
         if not self.transients:
-            return np.zeros((self.memory + 3, len(rows)))
+            return np.zeros((self.settling + 3, len(rows)))
         return np.asarray(self.difference_tightening(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
 
     def whole(self, rows: Array) -> Array:
@@ -247,10 +247,10 @@ class Tracking(Contraction):
 
     def _by_age(self, tightenings: Array) -> Array:
         """Needs by node and ever after, (N + 3, ...), for the periods of the memory and ever after."""
-        count = min(self.memory + 2, len(tightenings) - 1)
+        count = min(self.settling + 2, len(tightenings) - 1)
         ever = tightenings[count:].max(axis=0)
         return np.concatenate(
-            [tightenings[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))]
+            [tightenings[:count], np.tile(ever, (self.settling + 3 - count, *[1] * ever.ndim))]
         )
 
     def responses(self, rows: Array, feedback_bound: Array | None) -> Array:
@@ -260,12 +260,12 @@ class Tracking(Contraction):
         ----------
         rows : ndarray, shape (r, n) or (r, N)
             Of the tracking error, or of the loop state.
-        feedback_bound : ndarray, shape (memory + 2, m), optional
+        feedback_bound : ndarray, shape (settling + 2, m), optional
             Bound on what is commanded since; the limits of the thrusters without one.
 
         Returns
         -------
-        ndarray, shape (memory + 3, r)
+        ndarray, shape (settling + 3, r)
         """
         return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(feedback_bound)))
 
@@ -284,7 +284,7 @@ class Tracking(Contraction):
     @property
     def long(self) -> int:
         """Periods after a hand-over from which on `settled_need` bounds what disturbs."""
-        return self.memory + self.tightening.horizon + 2 + self.lag
+        return self.settling + self.tightening.horizon + 2 + self.lag
 
     @property
     def lag(self) -> int:
@@ -293,15 +293,15 @@ class Tracking(Contraction):
 
     @cached_property
     def whole_transitions(self) -> Array:
-        """``F^l`` for l = 0 ... memory + 1, shape (memory + 2, N, N)."""
+        """``F^l`` for l = 0 ... memory + 1, shape (settling + 2, N, N)."""
         if self.system.n == self.loop.N:
             return self.transitions
-        return powers(self.tightening.closed.F, self.memory + 1)
+        return powers(self.tightening.closed.F, self.settling + 1)
 
     def handed(self, rows: Array) -> Array:
         """Return what rows need at nodes per unit of every loop state beside the error that is handed over.
 
-        Shape (memory + 3, r, N - n), by age and ever after.
+        Shape (settling + 3, r, N - n), by age and ever after.
         """
         limits, n, rows = self.tightening, self.system.n, self.whole(rows)
         ever = limits.remainder(rows)[:, None] / limits.v[n:]
@@ -311,10 +311,10 @@ class Tracking(Contraction):
         """Return what `handed` leaves out over the periods next to a node, for rows of the error, (r, n)."""
         rates = self.handed(self.tightening.closed.rates)
         before = np.concatenate([rates[:1], rates[:-1]])
-        return np.asarray(self.tightening.bend(rows) @ np.maximum(rates, before))
+        return np.asarray(self.tightening.curvature(rows) @ np.maximum(rates, before))
 
     def disturbance(self, rows: Array, faults: bool = True) -> Array:
-        """Return what rows need besides the state at a hand-over, by age and ever after, (memory + 3, r).
+        """Return what rows need besides the state at a hand-over, by age and ever after, (settling + 3, r).
 
         Entry L belongs to node L after the hand-over. Between two nodes a row needs at most the chord of
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count

@@ -130,12 +130,14 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     memory = Settling.for_craft(argument.craft, widest(sets), argument.document.q)
     tightenings = Tightening(argument.craft, memory, argument.gain)
     disturbed = tightenings.disturbed
-    bows, gain = SetIntersample(tightenings, sets[0]), values(argument.gain)
+    intersamples, gain = SetIntersample(tightenings, sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
     reference = schedule.safety.reference.fine(argument.document.q)[: argument.K, :-1].reshape(-1, argument.n)
     reached = (runs.states[:, :-1] - reference) @ gain.T
     count = min(len(reference), memory.periods)
-    parts = ((sets[0].support(tightenings.carried[i]), bows.next_to(i), disturbed[i]) for i in range(count))
+    parts = (
+        (sets[0].support(tightenings.carried[i]), intersamples.next_to(i), disturbed[i]) for i in range(count)
+    )
     needed = np.array([[float(x) for x in sums(*each)] for each in parts])
     assert np.all(reached[:, :count].max(axis=0) <= needed + 1e-9)
     assert np.max(reached[:, :count].max(axis=0) / needed) > 0.7
@@ -175,8 +177,8 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend():
         rates = 0.5 * np.abs([row @ expm(X * s) @ B[:, 0] for s in fine])
         done = cumulative_trapezoid(rates, fine, initial=0)
         for push in (plant.disturbance, InputSet.in_box(BB, [arb(0.5)])):
-            bend, gain = motion.push_bend(R, push), motion.push_gain(R, push)
-            bound = fine / 0.4 * float(gain[0]) + float(bend[0])
+            curvature, gain = motion.push_curvature(R, push), motion.push_gain(R, push)
+            bound = fine / 0.4 * float(gain[0]) + float(curvature[0])
             assert np.all(done <= bound * (1 + 1e-6))
             lagging = max(lagging, float(np.max(done - fine / 0.4 * float(gain[0]))))
     assert lagging > 1e-3  # without the bend it would be no bound
@@ -225,7 +227,10 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow():
     closed = matrix((A - B @ K).tolist())
     start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
     along, rate = RowIntersample(plant.open, matrix(rows.tolist())), start.image(closed)
-    boxed, bound = (np.array([float(x) for x in bow(rate)]) for bow in (along.bow, along.closer_bow))
+    boxed, bound = (
+        np.array([float(x) for x in intersample(rate)])
+        for intersample in (along.intersample, along.closer_intersample)
+    )
     assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
     for b in rng.choice([-1.0, 1.0], (20, 3)):
@@ -248,8 +253,8 @@ def test_what_a_set_needs_between_nodes_is_covered():
     start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
     loop = loop_of_errors(plant, matrix(K.tolist()))
     tightenings = Tightening(loop, Settling.for_craft(loop, start.size(), 1), matrix(rows.tolist()))
-    bows = SetIntersample(tightenings, start)
-    parts = [(start.support(tightenings.carried[lag]), bows.next_to(lag)) for lag in range(13)]
+    intersamples = SetIntersample(tightenings, start)
+    parts = [(start.support(tightenings.carried[lag]), intersamples.next_to(lag)) for lag in range(13)]
     tube = np.array([[float(x) for x in sums(*each)] for each in parts])
     c, G, beyond, tight = values(start.c)[:, 0], values(start.G), 0.0, 0.0
     within = []
@@ -384,7 +389,7 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     tightenings = SimpleNamespace(
         carried=[row] * 3,
         boxed=lambda size, lag: size.entries(),
-        memory=SimpleNamespace(periods=2),
+        settling=SimpleNamespace(periods=2),
         tightening_after_settling=lambda size: [arb(0)],
     )
     path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
@@ -433,8 +438,8 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     craft = loop_of_errors(plant, matrix([[0.0, k]]))
     spell = Spell(arb(0), arb_mat(1, 1), [arb(0)], -craft.commands, [arb(0)])
     law, start = SimpleNamespace(kind="affine"), Zonotope(arb_mat(2, 1), arb_mat(2, 0))
-    pilot = SimpleNamespace(craft=craft, plant=plant, law=law)
-    flight = SimpleNamespace(pilot=pilot, start=start, spells=[spell, spell])
+    controller = SimpleNamespace(craft=craft, plant=plant, law=law)
+    flight = SimpleNamespace(controller=controller, start=start, spells=[spell, spell])
     loop = MeanCommands(craft, [arb(e)], arb_mat(1, 1))
     answers = [abs(float(x.mid())) + 1e-9 for x in (craft.commands * loop.enter).entries()]
     each = [1.2 * sum(answers[i] for i in group) for group in loop.groups]
@@ -539,12 +544,14 @@ def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_i
     argument, seen = scene("clipped, given period")[1], []
     path = argument.reference()
     k = argument.document.modes.index(1)
-    pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
-    spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
-    enclose_step(pilot, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
-    base, d, bow = seen[0]
-    own = pilot.period(d, base, k, 0)[0].extra(pilot.craft.intersample(pilot.craft.unit)[0], d)
-    below = [each[0] for each in base.bows(identity(4))]
+    controller, start = argument.controllers[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
+    spy = SimpleNamespace(
+        check=lambda i, base, d, moved, end, intersample: seen.append((base, d, intersample))
+    )
+    enclose_step(controller, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
+    base, d, intersample = seen[0]
+    own = controller.period(d, base, k, 0)[0].extra(controller.craft.intersample(controller.craft.unit)[0], d)
+    below = [each[0] for each in base.intersamples(identity(4))]
     assert len(seen) == argument.document.q and any(x > 0 for x in below)
     least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]
-    assert all(float(x) >= y * (1 - 1e-12) for x, y in zip(bow, least, strict=True))
+    assert all(float(x) >= y * (1 - 1e-12) for x, y in zip(intersample, least, strict=True))

@@ -74,21 +74,21 @@ def test_flights_are_inside_the_sets_of_the_file_at_nodes_and_between(kind, tmp_
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, *DISPLACED[kind]]))
     np.savez(tmp_path / "tubes.npz", **tube_arrays(schedule))
     file, runs = read_arrays(tmp_path / "tubes.npz"), simulate(schedule, 150, 0, initial="corners")
-    (K, q), system = file["bow"].shape[:2], schedule.safety.problem.system
+    (K, q), system = file["intersample"].shape[:2], schedule.safety.problem.system
     at = np.arange(K)[:, None] * q + np.arange(q + 1)
     errors = runs.states[:, at] - schedule.safety.reference.fine(q)[:K]
     within = between(runs, schedule, parts=20).reshape(len(errors), K, q, -1, system.n)
     largest, rng = 0.0, np.random.default_rng(0)
     for row in [*np.eye(system.n), *rng.normal(size=(20, system.n))]:
-        middle, bow = file["center_error"] @ row, file["bow"] @ np.abs(row)
+        middle, intersample = file["center_error"] @ row, file["intersample"] @ np.abs(row)
         half = np.abs(file["generators"].astype(float) @ row).sum(axis=1).T
         share = np.abs(errors @ row - middle) / half
         assert np.all(share <= 1 + 1e-6)
         largest = max(largest, float(share[:, :, 1:].max()))
         low, high, along = middle - half, middle + half, within @ row
         off = system.w_max * schedule.safety.tracking.flow.h  # `between` knows of none
-        assert np.all(along >= (np.minimum(low[:, :-1], low[:, 1:]) - bow - off)[..., None])
-        assert np.all(along <= (np.maximum(high[:, :-1], high[:, 1:]) + bow + off)[..., None])
+        assert np.all(along >= (np.minimum(low[:, :-1], low[:, 1:]) - intersample - off)[..., None])
+        assert np.all(along <= (np.maximum(high[:, :-1], high[:, 1:]) + intersample + off)[..., None])
     last = np.abs(errors[:, -1, -1] - file["final_center_error"])
     assert np.all(last <= np.abs(file["final_generators"]).sum(axis=1) + 1e-9)
     assert largest > (0.4 if "carried" in kind else 0.02)  # of what is carried at the start, too

@@ -116,7 +116,7 @@ def bounds(s, only=None):
     """Return what a period costs, what is spent once, and the weights and most of commands."""
     commands, tightenings, tops = loop(s, only)
     one = identity(commands.F.nrows())
-    both = Tightening(tightenings.craft, tightenings.memory, above(one, -one)).peak
+    both = Tightening(tightenings.craft, tightenings.settling, above(one, -one)).peak
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
     lasting = commands.lasting()
     once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2

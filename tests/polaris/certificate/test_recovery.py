@@ -51,7 +51,9 @@ def check(found, step, after=0):
 
 def test_wide_limits_are_met():
     limits = recovery()
-    assert limits.tightenings.memory.periods < (CELLS - 3) * Q, "some limits lie beyond the memory"
+    assert limits.tightenings.settling.periods < (CELLS - 3) * Q, (
+        "some limits lie beyond the settling horizon"
+    )
     check(limits, 0)
     check(limits, 3)
 
@@ -66,10 +68,10 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
 
 @pytest.mark.parametrize("cell", range(CELLS))
 def test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed(cell):
-    """Without a claimed share the limits beyond the memory are those of all sets together."""
+    """Without a claimed share the limits beyond the settling horizon are those of all sets together."""
     flight = Continuation(None, None, None)
     flight.__dict__["recovery"] = limits = recovery((cell, 1))
-    assert limits.tightenings.memory.periods < (CELLS - 1) * Q
+    assert limits.tightenings.settling.periods < (CELLS - 1) * Q
     with pytest.raises(Rejected):
         flight.keeps({0: Zonotope(column([arb(0)]), identity(1))})
 
@@ -80,9 +82,9 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
     phi, middle = (math.exp(t) - GAIN * math.expm1(t) for t in (H, H / 2))
     assert 0 < phi < 1 < phi + middle
     half_way = abs((1 + phi) / 2 - middle)
-    for lag in range(1, tightenings.memory.periods):
+    for lag in range(1, tightenings.settling.periods):
         for begun in (lag - 1, lag):
-            assert tightenings.bend[lag][0, 0] >= phi**begun * half_way > 0
+            assert tightenings.curvature[lag][0, 0] >= phi**begun * half_way > 0
 
 
 def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
@@ -90,7 +92,7 @@ def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
     clearance = limits.tightenings.disturbed[-1][0] * 1.2 + 1e-3
     limits.limits.targets[CELLS - 3][1] = [NodeLimit(0, clearance, "wall", clearance)]
     limits.check_sets({0: start}, {0: 0.1})
-    with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
+    with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the settling horizon"):
         limits.check_sets({0: start}, {0: 0.5})
 
 
@@ -111,9 +113,9 @@ def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_l
     for lag in range(4):
         limits = recovery()
         exact = start.support(limits.tightenings.carried[lag])[0] + limits.tightenings.disturbed[lag][0]
-        bow = SetIntersample(limits.tightenings, start).next_to(lag)[0]
+        intersample = SetIntersample(limits.tightenings, start).next_to(lag)[0]
         for share, kept in ((1 + 1e-6, True), (0.99, False)):
-            clearance = exact + bow * share
+            clearance = exact + intersample * share
             cell, place = divmod(lag, Q)
             limits.limits.targets[cell][place] = [NodeLimit(0, clearance, "wall", clearance)]
             with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
@@ -138,7 +140,7 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
     flight = SimpleNamespace(
         keeps=lambda reached, claimed: asked.update(reached) or 1.0,
         recovery=SimpleNamespace(nodes=9),
-        tracker=SimpleNamespace(memory=SimpleNamespace(periods=1)),
+        tracker=SimpleNamespace(settling=SimpleNamespace(periods=1)),
     )
     Argument.recoverability(
         argument, flight, "abcd", [SimpleNamespace(nodes=each) for each in ("pq", "rs", "tu")]
@@ -186,7 +188,7 @@ def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
 def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
     """A unit in every period of a scalar loop adds up to a geometric series."""
     tightenings = recovery().tightenings
-    factor, periods = tightenings.craft.F[0, 0], tightenings.memory.periods
+    factor, periods = tightenings.craft.F[0, 0], tightenings.settling.periods
     assert (
         0 < factor < 1
         and tightenings.tail_bound(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()

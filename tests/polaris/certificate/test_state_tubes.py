@@ -89,13 +89,13 @@ class Scene:
             bool(self.system.timing.carried_impulse) * 2 + bool(self.system.observer) * 4,
         )
         box = [x if under_way or i >= len(craft.box) - left else arb(0) for i, x in enumerate(craft.box)]
-        pilot = ControllerModel.for_law(law, replace(craft, box=box), self.document)
+        controller = ControllerModel.for_law(law, replace(craft, box=box), self.document)
         path = Path.propagate(
-            pilot.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
+            controller.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
         )
-        reached, sets = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
+        reached, sets = controller.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
         for k in range(K):
-            flown = enclose_step(pilot, reached, k, path, None, Merging(1000, 4))
+            flown = enclose_step(controller, reached, k, path, None, Merging(1000, 4))
             sets += [reached, *flown.nodes]
             reached = flown.end
         return [*sets, reached]

@@ -74,7 +74,7 @@ def assert_simple(folder, out, stack):
 
 
 def assert_no_run_time_error(folder, at, *kinds):
-    """Analyse any sequence of inputs, finite or not, to steps of some kinds (`memory`, `online`).
+    """Analyse any sequence of inputs, finite or not, to steps of some kinds (`settling`, `online`).
 
     Returns the summary of the analysis.
     """

@@ -38,7 +38,7 @@ def read_code(folder):
 
 
 class FlightLibrary:
-    """Calls of the compiled step function; `memory` makes what it keeps of a flight."""
+    """Calls of the compiled step function; `settling` makes what it keeps of a flight."""
 
     def __init__(self, folder, out, compiler="gcc"):
         prefix, tables, precision = read_code(folder)
@@ -88,16 +88,16 @@ class FlightLibrary:
         sources = [f"{prefix}.c"]
         library = ctypes.CDLL(built(folder, compiler, sources, out, "-O2", "-fPIC", "-shared"))
         self._start, self._step = library[f"{prefix}_start"], library[f"{prefix}_step"]
-        self.memory, self._input, self._output = Memory, Input(), Output()
+        self.settling, self._input, self._output = Memory, Input(), Output()
         self._own = Memory()
         if tables.rows:
             self.online, self._decide = Online(), library[f"{prefix}_online_step"]
             self._begin = library[f"{prefix}_online_start"]
         self._at = ctypes.byref(self._input), ctypes.byref(self._output)
 
-    def start(self, memory=None):
+    def start(self, settling=None):
         """Begin a flight, with a memory of its own if one is given."""
-        self._start(ctypes.byref(memory or self._own))
+        self._start(ctypes.byref(settling or self._own))
 
     def decide_from(self, period):
         """Begin a flight of the online monitor, as if S had flown it until a period."""
@@ -106,16 +106,16 @@ class FlightLibrary:
 
     def decide(self, *call):
         """Answer one call of the flight that the online monitor decides."""
-        return self.step(*call, memory=self.online, called=self._decide)
+        return self.step(*call, settling=self.online, called=self._decide)
 
-    def step(self, period, state, controller, command, measured=None, memory=None, called=None):
+    def step(self, period, state, controller, command, measured=None, settling=None, called=None):
         """Answer one call."""
         given, out = self._input, self._output
         if measured is not None:
             given.measured[:] = measured
         given.period, given.controller = period, controller
         given.state[:], given.command[:] = state, command
-        (called or self._step)(ctypes.byref(memory or self._own), *self._at)
+        (called or self._step)(ctypes.byref(settling or self._own), *self._at)
         return FlightAnswer(out.mode, out.fault, tuple(out.command), out.margin)
 
 

@@ -357,14 +357,14 @@ def test_a_flight_stays_within_its_bow_of_the_chords(n):
     z = np.concatenate([rng.uniform(-500, 500, (K, 3)), rng.uniform(-1, 1, (K, 3))], axis=1)
     barrier = PassiveSegments(np.zeros(K), approach)
     per_amplitude = barrier._reach[2]
-    bow = per_amplitude * barrier._amplitude(z)[0]
+    intersample = per_amplitude * barrier._amplitude(z)[0]
     ends = (z @ approach.positions).reshape(K, -1, 3)
     for part in np.linspace(0, 1, 9):
         at = approach.times[:-1] + part * np.diff(approach.times)
         maps = held(n, at)[0][:, :3]
         place = np.einsum("tij,kj->kti", maps, z)
         chord = ends[:, :-1] * (1 - part) + ends[:, 1:] * part
-        assert (np.linalg.norm(place - chord, axis=2) <= bow[:, None]).all()
+        assert (np.linalg.norm(place - chord, axis=2) <= intersample[:, None]).all()
 
 
 def test_h_of_the_stretches_is_below_the_true_clearance():

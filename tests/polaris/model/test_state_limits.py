@@ -174,11 +174,11 @@ def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
         for panel in schedule_timeline(picture, drawn_pilots(picture), True).panels
     }
     flown = picture.flights["polaris"]
-    speed = next(one for one in panels["speed"].series if one.pilot == "polaris")
+    speed = next(one for one in panels["speed"].series if one.controller == "polaris")
     assert np.allclose(speed.values, np.linalg.norm(flown.states @ system.velocity.T, axis=-1))
     for limit in picture.state_limits:
         proven = proven_distance(picture, limit)
-        assert proven.shape == picture.tube.bow.shape[:2] and (proven > 0).any()
+        assert proven.shape == picture.tube.intersample.shape[:2] and (proven > 0).any()
         slack = limit.signed_distance(runs.times, runs.states, system)
         cells = np.minimum(np.arange(len(runs.times)) * proven.size // (len(runs.times) - 1), proven.size - 1)
         bound = proven.ravel()[cells]
@@ -391,7 +391,7 @@ def test_rows_of_velocity_stray_from_their_chord_by_no_more_than_is_booked(limit
         path.append(e)
     path = np.array(path) @ rows.T
     off = np.abs(path - np.linspace(0, 1, parts + 1)[:, None] * path[-1]).max(axis=0)
-    assert np.all(off <= recovery.bow)
+    assert np.all(off <= recovery.intersample)
 
 
 # -- sets that turn ---------------------------------------------------------------------------------

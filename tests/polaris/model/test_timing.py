@@ -281,9 +281,9 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     ((hidden, _),) = system.timing.unseen
     assert hidden == 2
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
-    part, rows, last = system.thrusters.part, np.eye(system.n), tracking.memory
+    part, rows, last = system.thrusters.part, np.eye(system.n), tracking.settling
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
-    last = min(last, calm.memory)
+    last = min(last, calm.settling)
     booked = tracking.responses(rows, feedback_bound)[: last + 1] - calm.responses(rows, None)[: last + 1]
     others = np.abs(tracking.whole_transitions[: last + 1, : system.n, system.n :])
     booked += others @ (tracking.remembered - calm.remembered)

@@ -539,8 +539,10 @@ def test_polygon_is_circumscribed():
 
 def test_tube_outlines_contain_the_tube():
     tube, rng = schedule_plot_data(synthesised()[1]).tube, np.random.default_rng(1)
-    outlines = polygon(tube_support(tube.centre, tube.generators, tube.bow, 3, directions()), directions())
-    q = tube.bow.shape[1]
+    outlines = polygon(
+        tube_support(tube.centre, tube.generators, tube.intersample, 3, directions()), directions()
+    )
+    q = tube.intersample.shape[1]
     edges = np.unique(np.linspace(0, q, 4).astype(int))
     for k in (0, 5, 11):
         for part in range(3):

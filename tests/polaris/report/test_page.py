@@ -100,13 +100,13 @@ def test_page_is_small_enough_and_repeats_byte_for_byte(run, html, tmp_path):
 
 def test_paths_are_those_of_the_folder(run, html):
     data, flights = data_of(html), read_run(run).plot_data().flights["polaris"]
-    pilot = next(one for one in data["pilots"] if one["key"] == "polaris")
+    controller = next(one for one in data["pilots"] if one["key"] == "polaris")
     chosen = kept(len(flights.times))
-    assert pilot["labels"] == list(flights.labels) and pilot["labels"][0] == "nominal"
-    for one, states in zip(pilot["runs"], flights.states, strict=True):
+    assert controller["labels"] == list(flights.labels) and controller["labels"][0] == "nominal"
+    for one, states in zip(controller["runs"], flights.states, strict=True):
         assert np.allclose(np.array(one["p"]).T, states[chosen, :2], rtol=1e-5, atol=1e-9)
     who = np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
-    assert pilot["runs"][0]["modes"] == who[chosen[:-1]].tolist()
+    assert controller["runs"][0]["modes"] == who[chosen[:-1]].tolist()
 
 
 def test_timelines_are_those_of_the_folder(run, html):

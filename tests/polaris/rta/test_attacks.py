@@ -170,10 +170,10 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
 def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
     scene = DecisionGrid.from_schedule(line(order=1, weight=0.5, feedback=0.25), 0.25)
     recovery = Recovery(scene)
-    o, beyond = len(recovery.bow), scene.tracking.memory
+    o, beyond = len(recovery.intersample), scene.tracking.settling
     assert 0 < beyond < scene.last
     tracking, node = scene.tracking, scene.last - 1
-    tightening = tracking.disturbance(recovery.rows)[-1][:o] + recovery.bow
+    tightening = tracking.disturbance(recovery.rows)[-1][:o] + recovery.intersample
     tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
     tight.grid.clearance.limits.available[0, node, :o] = tightening * 0.999
     assert recovery.far(0) > 0
@@ -213,7 +213,7 @@ def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
     ("made", "jump"), [({"order": 1, "weight": 0.5, "feedback": 0.25}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
 )
 def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_left(made, jump):
-    """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
+    """A jump of the reference counts against the whole clearance, and so do later limits."""
     scene = DecisionGrid.from_schedule(line(**made), 0.25)
     clearance, n = replace(scene.clearance, jump=np.array(jump)), len(jump)
     recovery, sets = Recovery(replace(scene, clearance=clearance)), Continuation(clearance)

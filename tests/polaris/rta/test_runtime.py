@@ -70,7 +70,7 @@ def test_honest_measurements_let_u_fly_with_the_monitors_own_answer():
         assert (answer.mode, answer.margin, answer.faults) == (mode, margin, ()) and mode == 1
         assert answer.until == (answer.k + 1) * flight.grid.period
         assert answer.reason.startswith("nearest limit: ")
-        assert " at t = " in answer.reason or "beyond the loop's memory" in answer.reason
+        assert " at t = " in answer.reason or "beyond the settling horizon" in answer.reason
 
 
 # -- single measurements ----------------------------------------------------------------------------

@@ -80,7 +80,7 @@ def assert_equal(found, made, scenario):
     for one, other in zip(found.steps, made.steps, strict=True):
         assert np.array_equal(one.tube.nodes.c, other.tube.nodes.c)
         assert np.array_equal(one.tube.nodes.G, other.tube.nodes.G)
-        assert np.array_equal(one.tube.bow, other.tube.bow)
+        assert np.array_equal(one.tube.intersample, other.tube.intersample)
         assert np.array_equal(one.tube.end.G, other.tube.end.G)
         assert one.margin == other.margin
     assert np.array_equal(found.safety.reference.chi, made.safety.reference.chi)

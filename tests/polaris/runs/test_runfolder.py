@@ -118,7 +118,7 @@ def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_p
     for name in alone.values():
         title = f"U alone ({name})"
         assert title in str({key: text for key, _, text in shown.sections}["numbers"])
-        assert title in [pilot["name"] for pilot in shown.data["pilots"]]
+        assert title in [controller["name"] for controller in shown.data["pilots"]]
         assert title in [method["name"] for method in folder.summary["methods"]]
     assert {one.metrics.switches.max() for one in compared.results.values()} == {0}
     show_summary(run.summary, "here")

@@ -195,9 +195,9 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
 
 
 def is_late(schedule, k, margin):
-    """Return True if what limits a step lies beyond the loop's memory."""
+    """Return True if what limits a step lies beyond the settling horizon."""
     tracking = schedule.safety.tracking
-    return margin.time > (k + 1) * tracking.delta + tracking.memory * tracking.flow.h
+    return margin.time > (k + 1) * tracking.delta + tracking.settling * tracking.flow.h
 
 
 def test_a_few_random_proofs_verify(tmp_path):

@@ -202,7 +202,9 @@ def test_a_tube_that_is_too_thin_is_caught():
         replace(
             step,
             tube=replace(
-                step.tube, states=replace(step.tube.states, G=0.3 * step.tube.states.G), bow=0 * step.tube.bow
+                step.tube,
+                states=replace(step.tube.states, G=0.3 * step.tube.states.G),
+                intersample=0 * step.tube.intersample,
             ),
         )
         for step in schedule.steps

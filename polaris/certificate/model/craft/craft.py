@@ -267,5 +267,5 @@ class Craft:
         """Intersample bound under more inputs up to `held` (m, 1), constant over the period, and pushes."""
         motion, B = self.motion, self.plant.B
         more = absolute(B) * held, absolute(self.plant.A * B) * held
-        bow = RowIntersample(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
-        return sums(bow, *(motion.push_bend(rows, push) for push in pushes))
+        intersample = RowIntersample(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
+        return sums(intersample, *(motion.push_curvature(rows, push) for push in pushes))

@@ -27,15 +27,15 @@ class Feedforward:
     The tail is flown again and again: over it bounds on commands do not grow, over its second half they last.
     """
 
-    def __init__(self, document: Document, craft: Craft, memory: Settling, path: Path) -> None:
-        self.craft, self.memory, self.planned = craft, memory, min(path.planned, len(path.arcs))
+    def __init__(self, document: Document, craft: Craft, settling: Settling, path: Path) -> None:
+        self.craft, self.settling, self.planned = craft, settling, min(path.planned, len(path.arcs))
         self.constant = self.planned + (len(path.arcs) - self.planned) // 2  # bounds do not change from it on
         self.off = [craft.extra(document, k) for k in range(len(path.arcs))]
         gain, plant = absolute(craft.gain), craft.plant
         noise = [(gain * column(off)).entries() for off in self.off]
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
-        self.commanded, tightenings = nu, Tightening(craft, memory, craft.commands)
+        self.commanded, tightenings = nu, Tightening(craft, settling, craft.commands)
         for _ in range(ROUNDS):
             more = [maxima(*nodes) for nodes in self.response(tightenings)]
             for k in range(len(more) - 2, self.planned - 1, -1):
@@ -54,7 +54,7 @@ class Feedforward:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
         plant, q, off = self.craft.plant, self.craft.plant.q, self.off
         parts = []
-        if self.memory.feedback_bound:
+        if self.settling.feedback_bound:
             if self.craft.lag:
                 lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]

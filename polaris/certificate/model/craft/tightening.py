@@ -37,7 +37,7 @@ class Tightening:
     """Bounds on rows of the error under the safety controller, lag by lag."""
 
     craft: Craft
-    memory: Settling
+    settling: Settling
     given: arb_mat  # rows of the error, shape (r, n), or of the loop state
     upset: list[list[arb]] = field(default_factory=list)
     """Need of a fault that is isolated late by the end of the period after node l, once in a flight."""
@@ -56,12 +56,12 @@ class Tightening:
     def carried(self) -> list[arb_mat]:
         """``row F^l`` for l = 0 ... N + 1, each of shape (r, states)."""
         rows = self.craft.whole(self.given)
-        return [rows * power for power in self.memory.powers]
+        return [rows * power for power in self.settling.powers]
 
     @cached_property
-    def bend(self) -> list[arb_mat]:
+    def curvature(self) -> list[arb_mat]:
         """Intersample bound per unit of ``|z|`` at the start, for the periods next to node l."""
-        curved = self.motion.bend(self.rows)
+        curved = self.motion.curvature(self.rows)
         per = [magnitude(curved * magnitude(rate)) for rate in self.rates[0].carried]
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
@@ -74,7 +74,7 @@ class Tightening:
     @cached_property
     def _stacked(self) -> arb_mat:
         rows = self.craft.whole(rows_of(self.given, *self.alike[0]))
-        return above(*(rows * power for power in self.memory.powers[:-1]))
+        return above(*(rows * power for power in self.settling.powers[:-1]))
 
     @cached_property
     def _steady(self) -> list[list[arb]]:
@@ -113,7 +113,7 @@ class Tightening:
     @cached_property
     def responses(self) -> list[list[arb]]:
         """Needs at node L besides the state at the hand-over, for L = 0 ... N + 1."""
-        feedback_bound, plant, craft = self.memory.feedback_bound, self.craft.plant, self.craft
+        feedback_bound, plant, craft = self.settling.feedback_bound, self.craft.plant, self.craft
         if not feedback_bound:
             return self._steady
         count, last = len(self._steady) - 1, len(feedback_bound) - 1
@@ -135,18 +135,18 @@ class Tightening:
 
     def tail_bound(self, box: arb_mat) -> list[arb]:
         """Bound on the share of all that is older than N periods, if each adds at most a box (states, 1)."""
-        first, later = self.memory.decayed(box)
-        return list((self._reached * (first + later / (1 - self.memory.c))).entries())
+        first, later = self.settling.decayed(box)
+        return list((self._reached * (first + later / (1 - self.settling.c))).entries())
 
     @cached_property
     def _reached(self) -> arb_mat:
-        first, *others = self.carried[: self.memory.periods]
+        first, *others = self.carried[: self.settling.periods]
         return sum(map(magnitude, others), magnitude(first))
 
     @cached_property
     def settled_tightening(self) -> list[arb]:
         """Needs besides the state at every node more than N periods after a hand-over."""
-        craft, first = self.craft, self.memory.feedback_bound[0] if self.memory.feedback_bound else []
+        craft, first = self.craft, self.settling.feedback_bound[0] if self.settling.feedback_bound else []
         one = identity(craft.F.nrows())
         box = column(craft.supports(one))
         if first:
@@ -157,9 +157,9 @@ class Tightening:
     @property
     def rates(self) -> tuple[Tightening, Tightening]:
         """Needs of ``e'`` and of ``A e'`` at nodes, which bend the motion between them."""
-        known, rates = self.memory.rates, self.craft.rates
+        known, rates = self.settling.rates, self.craft.rates
         if not known:
-            known[:] = [Tightening(self.craft, self.memory, M) for M in (rates, self.motion.A * rates)]
+            known[:] = [Tightening(self.craft, self.settling, M) for M in (rates, self.motion.A * rates)]
         return known[0], known[1]
 
     @cached_property
@@ -170,7 +170,7 @@ class Tightening:
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """Needs besides the state at node l = 0 ... N, and ever after; between nodes chords of them hold."""
-        craft, plant, feedback_bound = self.craft, self.craft.plant, self.memory.feedback_bound
+        craft, plant, feedback_bound = self.craft, self.craft.plant, self.settling.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
         curved = craft.always_bent(self.rows, rates)
         if feedback_bound:
@@ -206,8 +206,8 @@ class Tightening:
     @cached_property
     def forgotten(self) -> list[arb]:
         """Need of any undisturbed state within ``z`` at the start after N periods."""
-        each = (self.boxed(self.memory.z, lag) for lag in range(self.memory.periods))
-        return [tightening * self.memory.c for tightening in maxima(*each)]
+        each = (self.boxed(self.settling.z, lag) for lag in range(self.settling.periods))
+        return [tightening * self.settling.c for tightening in maxima(*each)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
@@ -216,23 +216,26 @@ class Tightening:
     @cached_property
     def _sizes(self) -> list[arb_mat]:
         """Need of a unit of each state in the periods next to node l."""
-        return [magnitude(carried) + bend for carried, bend in zip(self.carried, self.bend, strict=True)]
+        return [
+            magnitude(carried) + curvature
+            for carried, curvature in zip(self.carried, self.curvature, strict=True)
+        ]
 
     def difference(self, flights: Differences, lag: int) -> list[arb]:
         """Need of a difference of two flights at node l, and in the period after it."""
         rates = column(difference_along(self.rates[0].carried[lag], flights))
         return sums(
-            difference_along(self.carried[lag], flights), (self.motion.bend(self.rows) * rates).entries()
+            difference_along(self.carried[lag], flights), (self.motion.curvature(self.rows) * rates).entries()
         )
 
     @cached_property
     def _most(self) -> arb_mat:
         """Largest need of a unit of each state in the first N periods."""
-        return reduce(_larger, self._sizes[: self.memory.periods])
+        return reduce(_larger, self._sizes[: self.settling.periods])
 
     def tightening_after_settling(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size after N periods."""
-        first, later = self.memory.decayed(self.craft.lifted(size))
+        first, later = self.settling.decayed(self.craft.lifted(size))
         return list((self._most * (first + later)).entries())
 
     def tightening_at_any_time(self, size: arb_mat) -> list[arb]:
@@ -269,7 +272,7 @@ class SetIntersample:
         """Bounds within the period after node l."""
         if lag not in self._known:
             rate = self._start.image(self.tightenings.rates[0].carried[lag])
-            self._known[lag] = self.tightenings.intersample.closer_bow(rate)
+            self._known[lag] = self.tightenings.intersample.closer_intersample(rate)
         return self._known[lag]
 
 

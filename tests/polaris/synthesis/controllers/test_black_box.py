@@ -162,7 +162,7 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
         for part in range(1, parts + 1):
             x = x @ Ad.T + u @ Bd.T + w @ Dd.T + drift
             s, e = part / parts, x - xi[i * parts + part]
-            bound = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
+            bound = (1 - s) * support[i] + s * support[i + 1] + tube.intersample[i] @ np.abs(rows).T
             assert np.all(e @ rows.T <= bound + 1e-9)
 
 
@@ -697,11 +697,11 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
 def test_statements_hold_of_other_boxes(seed):
     """Random clipped laws with kinks: of flights drawn afresh no more leave their sets than is said."""
     rng = np.random.default_rng(seed)
-    gain, bend = rng.normal(size=(2, 4)) * 0.3, rng.normal(size=(4, 2)) * 3
+    gain, curvature = rng.normal(size=(2, 4)) * 0.3, rng.normal(size=(4, 2)) * 3
 
     def ask(t, x, xi):
         d = xi - x
-        return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ bend))
+        return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ curvature))
 
     result = sampled(ask, probability=0.02, seed=seed)
     if result.schedule.sampled_steps:

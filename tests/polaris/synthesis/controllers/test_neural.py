@@ -133,7 +133,7 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
         node, inside = divmod(i + 1, parts)
         bound = support[node]
         if inside:
-            bound = np.maximum(support[node], support[node + 1]) + tube.bow[node] @ np.abs(rows).T
+            bound = np.maximum(support[node], support[node + 1]) + tube.intersample[node] @ np.abs(rows).T
         assert np.all(e @ rows.T <= bound + ROUNDING), (i, np.max(e @ rows.T - bound))
     assert np.all(e @ rows.T <= tube.end.support(rows) + ROUNDING)
 
@@ -159,7 +159,7 @@ def test_commands_lie_in_what_is_said_of_them():
         controller, rng = random_controller(seed)
         start = Zonotope(np.zeros(4), 0.1 * rng.normal(size=(4, 5)))
         tube = controller.propagate(start, 3)
-        middle, spread = controller.commanded(tube.nodes - controller.offset[3], tube.bow, 3)
+        middle, spread = controller.commanded(tube.nodes - controller.offset[3], tube.intersample, 3)
         x = controller.reference.fine(4)[3, 0] + rng.choice([-1.0, 1.0], (200, 5)) @ start.G.T
         own = controller.own.fine(4)[3, 0]
         limit = controller.system.u_max

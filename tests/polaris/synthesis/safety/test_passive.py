@@ -321,7 +321,7 @@ def upkeep_judged(forger, change):
 def test_drifts_with_the_facets_of_s_are_clear_less_often():
     schedule = synthesize(load_scenario("keep_out", ["abort.drift_s=1800.0"]))
     flight, clearance = schedule.passive.flight, schedule.safety.clearance
-    rows, bend, pushed = flight._rows
+    rows, curvature, pushed = flight._rows
     first = np.cumsum([0, *(len(body.normals) for body in flight.sets)])
     facets = [clearance.facets[:, [u.name for u in clearance.unsafe].index(b.name)] for b in flight.sets]
     clear = []
@@ -336,7 +336,7 @@ def test_drifts_with_the_facets_of_s_are_clear_less_often():
                 for end in (0, 1):
                     side = offsets[:, end : end + flight.parts].reshape(len(far) - 1, -1)
                     side = side[places[0], places[1] - at]
-                    tightening = far[places[0] + end, places[1]] + (size[:-1] @ bend.T + pushed)[places]
+                    tightening = far[places[0] + end, places[1]] + (size[:-1] @ curvature.T + pushed)[places]
                     clearance = min(clearance, np.min(-side - tightening))
         clear.append(clearance > 0)
     assert not np.any(clear & ~schedule.passive.clear)

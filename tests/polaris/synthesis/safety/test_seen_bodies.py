@@ -153,7 +153,7 @@ def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
     rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
     e = start.c + rng.choice([-1.0, 1.0], (400, 6)) @ start.G.T
     Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h)
-    middle, spread = law.commanded(tube.nodes, tube.bow, k)
+    middle, spread = law.commanded(tube.nodes, tube.intersample, k)
     for i in range(q):
         readings = (
             law.obstacle_motion[0][k, i]

@@ -82,7 +82,7 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     sampled = ["feedback.period_s=0.25", "tracking.R=[60,60]"]
     scenario = load_scenario(TINY).with_assignments([*sampled, "thrusters.magnitude_error=0.2"])
     tracking, rows = get_safety(scenario.problem()).tracking, np.vstack([np.eye(4), -np.eye(4)])
-    count = 5 * tracking.memory
+    count = 5 * tracking.settling
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
     always = always + gains @ tracking.system.thrusters.part(tracking.feedback_bound[-1])
@@ -164,7 +164,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     """Beyond the memory of the loop, too, where the need is the same in every period."""
     _, schedule = synthesised()
     safety, tail = schedule.safety, at_end(schedule, schedule.final)
-    late, q = safety.tracking.memory + 5, safety.clearance.q
+    late, q = safety.tracking.settling + 5, safety.clearance.q
     dear = SimpleNamespace(law=None, commands=None, most=np.full((q, 1), 1e9))
     tail.spells.extend([dear] * (late + 20))
     spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
@@ -186,7 +186,7 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
     rows = schedule.safety.problem.goal.conditions.E
     along = PathRows(schedule.safety.clearance, rows, between=False)
     tail = at_end(schedule, off)
-    tightening = tail.tightenings(along, schedule.safety.tracking.memory)
+    tightening = tail.tightenings(along, schedule.safety.tracking.settling)
     centre = along.table.carried[: len(tightening), :, : len(off.c)] @ off.c
     assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
     assert np.all(tightening >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
@@ -244,7 +244,7 @@ def derived(forger):
         Continuation(document, path, tracker),
         held,
         taken,
-        argument.pilots[0],
+        argument.controllers[0],
         Merging(80, argument.n, argument.craft.ahead),
         flown,
     )

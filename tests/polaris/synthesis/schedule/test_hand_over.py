@@ -198,8 +198,8 @@ def checker_tightenings(s, rows):
     document = stated(s)
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     feedback_bound = [[arb(x) for x in level] for level in document.feedback_bound]
-    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
-    return Tightening(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
+    settling = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
+    return Tightening(craft, settling, craft.commands if rows is None else matrix(rows.tolist()))
 
 
 def checked(s, rows):
@@ -284,7 +284,7 @@ def test_what_is_older_than_the_horizon_counts(case):
     n = s.system.n
     assert np.all(np.abs(carried)[limits.horizon + 2 :, :, n:] <= s.handed(rows)[-1])
     tightenings = checker_tightenings(s, np.eye(s.system.n))
-    last, N, more = tightenings.carried[-1], tightenings.memory.periods, np.zeros(s.system.n)
+    last, N, more = tightenings.carried[-1], tightenings.settling.periods, np.zeros(s.system.n)
     for _ in range(N):
         last = last * tightenings.craft.F
         more += [float(x.upper()) for x in tightenings.craft.supports(last)]
@@ -307,12 +307,12 @@ def along(s, nu, planned, by_step=(), between=True):
         document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     feedback_bound = [[arb(x) for x in level] for level in document.feedback_bound]
-    memory = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
+    settling = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)
     arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
     path = SimpleNamespace(planned=planned, arcs=arcs)
-    checks = CheckedSchedule(document, craft, memory, path)
+    checks = CheckedSchedule(document, craft, settling, path)
     commanded.append(np.array([[float(x) for x in level] for level in checks.commanded]))
-    checked_along = checks.response(Tightening(craft, memory, matrix(rows.tolist())), between)
+    checked_along = checks.response(Tightening(craft, settling, matrix(rows.tolist())), between)
     other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
     nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (tightenings, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
@@ -427,11 +427,11 @@ def test_bounds_between_nodes_hold_what_noise_pushes_in_its_own_period():
     rate = np.einsum(
         "tri,r->i", np.abs(rates[:, first : first + 4]), np.array(s.system.timing.measured_error)
     )
-    bend = H**2 / 8 * np.abs(A) @ rate
+    curvature = H**2 / 8 * np.abs(A) @ rate
     between = s.disturbance(np.eye(4)) - s.responses(np.eye(4), None)
-    assert np.all(bend <= between[0]) and np.all(bend > 0)
+    assert np.all(curvature <= between[0]) and np.all(curvature > 0)
     nodes, disturbed, _ = checked(s, np.eye(4))
-    assert np.all(bend <= disturbed[0] - nodes[0])
+    assert np.all(curvature <= disturbed[0] - nodes[0])
 
 
 def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow():
@@ -447,6 +447,6 @@ def test_what_holds_ever_after_is_the_largest_of_all_later_nodes():
     s = tracking(delay=1.0)
     falling = np.linspace(2.0, 1.0, s.tightening.horizon + 3)[:, None]
     tightenings = s._by_age(falling)
-    assert tightenings[-1, 0] == falling[s.memory + 2, 0] and np.all(
-        tightenings[: s.memory + 2] == falling[: s.memory + 2]
+    assert tightenings[-1, 0] == falling[s.settling + 2, 0] and np.all(
+        tightenings[: s.settling + 2] == falling[: s.settling + 2]
     )

@@ -166,7 +166,7 @@ def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     one = SimpleNamespace(system=SimpleNamespace(n=1))
     safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2), tracking=one)
     sets = Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1)))
-    tube = SimpleNamespace(states=sets, bow=np.zeros((2, 1)), end=start)
+    tube = SimpleNamespace(states=sets, intersample=np.zeros((2, 1)), end=start)
     taken = Takeover.for_steps(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )

@@ -236,9 +236,9 @@ class Tube:
     [
         (lambda f: None, "must return"),
         (lambda f: replace(f, states=f.states[:-1]), "states"),
-        (lambda f: replace(f, bow=f.bow[:, :3]), "bow"),
-        (lambda f: replace(f, bow=-f.bow), "must not be negative"),
-        (lambda f: replace(f, bow=np.nan * f.bow), "must not be negative"),
+        (lambda f: replace(f, intersample=f.intersample[:, :3]), "intersample"),
+        (lambda f: replace(f, intersample=-f.intersample), "must not be negative"),
+        (lambda f: replace(f, intersample=np.nan * f.intersample), "must not be negative"),
         (lambda f: replace(f, end=Zonotope.point(np.zeros(3))), "end"),
         (lambda f: replace(f, end=Zonotope.point(f.end.c)), "must contain its last node"),
         (lambda f: replace(f, states=0.5 * np.eye(6) @ f.states), "must contain the set it starts from"),

@@ -59,7 +59,7 @@ def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name, more
         grain = 1e-9 * (np.abs(nodes).max(axis=0) + np.abs(shift).max(axis=0))
         assert np.all(holds >= nodes - grain), f"step {k}, at the nodes"
         assert np.all(stored.end.support(rows) - shift[-1] >= nodes[-1] - grain), f"step {k}, at its end"
-        between = np.maximum(holds[1:], holds[:-1]) + stored.bow @ np.abs(rows).T
+        between = np.maximum(holds[1:], holds[:-1]) + stored.intersample @ np.abs(rows).T
         assert np.all(inside <= between[:, None] + grain), f"step {k}, between the nodes"
         widths = [bounds[1:, :n] + bounds[1:, n : 2 * n] for bounds in (holds, nodes)]
         wider.append((widths[0] / widths[1]).max())

@@ -62,13 +62,13 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
             assert k > 0, "every law can fly the first step"
             continue
         nodes = flight.nodes.support(D)
-        booked = flight.bow @ np.abs(D).T
+        booked = flight.intersample @ np.abs(D).T
         for _ in range(4):
             e0 = START.sample(rng, 1)[0] if rng.random() < 0.5 else START.support_vector(rng.normal(size=6))
             errors = fly(safety, law, k, e0, rng)
             reached = errors @ D.T
             scale = 1e-6 * (1 + np.abs(nodes).max(axis=0))
-            for i in range(len(flight.bow)):
+            for i in range(len(flight.intersample)):
                 inside = reached[8 * i : 8 * i + 9]
                 limit = np.maximum(nodes[i], nodes[i + 1]) + booked[i]
                 assert np.all(inside <= limit + scale)
@@ -100,12 +100,12 @@ def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes
     if kind == "affine":
         law = AffineController("affine", system, tracking.gain, still, still, tracking)
     flight, row = law.propagate(Zonotope.point(np.zeros(2)), 0), np.array([[0.0, 1.0]])
-    nodes, bow, excess = flight.nodes.support(row)[:, 0], flight.bow @ row[0], []
-    for i in range(len(bow)):
+    nodes, intersample, excess = flight.nodes.support(row)[:, 0], flight.intersample @ row[0], []
+    for i in range(len(intersample)):
         for part in np.linspace(0, 1, 41):
             worst = 0.1 / 0.5 * (1 - np.exp(-0.5 * (i + part) * tracking.flow.h))
             excess.append(worst - (1 - part) * nodes[i] - part * nodes[i + 1])
-            assert excess[-1] <= bow[i] * (1 + 1e-9)
+            assert excess[-1] <= intersample[i] * (1 + 1e-9)
     assert max(excess) > 1e-6, "the chord alone does not hold it"
 
 
@@ -119,7 +119,7 @@ def test_a_law_that_pulls_away_from_the_safe_reference_leaves_the_chord_of_its_n
     flight, h = law.propagate(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
     for i in range(2):
         chord = flight.nodes.c[i : i + 2, 0].mean()
-        assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.bow[i, 0] + 1e-15
+        assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.intersample[i, 0] + 1e-15
 
 
 def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):

@@ -146,7 +146,7 @@ def test_the_share_of_an_error_is_what_its_worst_signs_reach():
     bound = tracking.disturbance(rows)[-1]
     kick = flow.input_map(system.B) @ tracking.gain
     reached, carried = np.zeros(len(rows)), rows
-    for _ in range(tracking.memory):
+    for _ in range(tracking.settling):
         reached += np.abs(carried @ kick) @ system.navigation
         carried = carried @ flow.phi
     assert np.all(reached <= bound) and np.all((reached / bound).reshape(2, 2).T > [0.9, 0.6])
@@ -276,7 +276,7 @@ def test_levels_that_are_foreseen_are_those_that_are_found_from_the_least_one(mo
     monkeypatch.setattr(AffineLaw, "foreseen", lambda law, d, k: LEVELS[0] * law.system.u_max)
     climbed = law.propagate(start, 0)
     assert np.any(foreseen > LEVELS[0] * u_max)
-    assert np.array_equal(climbed.end.G, tube.end.G) and np.array_equal(climbed.bow, tube.bow)
+    assert np.array_equal(climbed.end.G, tube.end.G) and np.array_equal(climbed.intersample, tube.intersample)
 
 
 def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():
@@ -300,7 +300,7 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     assert np.all(np.diff(feedback_bound, axis=0) <= 0) and np.all(feedback_bound[-1] < tracking.system.u_max)
     kick = np.abs(gain @ tracking.transitions @ flow.input_map(tracking.system.B))
     reached = np.zeros(len(gain))
-    for lag in range(tracking.memory):
+    for lag in range(tracking.settling):
         errors = [part(feedback_bound[i]) for i in range(lag)]
         reached = np.sum([kick[lag - 1 - i] @ e for i, e in enumerate(errors)], axis=0)
         assert np.all(reached + tracking.noise <= feedback_bound[lag])

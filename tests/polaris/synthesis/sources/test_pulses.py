@@ -388,7 +388,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     arrival = SimpleNamespace(
         document=document,
         flight=SimpleNamespace(
-            tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), memory=SimpleNamespace(periods=0))
+            tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), settling=SimpleNamespace(periods=0))
         ),
         node_at=lambda t: 0,
         max_commands=lambda node: [arb(0.5)],
@@ -523,15 +523,17 @@ def test_pulses_are_followed_within_a_period(placed):
         apart.append(other)
     firing.made, firing.parts = firing.asked, []
     firing.start(0)
-    assert np.allclose(held + firing.bow(0), other, atol=2e-3 if placed == "centred" else 1e-2)
+    assert np.allclose(held + firing.intersample(0), other, atol=2e-3 if placed == "centred" else 1e-2)
     places = np.arange(1, 8) / 8
-    bows = _pulsed(system, before[:, None], (held + firing.bow(0))[:, None], h, places[:, None])
+    intersamples = _pulsed(
+        system, before[:, None], (held + firing.intersample(0))[:, None], h, places[:, None]
+    )
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     true = true - held_path(system, h, before, other, places)
     largest = np.array(system.timing.intersample_offset)
     for part in (slice(3), slice(3, 6)):  # positions, velocities
         size = np.abs(true[..., part]).max()
-        assert np.abs(bows - true)[..., part].max() < 0.03 * size
+        assert np.abs(intersamples - true)[..., part].max() < 0.03 * size
         assert size > (0.3 if placed == "centred" else 0.1) * np.linalg.norm(largest[part])
 
 

@@ -257,7 +257,7 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
                 assert np.all(np.abs(tracking.gain @ (moved_by + off)) <= tightening[8:10])
                 assert i < 0 or i > 0 or np.max(np.abs(state) / np.maximum(bound, 1e-12)) > 0.5
     monkeypatch.setattr(
-        type(tracking), "transient_tightening", lambda self, rows: np.zeros((self.memory + 3, len(rows)))
+        type(tracking), "transient_tightening", lambda self, rows: np.zeros((self.settling + 3, len(rows)))
     )
     with pytest.raises(Rejected):
         checked(synthesize(scenario))
@@ -501,15 +501,16 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
             assert (
                 schedule.modes[k] == 0
                 and step["shortfall"] > 0
-                and not safety.recoverable.holds(k, tube.nodes, tube.bow)
+                and not safety.recoverable.holds(k, tube.nodes, tube.intersample)
             )
-            assert safety.recoverable_with(()).holds(k, tube.nodes, tube.bow)
-            least = safety.recoverable_with((transient,)).margin(k, tube.nodes, tube.bow)
+            assert safety.recoverable_with(()).holds(k, tube.nodes, tube.intersample)
+            least = safety.recoverable_with((transient,)).margin(k, tube.nodes, tube.intersample)
             assert (step["limit"], step["tightening"]) == (least.limit, least.tightening) and not least.inside
     for k in set(np.flatnonzero(schedule.modes == 0).tolist()) - named:
         tube = law.propagate(starts[k], k)
         held = [
-            sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.recoverable_with(()))
+            sets.holds(k, tube.nodes, tube.intersample)
+            for sets in (safety.recoverable, safety.recoverable_with(()))
         ]
         assert held != [False, True]
     assert named and "fault_attribution" not in guarantee(synthesize(scenario))

@@ -208,13 +208,13 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
 
 @pytest.mark.parametrize("first", [0, pytest.param(7, marks=pytest.mark.slow)])
 def test_no_limit_is_left_out_however_late(first, period):
-    """One that nothing meets, put at a node: within the memory of the loop, where it ends, and beyond."""
+    """One that nothing meets, put at a node: within the settling horizon, where it ends, and beyond."""
     safety = small_safety(period)
-    clearance, memory = safety.clearance, safety.tracking.memory
+    clearance, settling = safety.clearance, safety.tracking.settling
     assert safety.recoverable.margin_at(first, safety.start).inside
     begin, end = first * clearance.q, clearance.cells * clearance.q
-    assert begin + memory + 6 < end
-    late = range(begin + memory - 3, begin + memory + 7)
+    assert begin + settling + 6 < end
+    late = range(begin + settling - 3, begin + settling + 7)
     for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
         for end in (0, 1) if node > begin else (0,):  # of the periods that begin and that end there
             blocked, room = replace(clearance), clearance.limits.available.copy()
