@@ -21,12 +21,12 @@ LINES = {
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9459, 5000),
     ("polaris/model", "polaris/simulation"): (9546, 5200),
-    ("polaris/rta",): (5013, 4300),
+    ("polaris/rta",): (5015, 4300),
     ("polaris/inspection",): (5438, 4500),
     ("polaris/scenario", "polaris/runs"): (10014, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8387, 6400),
     ("polaris/planning",): (2531, 2200),
-    ("polaris", "reach"): (72654, 48000),
+    ("polaris", "reach"): (72656, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

@@ -11,7 +11,7 @@ from ...model.checks import positive
 from ...model.system import Array
 from ...synthesis.controllers.controllers import AffineController
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Method, Observation, Option, keep_clear
+from ..method import BUFFER, Choice, Method, Observation, Option, keep_clear
 
 AHEAD = 0.2  # share of the flight that is looked ahead by default: chosen by ``benchmarks/comparison.py``
 LEAST = 20  # decisions that are looked ahead at least
@@ -94,6 +94,8 @@ class ForwardReachability(ForwardSimulation):
     """
 
     key, name, place = "reachability", "Forward reachability of U", 10
+    options = (HORIZON, BUFFER)
+    apart = 0.0
     how = "U's reachable set over a share of the horizon keeps clear"
     reasons = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
 

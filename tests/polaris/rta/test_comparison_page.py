@@ -125,7 +125,7 @@ def test_the_words_of_the_page_follow_from_its_tables():
     for name in page.SCENES:
         assert value(name, "Explicit simplex", SHARE) < 0.35 and value(name, "Implicit simplex", SHARE) < 0.35
     plain = next(iter(swept["simplex_implicit.buffer"].values()))
-    assert plain["robot"].violations == pytest.approx(page.RUNS / 2, abs=2)
+    assert page.RUNS / 2 < plain["robot"].violations < page.RUNS
     proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
     assert proved and all(row[HITS] == "0" for row in proved)
 
