@@ -80,6 +80,12 @@ class Forger:
             for name in (*files, CERTIFICATE):
                 shutil.copyfile(self.run / name, self.folder / name)
 
+    def forged(self, change):
+        """Verdict on the folder with a change of its certificate."""
+        data = copy.deepcopy(self.honest)
+        change(data)
+        return self.judge({CERTIFICATE: json.dumps(data)})
+
     def tree(self, name):
         """Data of a JSON or TOML file."""
         text = (self.run / name).read_text(encoding="utf-8")

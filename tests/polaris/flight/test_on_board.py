@@ -29,7 +29,7 @@ from tests.polaris.flight.library import tool
 from tests.polaris.forging import COARSE, make
 from tests.polaris.random_scenarios import random_scenario
 from tests.polaris.simulation.test_model_error import ERRORS
-from tests.polaris.synthesis.schedule.test_cubesat import CRAFT
+from tests.polaris.synthesis.sources.test_layouts import CRAFT
 from tests.polaris.synthesis.sources.test_pulses import PULSED
 from tests.polaris.tiny import TINY
 from tests.sizes import fewer

@@ -13,31 +13,29 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import binom
+from typer.testing import CliRunner
 
 import polaris
+from polaris import BlackBox
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.claims.argument import check_statement
 from polaris.certificate.files.document import digest
 from polaris.certificate.files.inputs import _check_asked
 from polaris.certificate.kernel.verdict import Rejected
+from polaris.cli.app import app
 from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
-from polaris.rta.arena import compare_methods
-from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.black_box_program import black_box_program
 from polaris.runs.campaign import CampaignPlan, ScheduleRuns, local, make_cases, replay_run, run_campaign
 from polaris.runs.campaign.folder import read_campaign
 from polaris.runs.certificate import certificate
 from polaris.runs.run import read_run, run
-from polaris.runs.tradeoff import tradeoff
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.integration import Integrator
 from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
 from polaris.simulation.simulate import initial_states, simulate
-from polaris.synthesis.controllers.black_box import BlackBox
 from polaris.synthesis.sources.late_faults import wrong_thrust
-from reach.numerics.linear import discretize
-from reach.sets.zonotope import Zonotope
+from reach import Zonotope, discretize
 from tests.polaris.random_scenarios import random_scenario
 from tests.polaris.tiny import TINY
 
@@ -67,19 +65,13 @@ def hasty():
 
 ERRORS = {
     "exact": {},
-    "navigation": {"navigation": {"state_error": [0.004, 0.004, 0.002, 0.002]}},
-    "thrusters": {"thrusters": {"magnitude_error": 0.05}},
-    "timing": {"timing": {"delay_s": 0.02, "jitter_s": 0.002}},
+    "all": {
+        "navigation": {"state_error": [0.001, 0.001, 0.0005, 0.0005]},
+        "thrusters": {"magnitude_error": 0.01},
+        "timing": {"delay_s": 0.01, "jitter_s": 0.0005},
+    },
+    "carried": {"thrusters": {"impulse_bit_N_s": 0.0002, "remainder": "carried"}},
 }
-ERRORS["all"] = {
-    "navigation": {"state_error": [0.001, 0.001, 0.0005, 0.0005]},
-    "thrusters": {"magnitude_error": 0.01},
-    "timing": {"delay_s": 0.01, "jitter_s": 0.0005},
-}
-
-
-ERRORS["carried"] = {"thrusters": {"impulse_bit_N_s": 0.0002, "remainder": "carried"}}
-APART = ("navigation", "thrusters", "timing", "carried")
 
 
 @cache
@@ -92,9 +84,6 @@ def box(ask=None, part=None, **more):
     return BlackBox("box", part.problem.system, part.reference, part.tracking, ask or hasty(), **more)
 
 
-# -- statistics -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("probability", "doubt"), [(0.01, 5e-4), (0.02, 1e-3), (0.2, 0.05)])
 def test_so_many_flights_are_enough_and_no_fewer_are(probability, doubt):
     count = flights_needed(probability, doubt)
@@ -103,7 +92,6 @@ def test_so_many_flights_are_enough_and_no_fewer_are(probability, doubt):
 
 
 def test_the_bound_is_wrong_no_more_often_than_it_says():
-    """Over all numbers of flights outside, weighted by how probable each is."""
     for probability in (0.001, 0.01, 0.1, 0.5, 0.9):
         for flights, doubt in ((40, 0.05), (300, 0.01)):
             counts = np.arange(flights + 1)
@@ -111,32 +99,7 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
             assert binom.pmf(counts, flights, probability) @ wrong <= doubt
 
 
-def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
-    """Bands are about a motion that stands for the flight, as far from it as what is carried may be."""
-    part, flights = safety("carried"), 50
-    scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
-    schedule = polaris.synthesize(scenario, part, [box(part=part)])
-    runs, system = simulate(schedule, flights, 1), part.problem.system
-    bit, left, stands = system.timing.carried_impulse, np.zeros((flights, system.m)), runs.states.copy()
-    held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
-    for node in range(runs.inputs.shape[1]):
-        due = runs.inputs[:, node] * PERIOD + left
-        left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
-        stands[:, node + 1] += left @ held.T
-    arcs, far = part.reference.fine(4), outside(runs)
-    assert schedule.sampled_steps
-    for step in schedule.steps:
-        if step.mode:
-            at = slice(4 * step.k, 4 * step.k + 4)
-            errors = stands[:, at] - arcs[step.k, :-1]
-            off = step.tube.outside(errors, runs.inputs[:, at], np.zeros(system.n))
-            assert np.all(off <= far * (1 + 1e-9))
-
-
-# -- sets -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("errors", ["exact", "all", "carried"])
+@pytest.mark.parametrize("errors", ["all", "carried"])
 def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
     law, rng = box(part=safety(errors)), np.random.default_rng(0)
     start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
@@ -166,31 +129,13 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
             assert np.all(e @ rows.T <= bound + 1e-9)
 
 
-def test_an_affine_box_is_fitted_to_rounding():
-    law = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2])
-    tube = law.propagate(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
-    assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
-    assert np.all(tube.fit[..., 5] < 1e-7)
-
-
-def test_states_that_do_not_vary_are_not_fitted():
-    flat = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
-    tube = box().propagate(flat, 0)
-    assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.abs(tube.fit).max() < 1e3
-
-
-def test_sets_without_bound_refuse_a_step():
+def test_an_affine_box_is_fitted_to_rounding_and_only_where_states_vary():
+    start = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
+    tube = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2]).propagate(start, 1)
+    assert_allclose(tube.fit[1, :, 0], [-0.3, 0.0], atol=1e-9)
+    assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.all(tube.fit[..., 5] < 1e-7)
     wild = box(lambda t, x, xi: np.sign(np.sin(1e9 * x[:, :2])))
     assert wild.propagate(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
-
-
-def test_the_same_seed_gives_the_same_sets():
-    start = Zonotope.box(np.zeros(4), np.full(4, 0.02))
-    assert np.array_equal(box().propagate(start, 3).fit, box().propagate(start, 3).fit)
-    assert not np.array_equal(box().propagate(start, 3).fit, box(seed=1).propagate(start, 3).fit)
-
-
-# -- what the statement catches, and what it does not ---------------------------------------------------
 
 
 def follower(t, x, xi, part=None):
@@ -240,7 +185,6 @@ def test_a_rare_fault_is_within_what_is_said_and_not_found():
 
 
 def test_no_attempt_counts_flights_of_another(monkeypatch):
-    """Nor of the search for bands; however many flights an attempt needs."""
     drawn = []
 
     def flown(schedule, n, seed, **_):
@@ -287,22 +231,17 @@ def test_a_frequent_fault_is_seen_and_a_rare_one_need_not_be(share, outside, fli
     assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
 
 
-@pytest.mark.parametrize("errors", ["all", *(pytest.param(x, marks=pytest.mark.slow) for x in APART)])
+@pytest.mark.parametrize("errors", ["all", pytest.param("carried", marks=pytest.mark.slow)])
 def test_errors_are_flown_and_covered(errors):
     def ask(t, x, xi):
         return follower(t, x, xi, safety(errors)) + 0.02 * np.sin(40 * (x - xi)[:, :2])
 
     trial = sampled(ask, errors, probability=0.02)
     assert trial.schedule.guarantee == "statistical" and trial.schedule.share() > 0.2
-    assert (
-        leaving(trial.schedule, 2000) <= trial.schedule.sampled_bound.probability
-        and trial.worst.failure is None
-    )
+    assert leaving(trial.schedule, 2000) <= trial.schedule.sampled_bound.probability
+    assert trial.worst.failure is None
     verdict = verify_document(certificate(trial.schedule, "tiny"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
-
-
-# -- boxes with memory ----------------------------------------------------------------------------------
 
 
 class Lagging:
@@ -321,79 +260,38 @@ class Lagging:
         return self.u
 
 
-class Forgetful:
-    """Box with memory of which nobody is told that it has one."""
-
-    def __init__(self):
-        self.box = Lagging()
-
-    def __call__(self, t, x, xi):
-        if t == 0 or len(self.box.u) != len(x):
-            self.box.reset(len(x))
-        return self.box(t, x, xi)
-
-
 def test_what_a_box_recalls_is_part_of_its_bands():
-    """Of every flight it is asked once a period from the start on, whoever flies; what is said holds."""
     result = sampled(Lagging(), probability=0.02)
     schedule, ask = result.schedule, result.schedule.controllers[1].ask
-    assert (
-        result.repeats
-        and schedule.sampled_bound.attempts == 1
-        and not any(schedule.modes[:2])
-        and schedule.modes[2]
-    )
+    assert result.repeats and schedule.sampled_bound.attempts == 1
+    assert not any(schedule.modes[:2]) and schedule.modes[2]
     assert leaving(schedule, 2000) <= schedule.sampled_bound.probability
     last = PERIOD * 4 * (np.flatnonzero(schedule.modes)[-1] + 1)
     assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
-    unaware = sampled(Forgetful(), probability=0.02).schedule
-    assert leaving(unaware, 2000) <= 0.02 and unaware.share() < schedule.share()
     assert any("asked once in every control period" in line for line in schedule.assumptions)
 
 
-def test_a_drift_from_flight_to_flight_breaks_the_condition_and_is_noticed():
-    """It does not show in the samples, or hardly: the statement is about boxes that do not drift."""
+def drifting():
+    """Return a box that drifts from flight to flight, too little to show in the samples."""
     flown = [0]
 
     def ask(t, x, xi):
         flown[0] += len(x) * (t == 0)
         return follower(t, x, xi) + 0.02 * np.sin(40 * (x - xi)[:, :2]) + 1e-6 * flown[0]
 
+    return ask
+
+
+def mixing(t, x, xi):
+    """Ask as the follower does of many flights at once, and otherwise of one alone."""
+    return follower(t, x, xi) - 0.5 * (len(x) < 100)
+
+
+@pytest.mark.parametrize(("ask", "repeats"), [(drifting(), False), (mixing, False), (follower, True)])
+def test_a_box_that_answers_differently_the_next_time_is_noticed(ask, repeats):
     result = sampled(ask, probability=0.02)
-    assert result.schedule.guarantee == "statistical" and not result.repeats
-    assert sampled(follower, probability=0.02).repeats
-    flown[0] = 10**6
-    assert leaving(result.schedule, 100) > 0.9
+    assert result.schedule.guarantee == "statistical" and result.repeats is repeats
     assert any(line.startswith("no drift") for line in result.schedule.assumptions)
-
-
-def test_a_box_that_mixes_up_flights_is_noticed():
-    """Of a flight that is asked about alone the samples, a thousand at a time, say nothing."""
-
-    def ask(t, x, xi):
-        return follower(t, x, xi) - 0.5 * (len(x) < 100)
-
-    result = sampled(ask, probability=0.02)
-    assert result.schedule.guarantee == "statistical" and not result.repeats
-
-
-# -- campaigns, comparisons and trade-offs --------------------------------------------------------------
-
-
-def test_a_comparison_asks_once_a_period_for_all_flights():
-    grid = DecisionGrid.from_schedule(sampled(Lagging(), probability=0.02).schedule)
-    ask = grid.controllers[1].ask
-    before = len(ask.asked)
-    compared = compare_methods(grid, 6, methods=["experimental", "schedule", "monitor", "simplex_implicit"])
-    claims = {key: one.claim.kind for key, one in compared.results.items()}
-    assert claims == {"experimental": "none", "schedule": "statistical", "monitor": "proved"}
-    assert "memory" in compared.refused["simplex_implicit"]
-    whole = [times for times in ask.asked[before:] if times[-1] == 12 - PERIOD]
-    assert len(whole) >= 6 and all(np.allclose(np.diff(times), PERIOD) for times in ask.asked[before:])
-    forgetful = replace(grid.schedule, controllers=(grid.controllers[0], box(follower)))
-    assert not compare_methods(
-        DecisionGrid.from_schedule(forgetful), 2, methods=["simplex_implicit", "simulation"]
-    ).refused
 
 
 @pytest.mark.slow
@@ -401,21 +299,16 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     pytest.importorskip("pyarrow")
     plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document(**LIKELY))]), 4, batch=2)
     plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
-    boxes = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}
+    boxes, more = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}, replace(plan, runs=6)
     folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
     modes = folder.summary["cases"][0]["modes"]
     assert [modes[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
-    assert read_campaign(folder.path).plan.data()["boxes"] == ["box"], "its name, and nothing to run"
-    more = replace(plan, runs=6)
     with pytest.raises(PolarisError, match="different schedules"):
-        run_campaign(more.asking({"box": lambda t, x, xi: 0.8 * follower(t, x, xi)}), folder.path)
+        run_campaign(more.asking({"box": follower}), folder.path)
     with pytest.raises(ScenarioError, match="boxes"):
         run_campaign(more, folder.path)
     with pytest.raises(PolarisError, match="this process"):
         run_campaign(more.asking(boxes), folder.path, executor=local(2))
-    silent = {"box": lambda t, x, xi: None}
-    with pytest.raises(PolarisError, match="goes on from there"):
-        run_campaign(more.asking(silent), folder.path)
     assert run_campaign(more.asking(boxes), folder.path).summary["flown"] == 18
     read = read_campaign(folder.path)
     with pytest.raises(ScenarioError, match="must be given with `polaris run"):
@@ -424,34 +317,11 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
 
 
-@pytest.mark.slow
-def test_points_of_a_trade_off_are_statistical_and_nothing_needed_is_read_from_them(tmp_path):
-    scenario, boxes = ScheduleScenario.from_dict(document(**LIKELY)), {"box": follower}
-    asked = {"system.disturbance_max": [0.02]}
-    folder = tradeoff(scenario, tmp_path / "front", asked, share=0.5, black_boxes=boxes)
-    (row,) = folder.summary["points"]
-    assert row["guarantee"] == "statistical" and row["share"] > 0.5
-    assert folder.summary["needed"][0]["last_proven"] is None
-    (point,) = (tmp_path / "front").glob("system*")
-    written = (point / "summary.json").stat().st_mtime_ns
-    tradeoff(scenario, tmp_path / "front", asked, share=0.5, black_boxes=boxes)
-    assert (point / "summary.json").stat().st_mtime_ns > written, "nothing tells whose box it was"
-    with pytest.raises(ScenarioError, match="executor"):
-        tradeoff(scenario, tmp_path / "front", asked, black_boxes=boxes, executor=local(1))
-
-
-def test_without_a_statement_nothing_is_guaranteed():
-    scenario = ScheduleScenario.from_dict(document())
-    schedule = polaris.synthesize(scenario, safety(), [box()])
-    assert schedule.sampled_steps and schedule.guarantee == "none"
-
-
 def test_a_box_that_is_never_followed_leaves_the_proven_schedule():
     result = sampled(lambda t, x, xi: np.tile([1.0, -1.0], (len(x), 1)))
     assert result.schedule.guarantee == "proved" and result.worst is None
-
-
-# -- runs and their certificates ----------------------------------------------------------------------
+    unsaid = polaris.synthesize(ScheduleScenario.from_dict(document()), safety(), [box()])
+    assert unsaid.sampled_steps and unsaid.guarantee == "none"
 
 
 @pytest.fixture(scope="module")
@@ -461,92 +331,62 @@ def made(tmp_path_factory):
 
 
 def test_the_run_is_statistical_and_so_is_its_verdict(made):
-    folder, verdict = read_run(made), verify(made)
-    assert folder.summary["guarantee"]["kind"] == "statistical"
-    assert folder.summary["synthesis"]["experimental_share"] > folder.summary["synthesis"]["proven_share"]
-    assert folder.summary["synthesis"]["worst_flight"]["violated"] is False
+    summary, verdict = read_run(made).summary, verify(made)
+    assert summary["guarantee"]["kind"] == "statistical"
+    assert summary["synthesis"]["experimental_share"] > summary["synthesis"]["proven_share"]
+    assert summary["synthesis"]["worst_flight"]["violated"] is False
     assert (verdict.outcome, verdict.exit_code) == ("STATISTICAL", 7), verdict.text()
     assert "VERIFIED" not in verdict.text()
     assert any("rest on samples" in text for _, text in verdict.checked)
-    assert any(line.startswith("distribution") for line in verdict.trusted)
+    for begin in ("distribution", "no drift", "the share proven without"):
+        assert any(line.startswith(begin) for line in verdict.trusted), begin
     assert any("other seeds" in line for line in verdict.trusted)
-    assert any(line.startswith("no drift") for line in verdict.trusted)
-    assert any(line.startswith("the share proven without") for line in verdict.trusted)
 
 
-def forged(made, change):
-    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
-    change(data)
-    data["digest"] = digest(data)
-    return verify_document(data)
-
-
-def _proved(data):
-    data["guarantee"] = "proved"
-
-
-def _no_samples(data):
-    del data["samples"]
-
-
-def _fewer_outside(data):
-    data["samples"]["probability"] = (1e-4).hex()
-
-
-def _later_attempt(data):
-    data["samples"]["attempts"] = 40
-
-
-def _narrower(data):
+def narrower(data):
     """A band of a negative width holds no command."""
     for fit in filter(None, data["samples"]["fits"]):
         for row in fit[1]:
             row[-1] = (-1.0).hex()
 
 
-def _another_step(data):
-    data["samples"]["fits"] = [None, *data["samples"]["fits"][:-1]]
-
-
-def _anything(data):
+def anything(data):
     data["controllers"][1] = {"name": "box", "kind": "any_thrust"}
     del data["samples"]
-    data["guarantee"] = "proved"
-    data["assumptions"] = [
-        x for x in data["assumptions"] if not x.startswith(("black", "distribution", "no drift"))
-    ]
+    lines = [x for x in data["assumptions"] if not x.startswith(("black", "distribution", "no drift"))]
+    data |= {"guarantee": "proved", "assumptions": lines}
 
 
-FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _narrower, _another_step, _anything)
+FORGERIES = {
+    "proved": lambda data: data.update(guarantee="proved"),
+    "no samples": lambda data: data.pop("samples"),
+    "fewer outside": lambda data: data["samples"].update(probability=(1e-4).hex()),
+    "a later attempt": lambda data: data["samples"].update(attempts=40),
+    "another step": lambda data: data["samples"].update(fits=[None, *data["samples"]["fits"][:-1]]),
+    "narrower": narrower,
+    "anything": anything,
+}
 
 
-@pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)
-def test_a_forged_certificate_is_refused(change, made):
-    verdict = forged(made, change)
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_forged_certificate_is_refused(name, made):
+    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
+    FORGERIES[name](data)
+    verdict = verify_document(data | {"digest": digest(data)})
     assert verdict.outcome in ("REJECTED", "UNKNOWN"), verdict.text()
 
 
-def _less_sure(said):
-    said |= {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 10, "attempts": 1}
+LESS_SURE = {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 10, "attempts": 1}
 
 
-def _other_seed(said):
-    said["seed"] = 3
-
-
-@pytest.mark.parametrize("change", [_less_sure, _other_seed], ids=lambda change: change.__name__)
-def test_a_statement_is_what_the_scenario_asks_for(change, made):
-    """True in itself, but of fewer flights than were asked for, or of a seed that was looked for."""
-    scenario = document()
-    said = dict(read_run(made).summary["guarantee"]["sampled_bound"])
-    _check_asked(said, scenario)
-    change(said)
-    assert check_statement(said)
+@pytest.mark.parametrize("other", [LESS_SURE, {"seed": 3}], ids=["less sure", "another seed"])
+def test_a_statement_is_what_the_scenario_asks_for(other, made):
+    said = read_run(made).summary["guarantee"]["sampled_bound"]
+    _check_asked(said, document())
+    assert check_statement(said | other)
     with pytest.raises(Rejected, match="asked for|seed"):
-        _check_asked(said, scenario)
+        _check_asked(said | other, document())
 
-
-# -- programs -------------------------------------------------------------------------------------------
 
 GOOD = """
 import json, sys
@@ -561,41 +401,29 @@ def python(text, seconds=20.0):
     return black_box_program([sys.executable, "-c", text], seconds)
 
 
-def test_a_program_answers_like_a_callable():
-    x, xi = np.arange(12.0).reshape(3, 4), np.ones(4)
-    with python(GOOD) as asked:
-        for t in (0.0, 1.5):
-            assert_allclose(asked(t, x, xi), 0.3 * (xi - x)[:, :2])
-
-
 ANSWER = "print('{\"u\": [[0, 0], [0, 0]]}', flush=True)"
 BAD = {
     "ends": ("raise SystemExit('tired')", "tired"),
     "silent": ("import time; time.sleep(60)", "within"),
     "garbage": ("input(); print('hello', flush=True); input()", "must answer"),
-    "no command": ("input(); print('{}', flush=True); input()", "must answer"),
     "half a line": ("input(); print('{\"u\": [', end='', flush=True)", "but ended"),
     "half a line, and waits": ("input(); print('{\"u\": [', end='', flush=True); input()", "within"),
     "after two answers": (f"input(); {ANSWER}; input(); {ANSWER}; raise SystemExit('worn out')", "worn out"),
     "no end": ("while True: print('x' * 65536, end='')", "wrote too much"),
     "unasked": (f"while True: {ANSWER}", "but wrote more"),
-    "twice": (f"while input(): {ANSWER}; {ANSWER}", "but wrote more"),
     "complaints": ("import sys\nfor _ in range(3000): sys.stderr.write('no! ' * 250)\ninput()", "no!"),
     "never reads": ("import time; time.sleep(60)", "within"),
     "depth": ("input(); print('[' * 100000, flush=True); input()", "must answer"),
-    "no text": (
-        "import sys; input(); sys.stdout.buffer.write(bytes([255, 254, 10])); input()",
-        "must answer",
-    ),
+    "no text": ("import sys; input(); sys.stdout.buffer.write(b'\\xff\\xfe\\n'); input()", "must answer"),
 }
-HASTY = ("silent", "half a line, and waits", "never reads")
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_program_that_does_not_answer_is_one_error(name):
     text, rule = BAD[name]
     states = np.zeros((40_000 if name == "never reads" else 2, 4))  # more than a pipe holds
-    with python(text, 0.3 if name in HASTY else 20.0) as asked, pytest.raises(NoAnswer, match=rule) as error:
+    seconds = 0.3 if rule == "within" else 20.0
+    with python(text, seconds) as asked, pytest.raises(NoAnswer, match=rule) as error:
         for t in range(9):
             asked(t % 3.0, states, np.zeros(4))
     assert "\n" not in str(error.value)
@@ -610,13 +438,11 @@ def test_what_a_program_has_started_ends_with_it():
     assert time.monotonic() - begun < 30
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        *([[np.nan, 0.0]], [[np.inf, 0.0]], [[0.0, 0.0, 0.0]], [[0.0]], [0.0, 0.0], [[]], {}, "fast", None),
-        *([[0.0], [1.0, 2.0]], [[1j, 0]], [[True, False]], [["1", "2"]], [[10**400, 0]], [[None, 0.0]]),
-    ],
-)
+ANSWERS = [[[np.nan, 0.0]], [[np.inf, 0.0]], [[0.0]], [0.0, 0.0], [[]], {}, "fast", None, [[0.0], [1.0, 2.0]]]
+ANSWERS += [[[1j, 0]], [[True, False]], [["1", "2"]], [[10**400, 0]], [[None, 0.0]]]
+
+
+@pytest.mark.parametrize("answer", ANSWERS)
 def test_an_answer_that_is_no_command_is_one_error(answer):
     with pytest.raises(NoAnswer, match="must return finite numbers"):
         box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
@@ -631,27 +457,21 @@ def test_what_was_found_besides_says_nothing_else(made, tmp_path):
 
 
 class Refusing:
-    """Of which even the beginning fails, or what becomes of an answer."""
+    """A box that cannot begin a flight."""
 
     def reset(self, runs):
         raise OSError("no memory left")
 
-    def __array__(self, *_, **__):
-        raise RuntimeError("part of a graph")
+
+@pytest.mark.parametrize(
+    ("ask", "match"), [(Refusing(), "no memory left"), (lambda t, x, xi: 1 // 0, "ZeroDivisionError")]
+)
+def test_a_box_that_fails_is_one_error(ask, match):
+    with pytest.raises(NoAnswer, match=match):
+        box(ask).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
 
 
-def test_a_box_that_fails_elsewhere_is_one_error():
-    with pytest.raises(NoAnswer, match="no memory left"):
-        box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    with pytest.raises(NoAnswer, match="must return finite numbers") as error:
-        box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    assert str(error.value.__cause__) == "part of a graph"
-
-
-def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
-    with pytest.raises(NoAnswer, match="ZeroDivisionError"):
-        box(lambda t, x, xi: 1 // 0).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-
+def test_a_callable_changes_nothing_but_its_own():
     def scribbles(t, x, xi):
         x += 1.0
         xi += 1.0
@@ -659,58 +479,24 @@ def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
 
     x, xi = np.zeros((3, 4)), np.zeros(4)
     assert np.all(box(scribbles).command(0, xi, xi, x) == 1.0) and not x.any() and not xi.any()
-
-
-def test_a_program_that_is_none_is_one_error():
     with pytest.raises(ScenarioError, match="cannot be started"), black_box_program(["/nowhere/at-all"]):
         pass
 
 
-def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, capsys):
-    from typer.testing import CliRunner
-
-    from polaris.cli.app import app
-
+def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path):
     (tmp_path / "scene.toml").write_text(write_toml(document(**LIKELY)), encoding="utf-8")
-    (tmp_path / "box.py").write_text(GOOD, encoding="utf-8")
-    place = [str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
-    alone = CliRunner().invoke(app, ["run", *place])
+    place = ["run", str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
+    alone = CliRunner().invoke(app, place)
     assert alone.exit_code == 2 and "--black-box" in alone.output and not (tmp_path / "run").exists()
-    command = shlex.join([sys.executable, str(tmp_path / "box.py")])
-    given = CliRunner().invoke(app, ["run", *place, "--black-box", f"box={command}"])
+    box = shlex.join([sys.executable, "-c", GOOD])
+    given = CliRunner().invoke(app, [*place, "--black-box", f"box={box}"])
     assert given.exit_code == 0, given.output
     assert "proven for any thrust within the limits" in " ".join(given.output.split())
-    wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
-    assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
-    for arguments, reason in (
-        (["run", place[0], "--black-box", "box"], "NAME=COMMAND"),
-        (["run", place[0], "--black-box", "box='open"], "has an unreadable command"),
-        (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "one process asks"),
-        (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "left out for inspections"),
-    ):
-        refused = CliRunner().invoke(app, arguments)
-        assert refused.exit_code == 2 and reason in " ".join(refused.output.split()), refused.output
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_statements_hold_of_other_boxes(seed):
-    """Random clipped laws with kinks: of flights drawn afresh no more leave their sets than is said."""
-    rng = np.random.default_rng(seed)
-    gain, curvature = rng.normal(size=(2, 4)) * 0.3, rng.normal(size=(4, 2)) * 3
-
-    def ask(t, x, xi):
-        d = xi - x
-        return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ curvature))
-
-    result = sampled(ask, probability=0.02, seed=seed)
-    if result.schedule.sampled_steps:
-        flown = simulate(result.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
-        assert np.mean(outside(flown) > 1) <= result.schedule.sampled_bound.probability
+    wrong = CliRunner().invoke(app, [*place, "--black-box", "box='open"])
+    assert wrong.exit_code == 2 and "has an unreadable command" in " ".join(wrong.output.split())
 
 
 def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
-    """Of the answers to states that it has moved nothing is known but the limits of the thrusters."""
     fault = {"kind": "loss", "share": 0.05, "isolation_s": PERIOD}
     soft = {"tracking": {"Q": [25.0] * 4, "R": [60.0] * 2}, "faults": [fault]}
     scenario = ScheduleScenario.from_dict(document() | soft)
@@ -728,31 +514,25 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     assert result.schedule.sampled_steps and result.worst.failure is None
     verdict = verify_document(certificate(result.schedule, "scene"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
-    unknown = replace(part.problem, system=replace(system, transients=(replace(known, asked=False),)))
-    plain = polaris.get_safety(unknown)
-    with pytest.raises(ScenarioError, match="must be any thrust or a law"):
-        polaris.synthesize(plain, experimental=[box(part=plain)])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2, 3, 7, 14, 20, 28, 35])
+@pytest.mark.parametrize("seed", [0, 3, 20])
 def test_random_scenes(seed):
-    """A tracker with ripples as the box: what is said holds of fresh flights, and the checker follows it."""
     scene = tomllib.loads(random_scenario(seed))
-    scene["feedback"] = {"period_s": scene["horizon"]["step_s"] / 3}
-    scene["recoverable"] = {"kind": "polytope", "recourse": "none"}
+    period = scene["horizon"]["step_s"] / 3
+    scene |= {"feedback": {"period_s": period}, "recoverable": {"kind": "polytope", "recourse": "none"}}
     scene.get("schedule", {}).pop("delta_v_max_m_s", None)
     scene["experimental"] = [TABLE]
     scenario = ScheduleScenario.from_dict(scene)
-    if seed % 2:
+    if seed == 3:
         half = (0.02 * scenario.initial_set().half_widths).tolist()
         error = {"position_error_m": half[0], "velocity_error_m_s": half[-1]}
         error = error if scenario.system().mean_motion else {"state_error": half}
         scene |= {"navigation": error, "thrusters": {"magnitude_error": 0.005}}
-        scenario = ScheduleScenario.from_dict(scene)
-    if seed % 14 == 0:
-        fault = {"kind": "loss", "share": 0.02, "isolation_s": scene["feedback"]["period_s"]}
-        scenario = ScheduleScenario.from_dict(scene | {"faults": [fault]})
+    if seed == 0:
+        scene |= {"faults": [{"kind": "loss", "share": 0.02, "isolation_s": period}]}
+    scenario = ScheduleScenario.from_dict(scene)
     part = polaris.get_safety(scenario)
     nu, top = part.reference.nu, part.problem.system.u_max
     gain = part.tracking.gain * np.random.default_rng(seed).uniform(0.6, 1.1, part.tracking.gain.shape)
@@ -767,5 +547,4 @@ def test_random_scenes(seed):
     assert schedule.sampled_steps and result.worst.failure is None
     verdict = verify_document(certificate(schedule, scenario.name))
     assert verdict.outcome == "STATISTICAL", verdict.text()
-    flown = simulate(schedule, 2000, 10**9 + seed, initial="random", disturbance="random")
-    assert np.mean(outside(flown) > 1) <= schedule.sampled_bound.probability
+    assert leaving(schedule, 2000, 10**9 + seed) <= schedule.sampled_bound.probability

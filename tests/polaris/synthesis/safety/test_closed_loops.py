@@ -8,18 +8,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from polaris import DecisionGrid, Monitor, Reference, Step, SwitchingRules, falsify, simulate, synthesize
+from polaris.certificate.checker import verify_document
 from polaris.model.errors import NotCertified, PolarisError
-from polaris.planning.reference import Reference
-from polaris.rta.decision_grid import DecisionGrid
-from polaris.rta.methods.monitor import Monitor
-from polaris.simulation.falsification.search import falsify
-from polaris.simulation.simulate import simulate
+from polaris.runs.certificate import certificate
 from polaris.synthesis.controllers.controllers import AffineController
-from polaris.synthesis.schedule.rules import SwitchingRules
-from polaris.synthesis.schedule.schedule import Step
 from polaris.synthesis.schedule.search import ScheduleSearch
-from polaris.synthesis.schedule.synthesize import synthesize
-from tests.polaris.closed_loops import Attack, Loop, arrivals, attack, attack_monitor
+from tests.polaris.closed_loops import Attack, Loop, arrivals, attack
 from tests.polaris.random_scenarios import synthesised
 from tests.sizes import fewer
 
@@ -89,18 +84,17 @@ def monitored(seed, schedule):
         return None
 
 
-def test_the_integrator_agrees_with_the_packages():
-    scenes = list(proved((5016, 5050)))
-    assert len(scenes) == 2
-    for seed, schedule in scenes:
-        loop = Loop(schedule)
-        n, m, p = loop.system.n, loop.system.m, loop.system.p
-        still = np.zeros((loop.N, 1, n)), np.zeros((loop.N, 1, p)), np.zeros((loop.N, 1, m))
-        start = schedule.safety.problem.initial_set.c[None]
-        flown = loop.fly(Attack(start, still[1], still[2], still[0]), loop.scheduled(np.array([loop.N])))
-        ours = flown.states[: loop.K * loop.per + 1 : loop.parts, 0]
-        theirs = simulate(schedule, 1, initial="center", disturbance="none").states[0]
-        assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max(axis=0)), seed
+@pytest.mark.parametrize("seed", [5016, 5050])
+def test_the_integrator_agrees_with_the_packages(seed):
+    schedule = made(seed)
+    loop = Loop(schedule)
+    n, m, p = loop.system.n, loop.system.m, loop.system.p
+    seen, w, free = (np.zeros((loop.N, 1, size)) for size in (n, p, m))
+    start = schedule.safety.problem.initial_set.c[None]
+    flown = loop.fly(Attack(start, w, free, seen), loop.scheduled(np.array([loop.N])))
+    ours = flown.states[: loop.K * loop.per + 1 : loop.parts, 0]
+    theirs = simulate(schedule, 1, initial="center", disturbance="none").states[0]
+    assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max(axis=0))
 
 
 def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
@@ -127,8 +121,13 @@ def test_a_few_claims_of_the_goal_hold_at_their_worst_and_leave_little_idle():
 
 
 def test_a_schedule_that_ignores_its_proof_is_broken():
-    ((_, schedule),) = proved((5024,))
+    """U all the way. In the second scene S's thrust after T is broken; `falsify` looks beyond the end."""
+    (_, schedule), (_, other) = proved((5024, 5055))
     assert attack(reckless(schedule), 60, 1).left.min() < 0
+    result = falsify(reckless(other), 300)
+    assert result.failure is not None and result.failure.kind == "saturation"
+    assert result.failure.time_s >= other.safety.problem.K * other.safety.problem.delta
+    assert falsify(other, 300).failure is None
 
 
 def test_round_off_is_booked_where_a_law_runs_away():
@@ -139,59 +138,21 @@ def test_round_off_is_booked_where_a_law_runs_away():
     own = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
     law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, own, safety.tracking, True)
     schedule = synthesize(safety, experimental=[law])
-    result = attack(schedule, 20, 0)
-    judge(5050, result)
+    judge(5050, attack(schedule, 20, 0))
     assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3
-    pytest.importorskip("flint")
-    from polaris.certificate.checker import verify_document
-    from polaris.runs.certificate import certificate
-
     assert verify_document(certificate(schedule, "runaway")).outcome == "VERIFIED"
-
-
-def test_falsify_looks_beyond_the_end_however_few_its_runs():
-    """U all the way: what is broken is S's thrust after T."""
-    ((_, schedule),) = proved((5055,))
-    assert schedule.safety.end.proven
-    result = falsify(reckless(schedule), 300)
-    assert result.failure is not None and result.failure.kind == "saturation"
-    assert result.failure.time_s >= schedule.safety.problem.K * schedule.safety.problem.delta
-    assert falsify(schedule, 300).failure is None
-
-
-def test_a_few_monitors_hold_at_their_worst():
-    under = []
-    for seed, schedule in proved((5024,), PRINTED):
-        result, share = attack_monitor(monitored(seed, schedule), 40, seed)
-        judge(seed, result)
-        under.append(share)
-    assert min(under) > 0
 
 
 @pytest.mark.slow
 def test_many_worst_cases_break_nothing():
     """A hundred thousand in a campaign."""
-    scenes, runs, tight, near = 0, 0, [], []
-    seeds = range(FIRST, FIRST + fewer(130, 30))
+    runs, tight, near = 0, [], []
+    seeds = range(FIRST, FIRST + fewer(130, 20))
     for seed, schedule in proved(seeds):
         result = attack(schedule, 260, seed)
         judge(seed, result)
-        scenes, runs = scenes + 1, runs + result.runs
+        runs += result.runs
         tight += [result.tight] * (schedule.safety.recoverable.kind == "polytope")
         near.append(arrives(seed, schedule).get("distance", 0.0))
-    print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
-    assert scenes >= fewer(46, len(seeds) / 4) and runs >= fewer(100_000, 400 * len(seeds))
+    assert len(near) >= fewer(46, len(seeds) / 4) and runs >= fewer(100_000, 400 * len(seeds))
     assert np.median(tight) > 0.8 and max(near) > 0.99
-
-
-@pytest.mark.slow
-def test_many_monitors_hold_at_their_worst():
-    scenes, seeds = 0, range(FIRST, FIRST + fewer(60, 25))
-    for seed, schedule in proved(seeds):
-        monitor = monitored(seed, schedule) if len(schedule.controllers) > 1 else None
-        if monitor is None:
-            continue
-        result, _ = attack_monitor(monitor, 120, seed)
-        judge(seed, result)
-        scenes += 1
-    assert scenes >= fewer(30, len(seeds) / 3)

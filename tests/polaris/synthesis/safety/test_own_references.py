@@ -10,14 +10,11 @@ pytest.importorskip("flint")
 
 import flint
 
+from polaris import LinearSystem, Reference, clohessy_wiltshire, elliptical_nmt
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Rejected, Undecided
 from polaris.certificate.model.references import check_references
-from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
-from polaris.model.system import LinearSystem
-from polaris.planning.reference import Reference
 from polaris.scenario.experimental import _settled
-from reach.numerics.linear import discretize
 
 STEPS = 12
 
@@ -30,34 +27,33 @@ def precision():
     flint.ctx.prec = before
 
 
+NOTHING = dict.fromkeys(("estimate", "bits", "prompt_bits", "bias"), ()) | {
+    "pulse_place": "",
+    "observer": None,
+}
+NOTHING |= {
+    "w_max": 0.0,
+    "shares": (0.0, 0.0, 0.0),
+    "same_shares": False,
+    "carried_impulse": 0.0,
+    "allocation": None,
+}
+
+
 def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
     """Outcome of the check of one reference."""
     hill = system.mean_motion is not None
     document = SimpleNamespace(
-        A=system.A.tolist(),
-        B=system.B.tolist(),
+        **NOTHING,
+        **{key: getattr(system, key).tolist() for key in ("A", "B", "D", "u_max")},
+        **{key: getattr(system, key) for key in ("mean_motion", "mass")},
         C=system.position.tolist(),
-        D=system.D.tolist(),
-        u_max=system.u_max.tolist(),
-        w_max=0.0,
-        estimate=(),
-        shares=(0.0, 0.0, 0.0),
-        same_shares=False,
-        carried_impulse=0.0,
-        pulse_place="",
-        observer=None,
-        bits=(),
-        prompt_bits=(),
-        bias=(),
-        allocation=None,
         timing={},
         transients=[],
         delta=delta,
         q=1,
         steps=STEPS,
         system_kind="clohessy_wiltshire" if hill else "linear",
-        mean_motion=system.mean_motion,
-        mass=system.mass,
         input_names=list(system.input_names),
     )
     law = SimpleNamespace(name="law", gain=np.asarray(law).tolist(), states=chi.tolist(), inputs=nu.tolist())
@@ -87,7 +83,7 @@ def random_system(rng):
     return system, 0.5 * t, x, u
 
 
-SEEDS = [*range(15), *(pytest.param(s, marks=pytest.mark.slow) for s in range(15, 300))]
+SEEDS = range(15)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -126,40 +122,21 @@ def test_setpoints_of_random_plants(seed):
     assert judged(system, delta, K, "setpoint", drifting, balanced, state=state.tolist()) == "Rejected"
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(6))
 def test_natural_motions(seed):
     rng = np.random.default_rng(seed)
     eta, delta = 10.0 ** rng.uniform(-3.5, -2), rng.uniform(1.0, 100.0)
     system = clohessy_wiltshire(eta, 10.0, 0.1)
-    b, psi, c, zeta = (
-        rng.uniform(0, 500),
-        rng.uniform(-9, 9),
-        rng.uniform(0, 50) * (seed % 2),
-        rng.uniform(-9, 9),
-    )
-    spec = {"semi_minor_m": b, "phase_rad": psi, "cross_track_m": c, "cross_phase_rad": zeta}
+    names = "semi_minor_m", "phase_rad", "cross_track_m", "cross_phase_rad"
+    b, psi, c, zeta = rng.uniform([0, -9, 0, -9], [500, 9, 50, 9]) * [1, 1, seed % 2, 1]
+    spec = dict(zip(names, map(float, (b, psi, c, zeta)), strict=True))
+    start, still = elliptical_nmt(eta, b, psi, c, zeta), np.zeros((STEPS, 3))
 
-    def check(chi, nu, **other):
-        return judged(system, delta, np.zeros((3, 6)), "nmt", chi, nu, **(spec | other))
+    def check(moved=0.0, push=0.0, **other):
+        made = Reference.propagate(system, delta, start + moved * np.eye(6)[4], still + push)
+        return judged(system, delta, np.zeros((3, 6)), "nmt", made.chi, made.nu, **(spec | other))
 
-    made = Reference.propagate(system, delta, elliptical_nmt(eta, b, psi, c, zeta), np.zeros((STEPS, 3)))
-    assert check(made.chi, made.nu) == "holds"
-    assert check(made.chi, made.nu, semi_minor_m=b * 1.001) == "Rejected"
-    assert check(made.chi, made.nu, phase_rad=psi + 1e-3) == "Rejected"
-    assert check(made.chi, made.nu, cross_track_m=c + 0.01) == "Rejected"
-    nudged = Reference.propagate(system, delta, made.chi[0], np.full((STEPS, 3), 1e-6))
-    assert check(nudged.chi, nudged.nu) == "Rejected"
-    drifting = made.chi[0] + np.array([0.0, 0.0, 0.0, 0.0, 1e-5, 0.0])
-    made = Reference.propagate(system, delta, drifting, np.zeros((STEPS, 3)))
-    assert check(made.chi, made.nu) == "Rejected"
-
-
-def test_inputs_in_small_units_cost_the_motion_no_digits():
-    """A state that decays fast beside a large entry of B: its exponential is exact for its own size."""
-    A, B = (
-        np.array([[0.0, 1.0, 0.0], [0.03, 0.05, 1.0], [0.0, 0.0, -1.9361]]),
-        np.array([[0.0], [0.0], [1e9]]),
-    )
-    np.testing.assert_allclose(
-        discretize(A, B, 1.12)[0][2], [0, 0, np.exp(-1.9361 * 1.12)], rtol=5e-14, atol=0
-    )
+    assert check() == "holds"
+    wrong = {"semi_minor_m": b * 1.001}, {"phase_rad": psi + 1e-3}, {"cross_track_m": c + 0.01}
+    for lie in (*wrong, {"push": 1e-6}, {"moved": 1e-5}):
+        assert check(**lie) == "Rejected", lie

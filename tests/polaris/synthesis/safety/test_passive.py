@@ -1,6 +1,5 @@
 """Passive safety (Proposition 15) and upkeep: flown at their worst, forged claims, what is required."""
 
-import copy
 import json
 from dataclasses import replace
 
@@ -8,26 +7,20 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.certificate.checker import verify, verify_document
-from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris import falsify, load_scenario, simulate, synthesize
+from polaris.model.errors import PolarisError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.files.tables import drift_text
-from polaris.runs.run import run
-from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.drifting import drifted, stopped
-from polaris.simulation.falsification.search import falsify
-from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.passive import PassiveSafety
 from polaris.synthesis.schedule.rules import CHECKED
-from polaris.synthesis.schedule.synthesize import synthesize
 from tests.polaris.closed_loops import held
-from tests.polaris.forging import CERTIFICATE, COARSE, Forger, make
+from tests.polaris.corruptions import scaled
+from tests.polaris.forging import COARSE, Forger, make
 from tests.polaris.synthesis.sources.test_error_sources import exact
 from tests.polaris.tiny import TINY
 from tests.sizes import fewer
-
-FEW = (5016, 5024, 5034)
 
 
 def drifting(scenario, drift, *more):
@@ -37,11 +30,7 @@ def drifting(scenario, drift, *more):
 
 
 def flown_drifts(schedule, runs, seed):
-    """Least distance of drifts from every unsafe set, thrust stopping anywhere within clear steps; how often.
-
-    By an integrator of its own: the flight to the node before, the law held or integrated from there, and a
-    disturbance in the drift that is held over parts of a step, against one facet or at random.
-    """
+    """Least distance of drifts from all unsafe sets, thrust stopping within clear steps; how many."""
     passive, safety = schedule.passive, schedule.safety
     system, delta, q = safety.problem.system, safety.problem.delta, safety.clearance.q
     rng = np.random.default_rng(seed)
@@ -78,20 +67,18 @@ def flown_drifts(schedule, runs, seed):
     return least, count
 
 
-@pytest.mark.parametrize("seed", [FEW[0], *(pytest.param(seed, marks=pytest.mark.slow) for seed in FEW[1:])])
-def test_drifts_from_clear_steps_stay_clear(seed):
-    schedule = drifting(exact(seed), 0.5)
+def test_drifts_from_clear_steps_stay_clear():
+    schedule = drifting(exact(5016), 0.5)
     passive = schedule.passive
     assert len(passive.drifts) == len(schedule.steps)
-    if passive.least is not None:
-        least, count = flown_drifts(schedule, 12, seed)
-        assert count and least >= passive.least - 1e-3
-    assert falsify(schedule, 200, seed).failure is None
+    least, count = flown_drifts(schedule, 12, 5016)
+    assert count and least >= passive.least - 1e-3
+    assert falsify(schedule, 200, 5016).failure is None
 
 
 @pytest.mark.slow
 def test_many_drifts_stay_clear():
-    count, tight, seeds = 0, [], range(5000, fewer(5060, 5025))
+    count, tight, seeds = 0, [], range(5017, fewer(5060, 5035))
     for seed in seeds:
         try:
             schedule = drifting(exact(seed), 0.7)
@@ -109,18 +96,7 @@ def tiny():
     return drifting(load_scenario(TINY), 20 / 12)
 
 
-def test_where_thrust_may_stop_under_a_clipped_law_is_confirmed():
-    """The band of a clip is a held input: in half a step it moves a flight further than all else."""
-    given = ["feedback.period_s=0.5", "tracking.R=[60,60]", "thrusters.magnitude_error=0.02"]
-    given += ["schedule.bound_programs=0", "abort.drift_s=6.0"]
-    schedule = synthesize(load_scenario(TINY).with_assignments(given))
-    assert schedule.modes.any()
-    verdict = verify_document(json.loads(json.dumps(certificate(schedule, "scene"))))
-    assert verdict.outcome == "VERIFIED", verdict.text()
-
-
 def test_a_claim_that_is_too_wide_is_refuted(tiny):
-    """Steps that are not clear, called clear: the attacks find what the proof does not hide."""
     passive = tiny.passive
     assert not passive.clear.all() and passive.witness()["unsafe_set"] == "pillar"
     runs = simulate(tiny, 50, 0)
@@ -146,11 +122,8 @@ def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
     plain = synthesize(load_scenario(TINY))
     before, after = certificate(plain, "tiny"), certificate(tiny, "tiny")
     assert "drift" not in before and plain.passive is None
-    assert {k for k in after if k not in before or after[k] != before[k]} <= {
-        "drift",
-        "digest",
-        "unsafe_sets",
-    }
+    changed = {key for key in after if key not in before or after[key] != before[key]}
+    assert changed <= {"drift", "digest", "unsafe_sets"}
 
 
 def test_what_is_required_is_kept_or_refused_with_the_witness():
@@ -161,27 +134,8 @@ def test_what_is_required_is_kept_or_refused_with_the_witness():
     with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
         drifting(load_scenario(TINY), 10 / 12, "abort.required=true")
     assert error.value.exit_code == 3 and error.value.shortfall > 0
-
-
-@pytest.mark.parametrize(
-    ("assignments", "field"),
-    [
-        (["abort.required=true"], "abort"),
-        (["abort.drift_s=1.0", "abort.drift_orbits=1.0"], "abort"),
-        (["abort.drift_orbits=1.0"], "abort.drift_orbits"),
-        (["abort.drift_s=-1.0"], "abort.drift_s"),
-        (["abort.drift_s=1e9"], "abort"),
-    ],
-)
-def test_bad_tables_are_refused_by_name(assignments, field):
-    with pytest.raises(ScenarioError) as error:
-        load_scenario(TINY).with_assignments(assignments)
-    assert error.value.field.startswith(field)
-
-
-def test_orbits_are_those_of_the_mean_motion():
-    scenario = load_scenario("static").with_assignments(["abort.drift_orbits=0.5"])
-    assert scenario.problem().abort.horizon == pytest.approx(np.pi / 0.0012)
+    orbiting = load_scenario("static").with_assignments(["abort.drift_orbits=0.5"])
+    assert orbiting.problem().abort.horizon == pytest.approx(np.pi / 0.0012)
 
 
 @pytest.fixture(scope="module")
@@ -190,64 +144,61 @@ def forger(tmp_path_factory):
     return Forger(make([COARSE, "abort.drift_s=10.0", "tank.delta_v_m_s=20.0"], folder), folder)
 
 
+def parts_of(drift):
+    """Return all parts of a drift's steps."""
+    return [part for parts in drift["steps"] for part in parts or ()]
+
+
+def sooner(drift):
+    for part in parts_of(drift):
+        part["facets"] = [[[runs[0][0], runs[0][1]]] for runs in part["facets"]]
+
+
+def briefer(drift):
+    """Every step alike, so that all parts are named."""
+    parts = parts_of(drift)
+    cut = sum(count for count, _ in parts[0]["facets"][0]) - 2 * drift["parts"]
+    for part in parts:
+        for runs in part["facets"]:
+            while sum(count for count, _ in runs) > cut:
+                runs[-1][0] -= 1
+                if runs[-1][0] == 0:
+                    runs.pop()
+
+
+def turned(drift):
+    part = parts_of(drift)[0]
+    part["facets"] = [[[count, (f + 1) % 4] for count, f in runs] for runs in part["facets"]]
+
+
+def bolder(drift):
+    missing = next(k for k, parts in enumerate(drift["steps"]) if not parts)
+    drift["steps"][missing] = next(parts for parts in drift["steps"] if parts)
+
+
+DRIFTS = {
+    "narrower": lambda drift: parts_of(drift)[0].update(axes=scaled(parts_of(drift)[0]["axes"], 0.8)),
+    "turned": turned,
+    "shorter": lambda drift: drift.update(horizon=(9.0).hex()),
+    "sooner": sooner,
+    "briefer": briefer,
+    "bolder": bolder,
+}
+
+
 def test_forged_drifts_are_refused(forger):
     assert forger.judge({}).outcome == "VERIFIED"
-    honest = forger.honest["drift"]
-    clear = [k for k, parts in enumerate(honest["steps"]) if parts]
-    missing = next(k for k, parts in enumerate(honest["steps"]) if not parts)
-
-    def forged(change, files=()):
-        data, drift = copy.deepcopy(forger.honest), copy.deepcopy(honest)
-        change(drift)
-        return forger.judge({CERTIFICATE: json.dumps(data | {"drift": drift}), **dict(files)})
-
-    def narrower(drift):
-        part = drift["steps"][clear[0]][0]
-        part["axes"] = [[(float.fromhex(x) * 0.8).hex() for x in row] for row in part["axes"]]
-
-    def facets(drift):
-        part = drift["steps"][clear[0]][0]
-        part["facets"] = [[[count, (f + 1) % 4] for count, f in runs] for runs in part["facets"]]
-
-    def shorter(drift):
-        drift["horizon"] = (9.0).hex()
-
-    def sooner(drift):
-        for parts in drift["steps"]:
-            for part in parts or ():
-                part["facets"] = [[[runs[0][0], runs[0][1]]] for runs in part["facets"]]
-
-    def briefer(drift):  # of every step alike, so that all parts are named
-        parts = [part for each in drift["steps"] for part in each or ()]
-        cut = sum(count for count, _ in parts[0]["facets"][0]) - 2 * drift["parts"]
-        for part in parts:
-            for runs in part["facets"]:
-                while sum(count for count, _ in runs) > cut:
-                    runs[-1][0] -= 1
-                    if runs[-1][0] == 0:
-                        runs.pop()
-
-    def bolder(drift):
-        drift["steps"][missing] = drift["steps"][clear[0]]
-
-    def periods(drift):
-        drift["steps"][clear[0]][0]["periods"] += 1
-
-    for change in (narrower, facets, shorter, sooner, briefer, bolder):
-        verdict = forged(change)
-        assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "guarantee"), change.__name__
-    assert forged(periods).claim == "format"
-    schedule = forger.tree("schedule.json")
+    for name, change in DRIFTS.items():
+        verdict = forger.forged(lambda data, change=change: change(data["drift"]))
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "guarantee"), name
+    more = forger.forged(lambda data: parts_of(data["drift"])[0].update(periods=99))
+    assert more.claim == "format"
+    schedule, summary = forger.tree("schedule.json"), forger.tree("summary.json")
     schedule["guarantee"]["abort"]["least_m"] *= 1.01
-    summary = forger.tree("summary.json")
     summary["guarantee"] = schedule["guarantee"]
     verdict = forger.judge({"schedule.json": json.dumps(schedule), "summary.json": json.dumps(summary)})
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "passive")
-    data = {k: v for k, v in forger.honest.items() if k != "drift"}
-    assert forger.judge({CERTIFICATE: json.dumps(data)}).outcome == "REJECTED"
-
-
-# -- what S spends for as long as it flies on --------------------------------------------------------
+    assert forger.forged(lambda data: data.pop("drift")).outcome == "REJECTED"
 
 
 def test_s_spends_no_more_than_its_upkeep_for_ever():
@@ -278,30 +229,17 @@ def test_the_tank_lasts_as_long_as_the_bounds_say():
     assert scarce.lasts == 12.0 and none.lasts == 0.0
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"rate_m_s2": 0.9},
-        *(pytest.param(x, marks=pytest.mark.slow) for x in ({"lasts_s": 2}, {"tank_m_s": 2})),
-    ],
-)
+SLOW = [pytest.param(change, marks=pytest.mark.slow) for change in ({"lasts_s": 2}, {"tank_m_s": 2})]
+
+
+@pytest.mark.parametrize("change", [{"rate_m_s2": 0.9}, {"rate_m_s2": 0.98}, *SLOW], ids=str)
 def test_forged_upkeep_is_refused(forger, change):
     verdict = upkeep_judged(forger, change)
     assert verdict.outcome == "REJECTED" and verdict.claim in ("upkeep", "goal")
 
 
-def test_a_rate_in_the_mean_is_confirmed_to_a_few_per_cent(forger):
-    """It is claimed already, so hardly less is accepted; more is."""
+def test_more_upkeep_than_is_needed_is_confirmed(forger):
     assert upkeep_judged(forger, {"rate_m_s2": 1.06, "lasts_s": 0.9}).outcome == "VERIFIED"
-    assert upkeep_judged(forger, {"rate_m_s2": 0.98}).outcome == "REJECTED"
-
-
-def test_a_mean_rate_is_confirmed_where_estimates_remember_commands(tmp_path):
-    """Errors of thrusters before a missed period are those of any command, in both programs."""
-    given = ["feedback.period_s=0.25", "timing.missed_periods=1", "thrusters.magnitude_error=0.05"]
-    given.append("navigation.state_error=[0.002,0.002,0.001,0.001]")
-    verdict = verify(run(TINY, tmp_path / "run", overrides=[*given, "simulation.runs=2"]).path)
-    assert verdict.outcome == "VERIFIED", verdict.text()
 
 
 def upkeep_judged(forger, change):
@@ -315,29 +253,3 @@ def upkeep_judged(forger, change):
             data["guarantee"]["upkeep"][key] *= times
         files[name] = json.dumps(data)
     return forger.judge(files)
-
-
-@pytest.mark.slow
-def test_drifts_with_the_facets_of_s_are_clear_less_often():
-    schedule = synthesize(load_scenario("keep_out", ["abort.drift_s=1800.0"]))
-    flight, clearance = schedule.passive.flight, schedule.safety.clearance
-    rows, curvature, pushed = flight._rows
-    first = np.cumsum([0, *(len(body.normals) for body in flight.sets)])
-    facets = [clearance.facets[:, [u.name for u in clearance.unsafe].index(b.name)] for b in flight.sets]
-    clear = []
-    for k, drifts in enumerate(schedule.passive.drifts):
-        cells, clearance = np.minimum(k + np.arange(flight.cells), len(facets[0]) - 1), np.inf
-        for start in (drift.start for drift in drifts):
-            size = np.abs(flight._powers @ start.c) + np.abs(flight._powers @ start.G).sum(-1)
-            far = rows @ start.c + np.abs(rows @ start.G).sum(-1)
-            for body, at, chosen in zip(flight.sets, first, facets, strict=False):
-                places = np.arange(len(far) - 1), at + np.repeat(chosen[cells], flight.parts)
-                offsets = body.fine(flight.parts)[k : k + flight.cells]
-                for end in (0, 1):
-                    side = offsets[:, end : end + flight.parts].reshape(len(far) - 1, -1)
-                    side = side[places[0], places[1] - at]
-                    tightening = far[places[0] + end, places[1]] + (size[:-1] @ curvature.T + pushed)[places]
-                    clearance = min(clearance, np.min(-side - tightening))
-        clear.append(clearance > 0)
-    assert not np.any(clear & ~schedule.passive.clear)
-    assert np.mean(clear) + 0.2 < np.mean(schedule.passive.clear)

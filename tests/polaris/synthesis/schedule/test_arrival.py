@@ -1,7 +1,8 @@
 """The claims of the goal and of the velocity change: derived alike twice, and refused if forged."""
 
+import re
 from contextlib import suppress
-from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ pytest.importorskip("flint")
 import flint
 from flint import arb
 
+from polaris import Box, EllipticalNMT, LinearNMT, LinearSystem, PolarisError, ScenarioError, StationaryPoint
 from polaris.certificate.checker import verify
 from polaris.certificate.claims import arrival as checked
 from polaris.certificate.claims import goal_rows
@@ -23,21 +25,15 @@ from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import matrix
 from polaris.certificate.kernel.verdict import Failed, Record, Rejected
 from polaris.certificate.kernel.zonotopes import Merging
-from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.hill import cw_matrix
-from polaris.model.system import LinearSystem
-from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.safety.continuation import HandOver, PathRows
-from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.continuation import HandOver
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
 from polaris.synthesis.schedule.arrival import Tail
 from polaris.synthesis.schedule.spending import commanded
 from tests.polaris.forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
-from tests.polaris.random_scenarios import synthesised as random_scene
 from tests.polaris.random_scenarios import written
-from tests.polaris.tiny import TINY, synthesised
+from tests.polaris.tiny import synthesised
 from tests.sizes import fewer
 
 VARIANTS = {
@@ -53,43 +49,12 @@ VARIANTS = {
 
 @pytest.fixture(scope="module")
 def forgers(tmp_path_factory):
-    made = {}
-
+    @cache
     def forger(kind):
-        if kind not in made:
-            folder = tmp_path_factory.mktemp("arrival")
-            made[kind] = Forger(make(VARIANTS[kind], folder), folder)
-        return made[kind]
+        folder = tmp_path_factory.mktemp("arrival")
+        return Forger(make(VARIANTS[kind], folder), folder)
 
     return forger
-
-
-def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has_faded():
-    given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
-    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
-    tracking, T = safety.tracking, safety.problem.K * safety.clearance.q
-    rows = PathRows(safety.clearance, tracking.system.position, faults=False, between=False)
-    last, long = len(tracking.transitions) - 1, tracking.long
-    tightening = rows.tightenings(HandOver(safety.start, T, T), T, T + long + 2)[0]
-    path = rows.path[0, np.minimum(T + np.arange(long + 2), rows.path.shape[1] - 1)]
-    least = (tracking.responses(rows.rows, tracking.feedback_bound)[-1] + path) * (1 - 1e-12)
-    assert last < long and np.all(tightening[last + 1 : long + 1] >= least[last + 1 : long + 1])
-    assert np.all(tightening[long + 1] < least[long + 1])
-
-
-def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
-    """Being reached rests on the last commands of the profile: a longer memory gives the same."""
-    sampled = ["feedback.period_s=0.25", "tracking.R=[60,60]"]
-    scenario = load_scenario(TINY).with_assignments([*sampled, "thrusters.magnitude_error=0.2"])
-    tracking, rows = get_safety(scenario.problem()).tracking, np.vstack([np.eye(4), -np.eye(4)])
-    count = 5 * tracking.settling
-    gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
-    always = tracking.flow.disturbance_support(rows, count)[-1]
-    always = always + gains @ tracking.system.thrusters.part(tracking.feedback_bound[-1])
-    assert 0.99 * always.max() <= tracking.settled_tightening(rows).max() <= always.max() * (1 + 1e-4)
-
-
-# -- two derivations of the same rows ---------------------------------------------------------------
 
 
 def random_goal(rng, kind):
@@ -113,16 +78,21 @@ def random_goal(rng, kind):
     return {"center": middle.tolist(), "half_widths": half.tolist()}, Box(middle, half, eta or 1e-2), eta
 
 
+def sided(conditions):
+    """Rows and sides of all conditions of a goal."""
+    rows = np.vstack([conditions.E, -conditions.E, conditions.G, *(-N for N, _ in conditions.one_of)])
+    sides = [conditions.e, -conditions.e, conditions.g, *(-c for _, c in conditions.one_of)]
+    return rows, np.concatenate(sides)
+
+
 @pytest.mark.parametrize("kind", goal_rows.GOALS)
 def test_the_checker_derives_the_planner_s_rows(kind):
-    """Distances of random states are the same, for goals of every kind and any number of states."""
     rng = np.random.default_rng(5)
     for _ in range(40):
         spec, goal, eta = random_goal(rng, kind)
         n, steps, delta = goal.n, int(rng.integers(5, 60)), float(rng.uniform(0.1, 60))
-        C = np.eye(n)[: int(rng.integers(1, min(n, 3) + 1))]
         A = cw_matrix(eta) if eta else rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.4)
-        C = np.eye(n)[rng.permutation(n)[: len(C)]] if eta is None else np.eye(6)[:3]
+        C = np.eye(6)[:3] if eta else np.eye(n)[rng.permutation(n)[: int(rng.integers(1, min(n, 3) + 1))]]
         system = LinearSystem(A, np.ones((n, 1)), np.ones((n, 1)), [1.0], C=C)
         document = SimpleNamespace(mean_motion=eta, A=A.tolist(), C=C.tolist())
         spec["kind"], goal, own = kind, goal.for_system(system), None
@@ -140,18 +110,14 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         assert rows.scale == pytest.approx(conditions.scale, rel=1e-15)
         problem = SimpleNamespace(system=system, K=steps, delta=delta, goal=goal)
         problem.goal_velocity_tolerance, problem.goal_tolerance = own, spec.get("tolerance_m")
-        ours = np.vstack([conditions.E, -conditions.E, conditions.G, *(-N for N, _ in conditions.one_of)])
-        sides = [conditions.e, -conditions.e, conditions.g, *(-c for _, c in conditions.one_of)]
+        ours, sides = sided(conditions)
         weight = _weights(problem, ours)
         seconds = velocity_times(problem, ours * weight[:, None]).max(initial=0.0)
         assert float(0 if rows.seconds is None else rows.seconds.mid()) == pytest.approx(seconds, rel=1e-9)
         for x in rng.normal(size=(10, n)) * np.exp(rng.uniform(-3, 6, (10, 1))):
-            expected = distance(conditions, ((ours @ x - np.concatenate(sides)) * weight)[None])[0]
+            expected = distance(conditions, ((ours @ x - sides) * weight)[None])[0]
             derived = rows.distance(rows.over(matrix([[value] for value in x])))
             assert float(derived.mid()) == pytest.approx(float(expected), rel=1e-9, abs=1e-9)
-
-
-# -- what is claimed ----------------------------------------------------------------------------------
 
 
 def at_end(schedule, errors):
@@ -161,7 +127,6 @@ def at_end(schedule, errors):
 
 
 def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
-    """Beyond the memory of the loop, too, where the need is the same in every period."""
     _, schedule = synthesised()
     safety, tail = schedule.safety, at_end(schedule, schedule.final)
     late, q = safety.tracking.settling + 5, safety.clearance.q
@@ -179,38 +144,6 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     assert spent[2] > spent[1]
 
 
-def test_the_middle_of_the_tube_counts_and_not_the_reference():
-    """A goal is not near if U leaves flights off the reference at T, and the tail ends before S is back."""
-    _, schedule = synthesised()
-    off = schedule.final + np.array([30.0, 0.0, 0.0, 0.0])
-    rows = schedule.safety.problem.goal.conditions.E
-    along = PathRows(schedule.safety.clearance, rows, between=False)
-    tail = at_end(schedule, off)
-    tightening = tail.tightenings(along, schedule.safety.tracking.settling)
-    centre = along.table.carried[: len(tightening), :, : len(off.c)] @ off.c
-    assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
-    assert np.all(tightening >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
-    short = replace(
-        schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
-    )
-    assert Tail(short, held=tail.held).approach().reached is False
-    assert replace(at_end(schedule, schedule.final), safety=short).approach().reached is True
-
-
-def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
-    """Seed 11: half as far again from the set at T, which encloses what S alone keeps smaller."""
-    _, schedule = random_scene(11, tmp_path)
-    both, last = schedule.approach, at_end(schedule, schedule.final).approach()
-    assert both.reached is last.reached is True
-    assert both.distance < 0.7 * last.distance
-
-
-def cut(safety, after):
-    """Fields of the reference with so many cells after T."""
-    cells = safety.problem.K + after
-    return {"chi": safety.reference.chi[: cells + 1], "nu": safety.reference.nu[:cells]}
-
-
 def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     """Only a claim for ever needs a coasting tail; the bound on the velocity change does not rest on one."""
     arrival, _, _ = derived(forgers("reached"))
@@ -223,9 +156,6 @@ def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     del arrival._summed[1:]  # what is kept of the tail that coasts
     more = float(arrival.correcting(nodes).mid()) - coasting
     assert more == pytest.approx(0.05 * document.delta / document.mass, rel=1e-9)
-
-
-# -- forgeries ------------------------------------------------------------------------------------------
 
 
 def derived(forger):
@@ -253,12 +183,10 @@ def derived(forger):
 
 @pytest.fixture(scope="module")
 def judged(forgers):
-    kept = {}
+    kept = cache(lambda kind: derived(forgers(kind)))
 
     def judge(kind):
-        if kind not in kept:
-            kept[kind] = derived(forgers(kind))
-        arrival, goal, spec = kept[kind]
+        arrival, goal, spec = kept(kind)
         return arrival, dict(goal), dict(spec)
 
     return judge
@@ -270,13 +198,6 @@ def test_untouched_they_are_verified(forgers, kind):
     assert verdict.outcome == "VERIFIED", verdict.text()
     reached = forgers(kind).tree("summary.json")["guarantee"]["goal"]["reached"]
     assert reached == ("not_proven" if kind == "too narrow" else True)
-
-
-def claim_of(lie):
-    """The claim of the goal, the same table in both files."""
-    goal = lie.schedule["guarantee"]["goal"]
-    lie.summary["guarantee"]["goal"] = goal
-    return goal
 
 
 FORGED = {
@@ -317,36 +238,19 @@ def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
         arrival.check(goal | later | {"delta_v_max_m_s": without}, spec)
 
 
-def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
-    lie = Lie(forgers("any state"))
-    claim_of(lie)["by_s"] = 1e6
-    lie.judge({"goal"})
-
-
-@pytest.mark.parametrize("key", ["distance_m", "tolerance_m", "delta_v_max_m_s"])
 @pytest.mark.parametrize("value", ["NaN", "1e999", "-1.0", "null", "true"])
-def test_numbers_that_are_none_are_refused(forgers, key, value):
+def test_numbers_that_are_none_are_refused(forgers, value):
     forger = forgers("reached")
     text = (forger.run / "schedule.json").read_text(encoding="utf-8")
-    at = text.index(f'"{key}": ') + len(f'"{key}": ')
-    forged = (
-        text[:at] + value + text[text.index(",", at) if "," in text[at : at + 30] else text.index("\n", at) :]
-    )
-    verdict = forger.judge({"schedule.json": forged})
-    assert verdict.outcome == "REJECTED" and verdict.claim in {"schedule", "artefacts"}, verdict.text()
-
-
-def test_a_weaker_claim_is_as_true(judged):
-    arrival, goal, spec = judged("reached")
-    goal |= {key: goal[key] * 1.5 for key in ("distance_m", "delta_v_max_m_s")}
-    assert "reached by" in arrival.check(goal, spec)
-    assert "not claimed" in arrival.check(goal | {"reached": "not_proven", "by_s": None}, spec)
+    for key in ("distance_m", "tolerance_m", "delta_v_max_m_s"):
+        forged, count = re.subn(rf'("{key}": )[-+.\de]+', rf"\g<1>{value}", text, count=1)
+        verdict = forger.judge({"schedule.json": forged})
+        assert count and verdict.outcome == "REJECTED" and verdict.claim in {"schedule", "artefacts"}, key
 
 
 @pytest.mark.parametrize(
     "forged",
     [
-        {"reached": True, "by_s": 12.0},
         {"reached": True, "by_s": 12.0, "tolerance_m": 0.4},
         {"reached": True, "by_s": 12.0, "distance_m": 0.01},
         {"reached": True},
@@ -362,10 +266,6 @@ def test_a_goal_that_is_not_reached_is_not_claimed(judged, forged):
     arrival.check(goal, spec)
     with pytest.raises(Rejected):
         arrival.check(goal | forged, spec)
-
-
-def test_a_scenario_that_tolerates_less_makes_the_claim_false(judged):
-    arrival, goal, spec = judged("too narrow")
     with pytest.raises(Rejected, match="tolerance"):
         arrival.check(goal, spec | {"tolerance_m": 0.001})
 
@@ -375,23 +275,12 @@ def test_both_files_make_the_same_claim(forgers, file):
     lie = Lie(forgers("reached"))
     getattr(lie, file)["guarantee"]["goal"]["distance_m"] *= 1.5
     lie.judge({"summary"})
-
-
-@pytest.mark.parametrize("file", ["schedule", "summary"])
-def test_a_folder_without_the_goal_is_refused(forgers, file):
     lie = Lie(forgers("reached"))
     for name in ("schedule", "summary") if file == "schedule" else ("summary",):
         del getattr(lie, name)["guarantee"]["goal"]
     verdict = lie.verdict()
     assert verdict.claim == file
     assert "the key 'goal' is missing" in verdict.witness
-
-
-@pytest.mark.parametrize("key", ["delta_v_price", "switch_price", "delta_v_max"])
-def test_rules_are_the_scenario_s(forgers, key):
-    lie = Lie(forgers("reached"))
-    lie.schedule["rules"][key] = 0.5
-    lie.judge({"schedule"})
 
 
 def test_a_drift_needs_hill_s_frame(forgers):
@@ -402,13 +291,9 @@ def test_a_drift_needs_hill_s_frame(forgers):
         arrival._drift(5.0, 0)
 
 
-# -- random scenes --------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("start", (0, 12, 24, 36, 48))
+@pytest.mark.parametrize("start", (0, 24, 48))
 def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path):
-    """Every plant, set, goal, rule, law; each number of the claim made a little better than it is."""
     some = loose = 0
     for seed in range(start, start + fewer(12, 5)):
         try:
@@ -430,20 +315,3 @@ def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path)
                 loose += 1
             some += 1
     assert some and loose <= some / 5
-
-
-def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_change_is_claimed():
-    """However many later nodes seem nearer to the goal."""
-    rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda over: 1 / (1 + over[0]))
-    tail = SimpleNamespace(
-        held=(),
-        flight=SimpleNamespace(tightening=lambda tightenings, held, node: [arb(0)]),
-        spent=arb(2),
-        correcting=arb,
-        _first=7,
-        _last=2 * checked.MOST,
-        state=lambda node: node,
-    )
-    claim = {"distance_m": 2.0, "delta_v_max_m_s": 7.0}
-    assert checked.Arrival._likely(tail, rows, None, claim) == [5, 4, 3, 2, 1, 0]
-    assert max(checked.Arrival._likely(tail, rows, None, claim | {"delta_v_max_m_s": 1e9})) == tail._last

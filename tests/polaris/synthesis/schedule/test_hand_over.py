@@ -14,6 +14,7 @@ import pytest
 from flint import arb
 from scipy.linalg import expm, solve_continuous_are
 
+from polaris import Craft, Feedback, Tracking
 from polaris.certificate.kernel.balls import column, magnitude, matrix, sums
 from polaris.certificate.model.craft.feedforward import Feedforward as CheckedSchedule
 from polaris.certificate.model.craft.settling import Settling
@@ -21,17 +22,13 @@ from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.craft.tightening import Tightening
 from polaris.certificate.model.plants import plant_of
 from polaris.certificate.model.timing import carried_away
-from polaris.model.craft import Craft
 from polaris.model.estimates.observer import design
 from polaris.model.estimates.prediction import predicting
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.synthesis.safety.carried_rows import CarriedRows
 from polaris.synthesis.safety.feedforward import Feedforward
-from polaris.synthesis.tracker.feedback import Feedback
-from polaris.synthesis.tracker.tracking import Tracking
-from reach.numerics.linear import powers
-from reach.sets.zonotope import Zonotope
+from reach import Zonotope, powers
 
 BEFORE, AFTER = 9, 14  # periods before the hand-over, and after it
 PARTS = 4  # of a period, in each of which errors are constant
@@ -57,7 +54,7 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
     if observer:
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
     timing = Timing(
-        delay=delay * H, missed=missed, carried_impulse=carried, jitter=jitter, pulse_thrust=fired
+        delay=delay * H, missed=missed, jitter=jitter, carried_impulse=carried, pulse_thrust=fired
     )
     system = predicting(system, timing, H)
     return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional or jitter else None)
@@ -154,43 +151,36 @@ def worst(s):
 
 def stated(s):
     """Return what a certificate would state of the system, as the checker reads it."""
-    system, errors, timing = s.system, s.system.thrusters, s.system.timing
-    seen, nothing = system.observer, [0.0] * system.n
-    estimate = system.navigation.tolist()
-    document = SimpleNamespace(
-        **{name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")},
-        C=system.position.tolist(),
-        w_max=system.w_max,
-        bias=[],
-        system_kind="linear",
-        delta=H,
-        q=1,
-        estimate=estimate,
-        measured_error=list(timing.measured_error),
-        calmest=estimate,
-        error_by_step=[],
-        shares=[timing.on_time.along, timing.on_time.across, 0.0],
-        same_shares=timing.on_time.constant,
-        bits=[errors.bit] * system.m,
-        prompt_bits=[timing.on_time.bit] * system.m,
-        late=timing.jitter > 0 and not timing.pulse_thrust,
-        allocation=None,
-        timing={"delay": timing.delay, "missed": timing.missed, "jitter": timing.jitter},
-        pulse_thrust=list(timing.pulse_thrust),
-        pulse_place=timing.pulse_place,
-        carried_impulse=timing.carried_impulse,
-        at_nodes=system.state_offset_at_nodes.tolist(),
-        intersample_offset=list(timing.intersample_offset) or nothing,
-        transients=[],
-        observer=None,
-        feedback_bound=[],
-    )
+    system, timing, m = s.system, s.system.timing, s.system.m
+    seen, estimate, on_time = system.observer, system.navigation.tolist(), timing.on_time
+    claims = {name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")}
+    claims |= {"C": system.position.tolist(), "w_max": system.w_max, "bias": [], "delta": H, "q": 1}
+    claims |= {
+        "system_kind": "linear",
+        "transients": [],
+        "observer": None,
+        "feedback_bound": [],
+        "allocation": None,
+    }
+    claims |= {"estimate": estimate, "calmest": estimate, "measured_error": list(timing.measured_error)}
+    claims |= {"shares": [on_time.along, on_time.across, 0.0], "same_shares": on_time.constant}
+    claims |= {"bits": [system.thrusters.bit] * m, "prompt_bits": [on_time.bit] * m, "error_by_step": []}
+    claims |= {
+        "pulse_thrust": list(timing.pulse_thrust),
+        "pulse_place": timing.pulse_place,
+        "carried_impulse": timing.carried_impulse,
+    }
+    claims |= {"timing": {"delay": timing.delay, "missed": timing.missed, "jitter": timing.jitter}}
+    claims |= {
+        "late": timing.jitter > 0 and not timing.pulse_thrust,
+        "intersample_offset": list(timing.intersample_offset) or [0.0] * system.n,
+    }
+    claims |= {"at_nodes": system.state_offset_at_nodes.tolist()}
     if seen is not None:
-        document.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
-        document.observer["noise"] = seen.noise.tolist()
+        claims["observer"] = {key: getattr(seen, key).tolist() for key in ("gain", "measures", "noise")}
     if s.feedback_bound is not None:
-        document.feedback_bound = s.feedback_bound.tolist()
-    return document
+        claims["feedback_bound"] = s.feedback_bound.tolist()
+    return SimpleNamespace(**claims)
 
 
 def checker_tightenings(s, rows):
@@ -203,10 +193,7 @@ def checker_tightenings(s, rows):
 
 
 def checked(s, rows):
-    """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands.
-
-    The states beside the error are in a box at the hand-over, and it is known up to carried impulses.
-    """
+    """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands."""
     tightenings = checker_tightenings(s, rows)
     noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
     box = column([*carried_away(tightenings.craft.plant), *tightenings.craft.box])
@@ -239,6 +226,7 @@ CASES = [
     {"observer": True, "delay": 2.0, "proportional": True},
     {"carried": 0.02},
     {"carried": 0.02, "delay": 1.25},
+    {"carried": 0.02, "proportional": True},
     {"carried": 0.02, "delay": 1.0, "observer": True},
     {"jitter": 0.01, "delay": 1.0},
     {"jitter": 0.01, "observer": True, "delay": 0.5},
@@ -328,7 +316,6 @@ def units(s, periods):
 
 
 def test_scheduled_commands_count_until_they_are_measured():
-    """A burst of the reference's thrust is in the errors of estimates of three periods after it."""
     s, cells = tracking(delay=0.5, missed=2, proportional=True), 14
     nu = np.zeros((cells, 2))
     nu[2] = [0.5, -0.6]
@@ -364,7 +351,6 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
 
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():
-    """A burst at its start has come before in all turns but the first."""
     s, planned, tail = tracking(proportional=True), 4, 40
     nu = np.zeros((planned + tail, 2))
     nu[planned:], nu[planned] = [0.2, -0.3], [0.5, -0.6]
@@ -388,50 +374,6 @@ def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_sc
 
     monkeypatch.setattr(Tightening, "response", more)
     assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)
-
-
-def test_a_first_estimate_counts_beside_what_the_loop_remembers():
-    s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
-    bare = tracking(observer=True).system
-    observer = replace(s.system.observer, initial=first, horizon=(K, 1))
-    system = predicting(replace(bare, observer=observer, timing=Timing()), Timing(delay=1.5 * H), H)
-    s, document = replace(s, system=system), stated(replace(s, system=system))
-    left = observer.rest @ expm(system.A * H)
-    assert not np.any(s.step_errors)
-    z = s.whole_state(Zonotope.point(np.zeros(4)), s.at_start)
-    np.testing.assert_array_equal(z.half_widths[-4:], first)
-    assert np.all(s.remembered[-4:] >= np.abs(left) @ first)
-    known, F = s.loop.known[:, -4:], s.tightening.closed.F
-    for k in range(K):  # a first error fades in the loop by itself
-        fades = known @ np.linalg.matrix_power(F, k)[-4:, -4:]
-        np.testing.assert_allclose(
-            fades, expm(system.A * 1.5 * H) @ np.linalg.matrix_power(left, k), rtol=1e-9, atol=1e-12
-        )
-    document.error_by_step, document.steps = system.error_by_step.tolist(), K
-    document.calmest = system.error_by_step.min(axis=0).tolist()
-    document.known_to = lambda k: document.error_by_step[min(k, K)]
-    document.observer |= {"initial": first.tolist(), "settled": system.observer.settled.tolist()}
-    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
-    assert [float(x) for x in craft.box[-4:]] == pytest.approx(first)  # and fades as the loop does
-    assert all(x == 0 for k in range(K) for x in craft.extra(document, k))
-
-
-def test_bounds_between_nodes_hold_what_noise_pushes_in_its_own_period():
-    """Half a period's square times the rates of flights under noise alone is within what both sides count."""
-    s = tracking()
-    s = replace(s, system=replace(s.system, w_max=0.0))
-    A, B = s.system.A, s.system.B
-    x, u = Flight(s, BEFORE, BEFORE + 40).fly()
-    rates = x[: 40 * PARTS : PARTS] @ A.T + u @ B.T
-    first = PARTS * (s.system.p + s.system.m)
-    rate = np.einsum(
-        "tri,r->i", np.abs(rates[:, first : first + 4]), np.array(s.system.timing.measured_error)
-    )
-    curvature = H**2 / 8 * np.abs(A) @ rate
-    between = s.disturbance(np.eye(4)) - s.responses(np.eye(4), None)
-    assert np.all(curvature <= between[0]) and np.all(curvature > 0)
-    nodes, disturbed, _ = checked(s, np.eye(4))
-    assert np.all(curvature <= disturbed[0] - nodes[0])
 
 
 def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow():

@@ -1,17 +1,14 @@
 """The search for schedules: against every schedule there is, against greedy, and against itself."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.scenario.scenario import load_scenario
+from polaris import SwitchingRules, synthesize
 from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, dwell_times
-from polaris.synthesis.schedule.rules import SwitchingRules
-from polaris.synthesis.schedule.synthesize import synthesize
-from tests.polaris.conftest import small_controllers, small_safety
 from tests.polaris.conftest import synthesised as bundled
 from tests.polaris.tiny import synthesised as tiny
 
@@ -118,20 +115,6 @@ def test_a_wide_beam_finds_the_best_of_all_schedules(seed):
             assert scene.look_ahead(dwell, cap) <= best + 1e-12
 
 
-def test_the_default_beam_is_nearly_as_good():
-    """Over 200 scenes: how often the best is missed, and by how much on average."""
-    objectives, best = [], []
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        scene = Scene.draw(rng, 10, 1 + seed % 2)
-        rules = int(rng.integers(1, 5)), int(rng.integers(2, 6))
-        objectives.append(scene.look_ahead(*rules, beam=SwitchingRules().beam))
-        best.append(scene.best_of_all(*rules))
-    objectives, best = np.array(objectives), np.array(best)
-    assert np.mean(objectives < best - 1e-9) <= 0.05
-    assert objectives.sum() >= 0.99 * best.sum()
-
-
 @settings(max_examples=6, deadline=None)
 @given(seed=seeds)
 def test_never_worse_than_greedy_nor_than_under_stricter_rules(seed):
@@ -157,44 +140,17 @@ def test_rungs_are_the_same_ladder_from_wherever_it_is_entered():
     assert dwell_times(1, 60) == (1, 2, 3, 4, 6, 9, 13, 19, 28, 42, 60)
 
 
-# -- in flight ------------------------------------------------------------------------------------------
-
-
-def share(safety, laws, *rules, **options):
-    return synthesize(safety, experimental=laws, rules=SwitchingRules(*rules, **options)).share()
-
-
 @pytest.mark.slow
-def test_looser_rules_are_never_worse_in_a_real_scene():
-    schedule = tiny()[1]
-    safety, laws = schedule.safety, schedule.controllers[1:]
-    shares = np.array([[share(safety, laws, "look_ahead", d, c) for c in (1, 2, 4)] for d in (1, 3)])
-    plain = np.array([[share(safety, laws, "greedy", d, c) for c in (1, 2, 4)] for d in (1, 3)])
-    assert np.all(shares >= plain) and shares.max() > 0
-    assert np.all(np.diff(shares, axis=0) <= 0) and np.all(np.diff(shares, axis=1) >= 0)
+def test_looser_rules_are_never_worse_in_real_scenes():
+    """In the second, dwell 4 and cap 4 once gave 33 %, the stricter 6 and 3 gave 85 %."""
 
+    def shares(schedule, strategy, dwells, caps):
+        rules = [[SwitchingRules(strategy, d, c) for c in caps] for d in dwells]
+        laws = schedule.controllers[1:]
+        schedules = [[synthesize(None, schedule.safety, laws, each) for each in row] for row in rules]
+        return np.array([[each.share() for each in row] for row in schedules])
 
-@pytest.mark.slow
-def test_looser_rules_are_never_worse_over_a_grid_in_a_real_scene():
-    safety, laws = small_safety(), [small_controllers()[name] for name in ("coasting", "any")]
-    for names in (laws[:1], laws, laws[::-1]):
-        shares = np.array([[share(safety, names, "look_ahead", d, c) for c in (1, 3, 6)] for d in (1, 4, 9)])
-        plain = np.array([[share(safety, names, "greedy", d, c) for c in (1, 3, 6)] for d in (1, 4, 9)])
-        assert np.all(shares >= plain)
-        assert np.all(np.diff(shares, axis=0) <= 0) and np.all(np.diff(shares, axis=1) >= 0)
-
-
-@pytest.mark.slow
-def test_the_case_that_was_found_in_dynamic():
-    """Dwell 4 and cap 4 once gave 33 %, the stricter 6 and 3 gave 85 %."""
-    schedule = bundled("dynamic")[1]
-    laws = schedule.controllers[1:]
-    strict = share(schedule.safety, laws, "look_ahead", 6, 3)
-    loose = share(schedule.safety, laws, "look_ahead", 4, 4)
-    assert loose >= max(strict, share(schedule.safety, laws, "greedy", 4, 4)) and strict > 0.85
-
-
-def test_beam_is_set_in_the_file():
-    scenario = load_scenario("static")
-    assert scenario.switching_rules() == replace(SwitchingRules(min_dwell=2), weights=(1.0,))
-    assert scenario.with_assignments(["schedule.beam=7"]).switching_rules().beam == 7
+    for (_, schedule), *grid in ((tiny(), (1, 3), (1, 2, 4)), (bundled("dynamic"), (4, 6), (3, 4))):
+        ahead = shares(schedule, "look_ahead", *grid)
+        assert np.all(ahead >= shares(schedule, "greedy", *grid)) and ahead.max() > 0
+        assert np.all(np.diff(ahead, axis=0) <= 0) and np.all(np.diff(ahead, axis=1) >= 0)

@@ -1,22 +1,23 @@
-"""Bounds on the velocity change of linear laws, all periods at once (Proposition 14 (c)), attacked."""
+"""Bounds on the velocity change of linear laws (Proposition 14 (c)), attacked, and budgets that are kept."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks import tenfold
+from polaris import NotCertified, falsify, load_scenario, replay, synthesize, write_case
 from polaris.model.thrusters import Thrusters
 from polaris.model.tolerances import ROUNDING
-from polaris.runs.case import replay, write_case
-from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attacker
-from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.schedule import spending
+from polaris.synthesis.schedule.rules import CHECKED
 from polaris.synthesis.schedule.spending import FlightSpending
-from polaris.synthesis.schedule.synthesize import synthesize
 from tests.kept import kept
-from tests.polaris.tiny import TINY
+from tests.polaris.random_scenarios import synthesised as random_scene
+from tests.polaris.tiny import TINY, synthesised
+from tests.sizes import fewer
 
 SAMPLED = ["feedback.period_s=0.25"]
 NOISY = [*SAMPLED, "navigation.state_error=[0.01, 0.01, 0.005, 0.005]"]
@@ -29,7 +30,7 @@ def tiny(*more):
     return kept("-".join(["tiny", *more]), lambda: synthesize(load_scenario(TINY).with_assignments(more)))
 
 
-@pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])
+@pytest.mark.parametrize("errors", [SAMPLED, NOISY, CARRIED], ids=["none", "estimate", "left"])
 def test_the_worst_flights_spend_most_of_what_is_proven(errors):
     schedule = tiny(*errors)
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(1))
@@ -40,7 +41,6 @@ def test_the_worst_flights_spend_most_of_what_is_proven(errors):
 
 
 def test_periods_cannot_all_be_the_worst():
-    """The bound of linear steps is less than the sum of its periods', where errors are renewed."""
     schedule = tiny(*NOISY)
     scale = schedule.safety.tracking.flow.h / schedule.safety.problem.system.mass
     count = len(schedule.steps) * schedule.safety.clearance.q
@@ -52,7 +52,6 @@ def test_periods_cannot_all_be_the_worst():
 
 
 def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp_path):
-    """Errors that are left out of the bound are flown all the same."""
     schedule = tiny(*NOISY)
     assert falsify(schedule, 700, seed=3).failure is None
     without = replace(schedule)  # nothing of what was worked out
@@ -66,25 +65,9 @@ def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp
     assert replay(case)[0] is None
 
 
-def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands(monkeypatch):
-    """About a flight they go as far as without that, or further; what they count is the derivative."""
-    schedule, rng = tiny(*SAMPLED, "thrusters.magnitude_error=0.1"), np.random.default_rng(0)
-    attacker = Attacker.from_schedule(schedule, False, rng)
-    rows, end = attacker.rows, attacker.flight.steps
-
-    def reached():
-        about, targets = None, np.full(len(rows), end)
-        for _ in range(3):
-            about = attacker._towards(rows, targets, about).fly(attacker.flight)
-        return np.einsum("rn,rn->r", about.states[:, end], rows)
-
-    with_growth = reached()
-    monkeypatch.setattr(Thrusters, "slope", lambda self, u, weights: np.zeros_like(weights))
-    gained = (with_growth - reached()) / np.ptp(with_growth)
-    assert gained.min() > -1e-9 and gained.max() > 1e-5
-    monkeypatch.undo()
+def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands():
+    rng, small = np.random.default_rng(0), 1e-6 * np.eye(3)[:, None]
     thrusters, u, weights = Thrusters(0.1, 0.05, 0.2), rng.normal(size=(4, 3)), rng.uniform(0, 2, (4, 3))
-    small = 1e-6 * np.eye(3)[:, None]
     change = ((thrusters.part(u + small) - thrusters.part(u - small)) * weights).sum(axis=-1).T / 2e-6
     assert thrusters.slope(u, weights) == pytest.approx(change, abs=1e-8)
 
@@ -134,3 +117,43 @@ def test_the_parts_of_what_is_booked_are_those_of_the_page():
     assert np.sum(sizes, axis=0) == pytest.approx(whole, abs=0.1)
     flown = np.array([float(cell) for cell in made[-1][2::2]])
     assert made[-1][0] == "all" and np.all((0.55 * whole <= flown) & (flown <= whole))
+
+
+def under(scenario, budget):
+    """The schedule within a budget, or what the message says is the least that was found."""
+    try:
+        schedule = synthesize(scenario.with_assignments([f"schedule.delta_v_max_m_s={budget!r}"]))
+    except NotCertified as error:
+        assert error.exit_code == 4
+        return None, float(re.search(r"smallest proven delta-v is ([\d.e+-]+) m/s", str(error))[1])
+    return schedule, schedule.spent
+
+
+def judge(scenario, free):
+    """Outcomes of a scene under budgets just above and below what it is proven to keep without one."""
+    kept = free.spent * (1 + CHECKED)
+    same, _ = under(scenario, kept * (1 + 1e-9))
+    assert same is not None and same.modes.tolist() == free.modes.tolist()
+    none, least = under(scenario, 1e-6 * free.spent)
+    assert none is None and 1e-6 * free.spent < least <= kept * (1 + 1e-3)
+    cheaper, spent = under(scenario, 0.97 * free.spent)
+    if cheaper is None:
+        assert spent > 0.97 * free.spent
+    else:
+        assert spent <= 0.97 * free.spent and cheaper.guarantee == free.guarantee
+
+
+@pytest.mark.parametrize("recourse", ["none", pytest.param("replan", marks=pytest.mark.slow)])
+def test_a_budget_is_kept_or_nothing_is_returned(recourse):
+    scenario, free = synthesised()
+    scenario = scenario.with_assignments([f"recoverable.recourse={recourse}"])
+    free = free if recourse == "none" else synthesize(scenario)
+    judge(scenario, free)
+
+
+SEEDS = [0, 3, 5, 7, 8, 9, 10, 19, 20, 21, 23][: fewer(11, 3)]
+
+
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in SEEDS)])
+def test_budgets_of_random_scenes(seed, tmp_path):
+    judge(*random_scene(seed, tmp_path))

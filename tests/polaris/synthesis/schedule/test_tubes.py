@@ -1,52 +1,40 @@
-"""Reachable tubes (Theorem 10) against simulation: at the nodes, and between them (Proposition 9)."""
+"""Reachable tubes (Theorem 10) against simulation and exact sets: at the nodes, and between them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.model.system import LinearSystem
-from polaris.planning.reference import Reference
-from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+import reach
+from polaris import AffineController, AnyThrust, Feedback, LinearSystem, Reference, Tracking
 from polaris.synthesis.safety.carried_rows import error_tube
-from polaris.synthesis.tracker.feedback import Feedback
-from polaris.synthesis.tracker.tracking import Tracking
-from reach.numerics.linear import discretize
-from reach.sets.zonotope import Zonotope
+from polaris.synthesis.tracker.intersample import at_nodes
+from reach import Ellipsoid, Zonotope, discretize, powers, support_tube
+from tests.kept import CHOSEN, printed
 from tests.polaris.conftest import small_controllers, small_safety
 
 START = Zonotope.box(np.zeros(6), [2, 2, 2, 0.01, 0.01, 0.01])
 
 
-def fly(safety, law, k, e0, rng):
+def fly(safety, law, k, e0, rng, parts=8):
     """Errors in one step of a law from an error, independently of the tubes; eight parts of every period."""
-    system, q = safety.problem.system, safety.tracking.feedback.nodes_per_cell
-    parts = 8
+    system, q, own = safety.problem.system, safety.tracking.feedback.nodes_per_cell, safety.reference
+    linear = isinstance(law, AffineController)
+    own = law.own if linear else own
     dt = safety.tracking.flow.h / parts
-    Ad, Bd = discretize(system.A, system.B, dt)
-    _, Dd = discretize(system.A, system.D, dt)
-    errors = [e0]
-    xi, own = (
-        safety.reference.chi[k],
-        (law.own if isinstance(law, AffineController) else safety.reference).chi[k],
-    )
-    x = xi + e0
-    mu, mu_own = (
-        safety.reference.nu[k],
-        (law.own if isinstance(law, AffineController) else safety.reference).nu[k],
-    )
-    w = rng.normal(size=3)
-    push = rng.choice([-1.0, 1.0], size=3) * system.u_max
+    (Ad, Bd), Dd = discretize(system.A, system.B, dt), discretize(system.A, system.D, dt)[1]
+    xi, at, errors = safety.reference.chi[k], own.chi[k], [e0]
+    x, w, push = xi + e0, rng.normal(size=3), rng.choice([-1.0, 1.0], size=3) * system.u_max
     for step in range(q * parts):
-        if rng.random() < 0.3:
-            w = rng.normal(size=3)
-        if rng.random() < 0.1:
-            push = rng.choice([-1.0, 1.0], size=3) * system.u_max
-        if not isinstance(law, AffineController):
+        w = rng.normal(size=3) if rng.random() < 0.3 else w
+        push = rng.choice([-1.0, 1.0], size=3) * system.u_max if rng.random() < 0.1 else push
+        if not linear:
             held = push
         elif step % parts == 0:
-            held = np.clip(mu_own + law.gain @ (own - x), -system.u_max, system.u_max)
+            held = np.clip(own.nu[k] + law.gain @ (at - x), -system.u_max, system.u_max)
         x = Ad @ x + Bd @ held + Dd @ (w / np.linalg.norm(w) * system.w_max)
-        xi, own = Ad @ xi + Bd @ mu, Ad @ own + Bd @ mu_own
+        xi, at = Ad @ xi + Bd @ safety.reference.nu[k], Ad @ at + Bd @ own.nu[k]
         errors.append(x - xi)
     return np.array(errors)
 
@@ -76,23 +64,16 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
 
 
 def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
-    law = small_controllers(None)["clipped"]
-    calm = small_controllers(None)["shared"]
+    law, calm = (small_controllers(None)[name] for name in ("clipped", "shared"))
     assert law.propagate(START, 0).refused == ""
-    assert (
-        AffineController("hard", law.system, law.gain, law.reference, law.own, law.tracking, clips=False)
-        .propagate(START, 0)
-        .refused.startswith("its command may exceed")
-    )
-    soft = AffineController(
-        "soft", law.system, law.gain, law.reference, law.reference, law.tracking, clips=True
-    )
-    assert np.array_equal(soft.propagate(START, 0).nodes.G, calm.propagate(START, 0).nodes.G)
+    hard = replace(law, clips=False).propagate(START, 0)
+    assert hard.refused.startswith("its command may exceed")
+    soft = replace(law, own=law.reference, clips=True).propagate(START, 0)
+    assert np.array_equal(soft.nodes.G, calm.propagate(START, 0).nodes.G)
 
 
 @pytest.mark.parametrize("kind", ["affine", "any"])
 def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes(kind):
-    """From rest, in closed form, along a state that no input reaches: the bow must make up for it."""
     system = LinearSystem([[0.0, 0.0], [0.0, -0.5]], [[1.0], [0.0]], np.eye(2), [1.0], 0.1)
     tracking = Tracking(system, np.array([[1.0, 0.0]]), Feedback(2), 1.0)
     still = Reference.propagate(system, 1.0, np.zeros(2), np.zeros((1, 1)))
@@ -109,21 +90,7 @@ def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes
     assert max(excess) > 1e-6, "the chord alone does not hold it"
 
 
-def test_a_law_that_pulls_away_from_the_safe_reference_leaves_the_chord_of_its_nodes():
-    """Undisturbed on a reference of its own, the error is the parabola between the two."""
-    A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
-    system = LinearSystem(A, B, B, [5.0], 0.0)
-    tracking = Tracking(system, np.array([[1.0, 1.5]]), Feedback(2), 1.0)
-    safe, own = (Reference.propagate(system, 1.0, np.zeros(2), np.array([[u]])) for u in (-1.0, 1.0))
-    law = AffineController("pulls", system, tracking.gain, safe, own, tracking)
-    flight, h = law.propagate(Zonotope.point(np.zeros(2)), 0), tracking.flow.h
-    for i in range(2):
-        chord = flight.nodes.c[i : i + 2, 0].mean()
-        assert abs((i + 0.5) ** 2 * h**2 - chord) <= flight.intersample[i, 0] + 1e-15
-
-
 def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
-    """The closed-form worst case: initial vertex and disturbance against the tight tube."""
     safety = small_safety(period)
     system, tracking = safety.problem.system, safety.tracking
     rows = np.vstack([np.eye(6)[:3], tracking.gain])
@@ -140,3 +107,58 @@ def test_error_tube_of_s_is_reached_to_a_few_per_cent(period):
             reached = reached + np.linalg.norm(kernel, axis=-1).sum(axis=0) * h / q * system.w_max
         assert np.all(reached <= tube.tightening[lag] * (1 + 1e-9))
         assert np.all(tube.tightening[lag] <= 1.09 * reached), "within 9 % of what the worst case reaches"
+
+
+WIDER = 1.05
+"""Most by which the width of a stored set along an axis may exceed what is attained there."""
+
+
+def reached(law, start, rows):
+    """Supports attained about the law's reference, at the nodes (q+1, r) and within the periods (q, *, r)."""
+    flow, q, system = law.flow, law.feedback.nodes_per_cell, law.system
+    ball = Ellipsoid.ball(np.zeros(system.D.shape[1]), system.w_max)
+    # From one renewal of the input to the next: each period's share along the row carried to its end.
+    carried = rows @ powers(flow.phi, q)
+    flat, rest = carried[:-1].reshape(-1, system.n), Zonotope.point(np.zeros(system.n))
+    tube = support_tube(reach.LinearSystem(flow.A_x, system.D, ball), rest, flow.h, flat, step=flow.h / 16)
+    pushed = np.cumsum(tube.attained[-1].reshape(q, -1), axis=0)
+    first = np.array([start.support(images) for images in carried])
+    nodes = first + np.vstack([np.zeros((1, len(rows))), pushed])
+    return nodes, nodes[:-1, None]
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("static", CHOSEN),
+        ("dynamic", CHOSEN),
+        *(pytest.param(n, "", marks=pytest.mark.slow) for n in ("keep_out", "hold_point", "robot")),
+    ],
+)
+def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name, more):
+    _, schedule = printed(name, *filter(None, [more]))
+    rng, wider = np.random.default_rng(0), []
+    for k, step in enumerate(schedule.steps):
+        law, stored = schedule.controllers[step.mode], step.tube
+        if not isinstance(law, AffineController) or stored.slopes is not None:
+            continue  # where the input is any, or a command may be clipped, there is no exact set to compare
+        n, zeta = law.system.n, law.offset[k]
+        size = stored.nodes.half_widths.max(axis=0)
+        rows = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(24, n)) / np.where(size > 0, size, 1.0)])
+        nodes, inside = reached(law, stored.nodes[0] - zeta[0], rows)
+        shift = zeta @ rows.T
+        holds = stored.nodes.support(rows) - shift
+        grain = 1e-9 * (np.abs(nodes).max(axis=0) + np.abs(shift).max(axis=0))
+        assert np.all(holds >= nodes - grain), f"step {k}, at the nodes"
+        assert np.all(stored.end.support(rows) - shift[-1] >= nodes[-1] - grain), f"step {k}, at its end"
+        between = np.maximum(holds[1:], holds[:-1]) + stored.intersample @ np.abs(rows).T
+        assert np.all(inside <= between[:, None] + grain), f"step {k}, between the nodes"
+        widths = [bounds[1:, :n] + bounds[1:, n : 2 * n] for bounds in (holds, nodes)]
+        wider.append((widths[0] / widths[1]).max())
+    assert len(wider) > len(schedule.steps) / 3
+    assert max(wider) <= WIDER, f"up to {max(wider):.4f} times as wide"
+
+
+def test_a_bow_at_a_node_is_that_of_the_larger_of_its_sides():
+    parts = np.array([[[1.0, 5.0], [3.0, 2.0], [2.0, 4.0]]])
+    assert at_nodes(parts).tolist() == [[[1.0, 5.0], [3.0, 5.0], [3.0, 4.0], [2.0, 4.0]]]

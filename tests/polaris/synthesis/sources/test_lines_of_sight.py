@@ -1,8 +1,5 @@
 """Errors of range and bearing: boxes that hold them, proofs, certificates, flights and attacks."""
 
-import json
-import tomllib
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -10,23 +7,17 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from polaris import ScenarioError, falsify, load_scenario, run, synthesize
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.model.navigation import measured_errors
-from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
-from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
-from polaris.scenario.scenario import load_scenario
-from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
-from polaris.synthesis.schedule.arrival import Tail
-from polaris.synthesis.schedule.synthesize import synthesize
 from tests.kept import kept
-from tests.polaris.forging import CERTIFICATE, Forger
-from tests.polaris.random_scenarios import random_scenario
-from tests.sizes import fewer
+from tests.polaris.corruptions import scaled
+from tests.polaris.forging import Forger
 
 APPROACH = Path(__file__).parents[2] / "data" / "approach.toml"
 RANGED = (
@@ -57,7 +48,7 @@ def seen_from(p, off, turn, way):
     return (away + off[:, None]) * (np.cos(turn)[:, None] * along + np.sin(turn)[:, None] * aside)
 
 
-@pytest.mark.parametrize("angle", [0.2, 5.0, 45.0])
+@pytest.mark.parametrize("angle", [0.2, 45.0])
 def test_boxes_hold_errors_of_every_line_of_sight(angle):
     half, off, rng = np.array([30.0, 130.0, 20.0]), 0.05, np.random.default_rng(0)
     given = f"navigation={{range_error_m={off}, bearing_error_deg={angle}, within_m={half.tolist()}}}"
@@ -104,9 +95,8 @@ def test_schedules_are_proven_verified_and_not_refuted(name, more):
     assert falsify(schedule, 40, 1).failure is None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_adversaries_that_turn_measurements_violate_nothing(seed):
-    """Worst errors along the true line of sight, by signs of the adjoint, in a simulation of its own."""
     schedule, rng, R = sighted("ranged", RANGED), np.random.default_rng(seed), 300
     safety = schedule.safety
     system, h, q = safety.problem.system, 4.0, 5
@@ -145,126 +135,40 @@ def test_adversaries_that_turn_measurements_violate_nothing(seed):
 
 
 def test_forged_lines_of_sight_are_refused(tmp_path):
-    """Neither smaller errors than those of the scenario, nor a line of sight along another axis."""
     made = run(APPROACH, tmp_path / "run", overrides=[RANGED])
     assert verify(made.path).outcome == "VERIFIED"
     forger = Forger(made.path, tmp_path)
-    data, scenario = forger.tree(CERTIFICATE)["system"], forger.tree("scenario.toml")
-
-    def judged(change):
-        lies = data | {key: change(rows) for key, rows in data.items() if key in ("error_by_step",)}
-        lies["estimate_error"] = change([data["estimate_error"]])[0]
-        lies["timing"] = (
-            data["timing"] | {"measured_error": lies["estimate_error"]} if "timing" in data else {}
-        )
-        lies = {key: value for key, value in lies.items() if value != {}}
-        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": lies})})
-
-    smaller = judged(lambda rows: [[(float.fromhex(x) * 0.99).hex() for x in row] for row in rows])
-    turned = judged(lambda rows: [[row[1], row[0], *row[2:]] for row in rows])
-    for verdict in (smaller, turned):
+    system, scenario = forger.honest["system"], forger.tree("scenario.toml")
+    turned = lambda rows: [[row[1], row[0], *row[2:]] for row in rows]  # noqa: E731
+    for change in (lambda rows: scaled(rows, 0.99), turned):
+        (estimate,) = change([system["estimate_error"]])
+        lie = {"estimate_error": estimate, "error_by_step": change(system["error_by_step"])}
+        verdict = forger.forged(lambda data, lie=lie: data["system"].update(lie))
         assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "assumptions")
-    for change in (lambda x: [0.99 * y for y in x], lambda x: [x[1], x[0], *x[2:]]):
         document = Document(forger.honest)
-        document.measured_error = change(document.measured_error or document.estimate)
-        document.estimate = change(document.estimate)
+        document.measured_error = document.estimate = [float.fromhex(x) for x in estimate]
         with pytest.raises(Rejected, match="is not the scenario's"):
             measured_errors(document, scenario)
-    for key, value in (
-        ("bearing_error_deg", 0.21),
-        ("range_error_m", 0.06),
-        ("within_m", [30.0, 129.0, 30.0]),
-    ):
-        other = scenario | {"navigation": scenario["navigation"] | {key: value}}
+    for lie in ({"bearing_error_deg": 0.21}, {"range_error_m": 0.06}, {"within_m": [30.0, 129.0, 30.0]}):
+        other = scenario | {"navigation": scenario["navigation"] | lie}
         verdict = forger.judge({"scenario.toml": write_toml(other)})
-        assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "unsafe_sets"), key
-    without = {key: value for key, value in scenario["navigation"].items() if key != "within_m"}
-    assert (
-        forger.judge({"scenario.toml": write_toml(scenario | {"navigation": without})}).outcome != "VERIFIED"
-    )
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "unsafe_sets"), lie
+    del scenario["navigation"]["within_m"]
+    assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome != "VERIFIED"
 
 
-@pytest.mark.parametrize(
-    ("given", "field"),
-    [
-        ("navigation={bearing_error_deg=0.2}", "navigation.range_error_m, bearing_error_deg"),
-        ("navigation={bearing_error_deg=50, within_m=100.0}", "navigation.bearing_error_deg"),
-        ("navigation={within_m=100.0, measurement={position_error_m=0.1}}", "navigation.measurement"),
-        ("navigation={measurement={within_m=100.0}}", "navigation.measurement.position_error_m"),
-        (
-            "navigation={measurement={range_error_m=0.1, within_m=100.0, constant_share=0.5}}",
-            "navigation.measurement.constant_share",
-        ),
-    ],
-)
+MEASURED = "navigation.measurement"
+BAD = [
+    ("{bearing_error_deg=0.2}", "navigation.range_error_m, bearing_error_deg"),
+    ("{bearing_error_deg=50, within_m=100.0}", "navigation.bearing_error_deg"),
+    ("{within_m=100.0, measurement={position_error_m=0.1}}", MEASURED),
+    ("{measurement={within_m=100.0}}", f"{MEASURED}.position_error_m"),
+    ("{measurement={range_error_m=0.1, within_m=9.0, constant_share=0.5}}", f"{MEASURED}.constant_share"),
+]
+
+
+@pytest.mark.parametrize(("given", "field"), BAD)
 def test_bad_lines_of_sight_are_refused_by_name(given, field):
     with pytest.raises(ScenarioError) as error:
-        scene(given).problem()
+        scene(f"navigation={given}").problem()
     assert error.value.field == field
-
-
-SENSED = {
-    "position": "{measurement={position_error_m=0.1%s}}",
-    "range and bearing": "{measurement={range_error_m=0.05, bearing_error_deg=0.1, within_m=150.0%s}}",
-    "filter": "{position_error_m=0.1, velocity_error_m_s=0.003}",
-    "filter by range and bearing": "{range_error_m=0.05, bearing_error_deg=0.1, within_m=150.0}",
-    "phases": "{range_error_m=0.05, bearing_error_deg=0.1, within_m=150.0, velocity_error_m_s=0.003,"
-    " phases=[{from_s=160.0, range_error_m=0.02, within_m=110.0, velocity_error_m_s=0.002}]}",
-}
-FIRST = ", initial={position_error_m=0.3, velocity_error_m_s=0.01}"
-OPTIONS = {
-    "missed": "timing.missed_periods=1",
-    "latency": "timing.delay_s=3.0",
-    "outage": 'faults=[{kind="navigation_lost", lasts_s=8.0}]',
-    "thrusters": "thrusters={magnitude_error=0.05, misalignment_deg=2, mass_error=0.03}",
-}
-
-
-@pytest.mark.parametrize("thrusters", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_all_options_of_sensors_go_together(thrusters):
-    every = product(SENSED, ["", FIRST], *[[False, True]] * 3, [thrusters])
-    for sensed, first, *given in every:
-        if first and "%s" not in SENSED[sensed]:
-            continue
-        names = [name for name, chosen in zip(OPTIONS, given, strict=True) if chosen]
-        table = SENSED[sensed].replace("%s", first)
-        problem = scene(f"navigation={table}", *(OPTIONS[name] for name in names)).problem()
-        assert np.any(problem.system.navigation > 0), (sensed, first, names)
-
-
-MISSED = "navigation={position_error_m=0.02, velocity_error_m_s=0.001}", "timing.missed_periods=2"
-
-
-def test_upkeep_counts_what_is_commanded_where_periods_may_be_missed(monkeypatch):
-    """Errors of thrusters that no measurement shows: of the periods before, S having settled long ago."""
-    schedule = sighted("missed", *MISSED, OPTIONS["thrusters"], "timing.delay_s=2.0")
-    assert verify_document(certificate(schedule, "approach")).outcome == "VERIFIED"
-    upkeep, u_max = schedule.upkeep, schedule.safety.problem.system.u_max
-    monkeypatch.setattr(Tail, "commanded_before", lambda self, nodes: u_max)
-    assert replace(schedule).upkeep.per_orbit > 5 * upkeep.per_orbit
-
-
-@pytest.mark.slow
-def test_runs_of_random_spacecraft_that_see_range_and_bearing_are_confirmed(tmp_path):
-    """Proven where S has room for it; then the checker confirms it, and no attack refutes it."""
-    proven = 0
-    for seed in range(fewer(400, 40)):
-        document = tomllib.loads(random_scenario(seed))
-        if document["system"]["kind"] != "clohessy_wiltshire":
-            continue
-        path = tmp_path / f"{seed}.toml"
-        path.write_text(write_toml(document), encoding="utf-8")
-        scenario, half = load_scenario(path), load_scenario(path).initial_set().half_widths
-        away = 3 * float(np.abs(scenario.initial_set().c[:3]).max())
-        seen = {"range_error_m": 0.03 * float(half[:3].min()), "within_m": away}
-        seen |= {"bearing_error_deg": float(np.rad2deg(0.02 * half[:3].min() / away))}
-        given = {f"navigation.{key}": value for key, value in seen.items()}
-        given |= {"navigation.velocity_error_m_s": 0.03 * float(half[3:].min()), "planner.time_limit_s": 1e6}
-        try:
-            schedule = synthesize(scenario.with_overrides({"recoverable.kind": "polytope"} | given))
-        except PolarisError:
-            continue
-        proven += 1
-        assert verify_document(certificate(schedule, document["name"])).outcome == "VERIFIED", seed
-        assert falsify(schedule, 20, seed).failure is None, seed
-    assert proven >= 2

@@ -9,34 +9,6 @@ from benchmarks import tenfold
 from tests.test_docs import assert_shown
 
 
-def test_rows_are_told_of_what_has_been_found():
-    attack = {"runs": 600, "violated": False, "limits": [{"proven_share": 0.35}, {"proven_share": None}]}
-    row = {"share": 0.5, "delta_v_m_s": 1.25, "goal": True}
-    results = {
-        "static, mass, 1": row,
-        "static, mass, 10": row | {"share": 0.1, "outcome": "REJECTED", "attacks": attack},
-        "static, delay, 10": row,
-        "static, misalignment, 1": row,
-        "static, misalignment, 10": {"reason": "the start", "exit_code": 3},
-    }
-    head, _, *lines = tenfold.table(results, 10.0).splitlines()
-    assert head == "| Error | `static` | `dynamic` | `keep_out` | `hold_point` |"
-    assert [line for line in lines if not line.endswith("| - | - | - | - |")] == [
-        "| delay | 50.0 (1.25) | - | - | - |",
-        "| misalignment | none (3) | - | - | - |",
-        "| mass | 10.0, REJECTED (1.25) | - | - | - |",
-    ]
-    broken = results["static, mass, 10"] | {"attacks": attack | {"violated": True}}
-    assert tenfold.cell(broken) == "10.0, REJECTED, VIOLATED"
-    asked = row | {"drift": "0 of 60", "aborts": "12 of 60", "lasts_h": 1.25, "outcome": "VERIFIED"}
-    results |= {"static, none": row, "static, all, faults, aborts": asked}
-    assert tenfold.together(results, ["static"]).splitlines()[2:] == [
-        "| `static` | none | 50.0 | 1.25 | - | - | - | - |",
-        "| `static` | all, faults, aborts | 50.0 | 1.25 | 0 of 60 | 12 of 60 | 1.2 | VERIFIED |",
-    ]
-    assert "thrusters.magnitude_error=0.49" in tenfold.settings("magnitude", 10.0)
-
-
 def test_new_rows_replace_their_own_and_other_columns_the_whole_table():
     page = "a\n<!-- table t -->\n\n| S | E | x |\n|-|\n| s | e | 1 |\n| s | f | 2 |\n\n<!-- end -->\nb"
     more = tenfold.renew(page, "t", "| S | E | x |\n|-|\n| s | f | 3 |\n| r | e | 4 |")

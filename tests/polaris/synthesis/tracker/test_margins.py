@@ -1,19 +1,16 @@
 """Printed margins: never more than the share of the room that is really left, nor much less."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
 
-from polaris.model.errors import PolarisError
-from polaris.scenario.scenario import load_scenario
+from polaris import AffineController, PolarisError, get_safety, load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
-from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.safety import continuation
 from polaris.synthesis.safety.continuation import Continuation
-from polaris.synthesis.safety.get_safety import get_recover, get_safety
+from polaris.synthesis.safety.get_safety import get_recover
 from polaris.synthesis.safety.recoverable import directed, missing, slack_share
 from tests.polaris.conftest import small_safety
 from tests.polaris.random_scenarios import synthesised
@@ -28,11 +25,7 @@ Those where the printed margin says that the limit bites come on top.
 
 
 def worst_share(schedule, k, substeps):
-    """Least share of the room left on any limit where S takes over at the start or the end of step k.
-
-    An upper bound on the true one: of every limit and node the worst disturbance, held over integration
-    steps, and the worst start are flown, and what they need is compared with the distance of the reference.
-    """
+    """Least share of the room left on any limit where S takes over at the start or the end of step k."""
     safety = schedule.safety
     clearance, system, q = safety.clearance, safety.problem.system, safety.clearance.q
     rows, least = np.vstack([clearance.obstacle_rows[0], safety.tracking.gain, -safety.tracking.gain]), np.inf
@@ -82,12 +75,9 @@ def linear(schedule, k):
     """Return True if nothing can have clipped up to a step: the worst case flown is the worst there is."""
     steps = schedule.steps[: k + 1]
     laws = [schedule.controllers[step.mode] for step in steps]
-    return all(isinstance(law, AffineController) for law in laws) and not clipped(steps)
-
-
-def clipped(steps):
-    """Return True if anything may have clipped in some steps."""
-    return any(step.tube.slopes is not None for step in steps)
+    return all(isinstance(law, AffineController) for law in laws) and not any(
+        step.tube.slopes is not None for step in steps
+    )
 
 
 def examined(seeds, folder):
@@ -120,78 +110,14 @@ def test_margins_of_random_scenes(tmp_path):
 
 @pytest.mark.slow
 def test_margins_of_many_random_scenes(tmp_path):
-    seeds = range(fewer(100, 50), fewer(200, 80))
+    seeds = range(fewer(100, 50), fewer(200, 65))
     cases = list(examined(seeds, tmp_path))
     assert len(cases) > fewer(150, len(seeds)) and len({kind for kind, *_ in cases}) == 2
     judge(cases)
 
 
-# -- a share of everything but next to nothing --------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("seed", "steps"), [(152, (0, 20)), pytest.param(179, (37,), marks=pytest.mark.slow)]
-)
-def test_margins_next_to_one_are_below_the_share_of_a_flight_in_exact_arithmetic(seed, steps, tmp_path):
-    """Without a disturbance, and next to no error, what is left to need is round-off and a jump."""
-    flint = pytest.importorskip("flint")
-    schedule = synthesised(seed, tmp_path)[1]
-    with flint.ctx.workprec(200):
-        for k in steps:
-            share = exact_share(schedule, k, flint)
-            assert share.is_finite() and 0.9999 < share < 1
-            assert flint.arb(float(schedule.margins[k])) <= share
-
-
-def exact_share(schedule, k, flint):
-    """`worst_share` with S taking over at the end of step k: all nodes, 200 bits, and no disturbance."""
-
-    def ball(M):
-        return flint.arb_mat([[flint.arb(float(x)) for x in row] for row in np.atleast_2d(M)])
-
-    safety = schedule.safety
-    clearance, system, q = safety.clearance, safety.problem.system, safety.clearance.q
-    h, n = flint.arb(float(safety.tracking.delta)) / q, system.n
-    held = (ball(np.block([[system.A, system.B], [np.zeros((system.m, n + system.m))]])) * h).exp().table()
-    Ad, Bd = (flint.arb_mat([row[part] for row in held[:n]]) for part in (slice(n), slice(n, None)))
-    loops = {mode: Ad - Bd * ball(schedule.controllers[mode].gain) for mode in (0, *schedule.modes)}
-    normals, index = clearance.obstacle_rows
-    rows = ball(np.vstack([normals, safety.tracking.gain, -safety.tracking.gain]))
-
-    def arc(reference, cell):
-        states = [ball(reference.chi[cell]).transpose()]
-        for _ in range(q):
-            states.append(Ad * states[-1] + Bd * ball(reference.nu[cell]).transpose())
-        return states
-
-    start = safety.problem.initial_set
-    signs = np.array(list(product((-1, 1), repeat=min(start.G.shape[1], 4)))).T
-    x = ball(start.c[:, None] + start.G[:, : len(signs)] @ signs)
-    least, ones = flint.arb(1), ball(np.ones(x.ncols()))
-    for cell in range(clearance.cells):
-        mode = int(schedule.modes[cell]) if cell <= k else 0
-        own, safe = arc(schedule.controllers[mode].own, cell), arc(safety.reference, cell)
-        u = [flint.arb(float(value)) for value in safety.reference.nu[cell]]
-        top = [flint.arb(float(value)) for value in system.u_max]
-        for place in range(q):
-            if cell > k:
-                need = (rows * (x - safe[place] * ones)).table()
-                needs = {row: max(line, key=lambda value: value.mid()) for row, line in enumerate(need)}
-                room = [(len(normals) + j, top[j] + u[j]) for j in range(system.m)]
-                room += [(len(normals) + system.m + j, top[j] - u[j]) for j in range(system.m)]
-                for o, unsafe in enumerate(clearance.unsafe):
-                    facet = clearance.facets[cell, o]
-                    there = (ball(unsafe.normals[facet] @ system.position) * safe[place])[0, 0]
-                    room.append((index[cell, o], there - float(unsafe.fine(q)[cell, place, facet])))
-                shares = [1 - needs[row] / there for row, there in room]
-                least = min(least, *shares, key=lambda value: value.mid())
-            x = own[place + 1] * ones + loops[mode] * (x - own[place] * ones)
-    return least
-
-
 @pytest.mark.parametrize("kind", ["polytope", "ball"])
 def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp_path):
-    """Taken off the room alone, it would leave an error of nothing all of what is left."""
     safety = synthesised(152, tmp_path)[1].safety
     clearance, tracking = safety.clearance, safety.tracking
     rows = np.vstack([clearance.obstacle_rows[0], tracking.gain, -tracking.gain])
@@ -206,25 +132,21 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
             assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
 
 
-@pytest.mark.parametrize("first", [0, pytest.param(7, marks=pytest.mark.slow)])
-def test_no_limit_is_left_out_however_late(first, period):
-    """One that nothing meets, put at a node: within the settling horizon, where it ends, and beyond."""
+def test_no_limit_is_left_out_however_late(period):
     safety = small_safety(period)
     clearance, settling = safety.clearance, safety.tracking.settling
-    assert safety.recoverable.margin_at(first, safety.start).inside
-    begin, end = first * clearance.q, clearance.cells * clearance.q
-    assert begin + settling + 6 < end
-    late = range(begin + settling - 3, begin + settling + 7)
-    for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
-        for end in (0, 1) if node > begin else (0,):  # of the periods that begin and that end there
+    assert safety.recoverable.margin_at(0, safety.start).inside
+    last = clearance.cells * clearance.q - 1
+    assert settling + 7 < last
+    for node in {*range(clearance.q + 1), *range(settling - 3, settling + 7), *range(0, last, 61), last}:
+        for end in (0, 1) if node else (0,):  # of the periods that begin and that end there
             blocked, room = replace(clearance), clearance.limits.available.copy()
             room[end, node - end, 0] = -1.0
             vars(blocked.limits)["available"] = room
-            assert not Continuation(blocked).margin_at(first, safety.start).inside, (node, end)
+            assert not Continuation(blocked).margin_at(0, safety.start).inside, (node, end)
 
 
 def test_limits_that_are_not_worked_out_are_never_the_tightest(period, monkeypatch):
-    """Margins are those with the exact needs of all limits, of small sets and of sets that reach outside."""
     safety = small_safety(period)
     starts = [share * safety.start for share in (0.0, 0.5, 1.0, 2.0, 5.0, 20.0)]
     margins = [safety.recoverable.margin_at(k, each) for each in starts for k in (0, 5)]
@@ -249,7 +171,6 @@ def test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it(period
 
 
 def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for():
-    """Period by period: the bound on S's feedback falls with the time since a hand-over."""
     given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
     tracking, sets, m = safety.tracking, safety.recoverable, 2
@@ -268,7 +189,6 @@ def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_
 
 @pytest.mark.parametrize("kind", ["polytope", "ball"])
 def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path):
-    """As if it could be seen: the states of every step are off by it, each in the worst direction."""
     safety = synthesised(152, tmp_path)[1].safety
     clearance, tracking, q = safety.clearance, safety.tracking, safety.clearance.q
     assert safety.problem.system.w_max == 0  # so that nothing else is needed from no error
@@ -289,9 +209,7 @@ def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path)
     [
         (0.99996, ".1%", "99.9%", "100.0%"),
         (1 - 2**-53, ".4g", "0.9999", "1"),
-        (0.25, ".4g", "0.25", "0.25"),
         (-0.00012345, ".4g", "-0.0001235", "-0.0001234"),
-        (1.23456e-9, ".3g", "1.23e-09", "1.24e-09"),
         (float("-inf"), ".4g", "-inf", "-inf"),
     ],
 )
@@ -299,10 +217,7 @@ def test_proven_numbers_are_rounded_to_their_safe_side(value, form, down, up):
     assert (directed(value, form), directed(value, form, up=True)) == (down, up)
 
 
-def test_what_is_missing_has_the_unit_of_its_limit():
+def test_shares_are_below_one_and_what_is_missing_has_the_unit_of_its_limit():
+    assert slack_share(np.array([1e-20]), np.array([1.0]))[0] < 1
     texts = [missing(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
     assert texts == ["0.1235 m", "0.1235 N", "0.1235"]
-
-
-def test_a_need_too_small_to_show_beside_one_leaves_less_than_everything():
-    assert slack_share(np.array([1e-20]), np.array([1.0]))[0] < 1

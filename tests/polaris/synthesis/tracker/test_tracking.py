@@ -7,24 +7,15 @@ import control
 import numpy as np
 import pytest
 
-from polaris.model.errors import ScenarioError
-from polaris.model.system import LinearSystem
+from polaris import Feedback, LinearSystem, ScenarioError, Tracking, load_scenario, synthesize
+from polaris.certificate.checker import verify_document
 from polaris.runs.certificate import certificate
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.tracker.feedback import MOST_NODES, Feedback, choose_feedback
+from polaris.synthesis.tracker.feedback import MOST_NODES, choose_feedback
 from polaris.synthesis.tracker.lqr import solve_are
-from polaris.synthesis.tracker.tracking import Tracking
 from tests.polaris.tiny import TINY
 
 SADDLE, BOTH = np.diag([1.0, -1.0]), np.ones((2, 1))
 CHAIN, PUSH = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-
-
-def test_gain_of_the_double_integrator_in_closed_form():
-    P, gain = solve_are(CHAIN, PUSH, np.eye(2), np.eye(1))
-    np.testing.assert_allclose(gain, [[1.0, np.sqrt(3)]])
-    np.testing.assert_allclose(P, [[np.sqrt(3), 1.0], [1.0, np.sqrt(3)]])
 
 
 @pytest.mark.parametrize(
@@ -36,25 +27,12 @@ def test_gain_of_the_double_integrator_in_closed_form():
         (SADDLE, BOTH, np.eye(2), -np.eye(1)),
         (SADDLE, BOTH, np.array([[1.0, 2.0], [0.0, 1.0]]), np.eye(1)),
         (SADDLE * 1e200, BOTH, np.eye(2), np.eye(1)),
-        (SADDLE, BOTH * 1e200, np.eye(2), np.eye(1)),
         (SADDLE, BOTH, np.eye(2) * 1e300, np.eye(1) * 1e-300),
     ],
 )
 def test_weights_or_systems_without_a_stabilising_solution_are_refused(A, B, Q, R):
     with np.errstate(all="ignore"), pytest.raises(ScenarioError, match="tracking.Q"):
         solve_are(A, B, Q, R)
-
-
-def test_a_fault_in_the_library_is_not_taken_for_bad_weights(monkeypatch):
-    def broken(*args, **options):
-        raise RuntimeError("broken")
-
-    monkeypatch.setattr("polaris.synthesis.tracker.lqr.solve_continuous_are", broken)
-    with pytest.raises(RuntimeError, match="broken"):
-        solve_are(CHAIN, PUSH, np.eye(2), np.eye(1))
-
-
-# -- the control period -----------------------------------------------------------------------------
 
 
 def spinning(rate):
@@ -80,7 +58,6 @@ def test_without_a_period_there_are_four_per_fastest_time_constant():
 
 
 def test_periods_are_halved_until_the_loop_is_stable_at_its_nodes():
-    """The rule knows closed loops only: held for so long, a gain cannot cancel what turns fast."""
     system, gain, left = spinning(100.0)
     q = choose_feedback(system, [gain], 1.0, None).nodes_per_cell
     assert left(4) > 1 and left(q // 2) >= 1 > left(q) and q in (8, 16, 32, 64, 128)
@@ -101,22 +78,15 @@ OBSERVED = (
 )
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        (),
-        (*OBSERVED, "thrusters.impulse_bit_N_s=0.0005", "thrusters.remainder=carried", "timing.delay_s=0.1"),
-        ("timing.jitter_s=0.005", "timing.missed_periods=1"),
-        pytest.param(
-            ("thrusters.pulse=centred", 'faults=[{kind="loss",share=0.1,isolation_s=0.2}]'),
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):
-    pytest.importorskip("flint")
-    from polaris.certificate.checker import verify_document
+CHOSEN = [
+    (),
+    (*OBSERVED, "thrusters.impulse_bit_N_s=0.0005", "thrusters.remainder=carried", "timing.delay_s=0.1"),
+    ("timing.jitter_s=0.005", "timing.missed_periods=1"),
+]
 
+
+@pytest.mark.parametrize("more", CHOSEN)
+def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):
     scenario = load_scenario(TINY, ["tracking.R=[60,60]", *more])
     schedule, h = synthesize(scenario), 1 / 9
     assert scenario.period() == schedule.safety.tracking.flow.h == pytest.approx(h)
