@@ -1,8 +1,6 @@
-"""One named test per error of the paper about tracking (Lemma 1) and recoverable sets (Lemma 2).
+"""Errors of the paper about tracking (Lemma 1) and recoverable sets (Lemma 2): the printed forms fail."""
 
-Each shows the printed form failing and ours holding.
-"""
-
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,8 +8,11 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.model.hill import clohessy_wiltshire
+from polaris.model.scene.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
-from polaris.synthesis.safety.get_safety import get_recover
+from polaris.planning.reference import Reference
+from polaris.synthesis.safety.carried_rows import error_tube
+from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from polaris.synthesis.tracker.error_bounds import get_err_bounds
 from polaris.synthesis.tracker.feedback import Feedback, choose_feedback
 from polaris.synthesis.tracker.lqr import lqr_gain
@@ -50,8 +51,7 @@ def test_item_1_decay_rate_needs_the_absolute_value():
 
 def test_item_2_gamma_in_raw_units_is_many_times_the_weighted_one():
     raw, weighted = get_err_bounds(tracking(), weight="identity"), get_err_bounds(tracking())
-    assert raw.gamma > 15
-    assert weighted.gamma < 1.5
+    assert raw.gamma > 15 and weighted.gamma < 1.5
     # Position is bounded on its own: from 1 cm/s of initial error, in metres.
     e0 = np.array([0, 0, 0, 0.01, 0, 0])
     reached = max(np.linalg.norm((moved(tracking(), t) @ e0)[:3]) for t in np.linspace(0, 400, 401))
@@ -66,9 +66,7 @@ def test_item_3_printed_disturbance_gain_is_valid_but_loose():
     pushed = [expm(SYSTEM.A * (j + 0.5) * flow.h / parts) @ SYSTEM.D for j in range(parts)]
     rows = SYSTEM.position[0] @ powers(flow.phi, int(1500 / flow.h))
     exact = sum(np.linalg.norm(rows @ each, axis=1).sum() for each in pushed) * flow.h / parts * SYSTEM.w_max
-    assert exact <= tight * 1.001 <= printed
-    assert printed > 1.3 * tight
-    assert tight < 1.25 * exact
+    assert exact <= tight * 1.001 <= printed and printed > 1.3 * tight and tight < 1.25 * exact
 
 
 def spinning():
@@ -99,13 +97,6 @@ def test_item_4_bounds_hold_beyond_the_last_sample(method):
         assert np.linalg.norm(moved(tracking(), t), 2) <= bounds.gamma * np.exp(-bounds.beta * t) * (1 + 1e-9)
 
 
-def radii(kind):
-    safety = small_safety()
-    sets = get_recover(kind, safety.clearance, safety.bounds)
-    nodes = safety.problem.K * safety.clearance.q
-    return np.array([sets.radius(i) for i in range(0, nodes, 5)])
-
-
 def test_item_5_printed_ball_is_constant_and_ours_is_no_smaller():
     beta, t = 0.02, 100.0
     tau = np.linspace(t, 1000, 50)
@@ -115,25 +106,14 @@ def test_item_5_printed_ball_is_constant_and_ours_is_no_smaller():
     constant = sets.allowed.min()  # what eq. 12 makes of the same rooms
     varying = np.array([sets.radius(node) for node in range(len(sets.allowed))])
     assert varying.min() == pytest.approx(constant, rel=1e-12), "its least value is the constant radius"
-    assert np.all(varying >= constant * (1 - 1e-12))
-    assert varying.max() > 1.05 * constant
-
-
-def test_item_5_whatever_the_constant_ball_shows_recoverable_ours_does():
-    """Sets of any shape that just fit into the constant ball, in every cell, at its start and throughout."""
-    safety, rng = small_safety(), np.random.default_rng(5)
-    sets = get_recover("ball", safety.clearance, safety.bounds)
-    q, inverse = safety.clearance.q, np.linalg.inv(sets.bounds.W)
-    for k in range(safety.clearance.cells):
-        some = Zonotope(inverse @ rng.normal(size=6), inverse @ rng.normal(size=(6, 9)))
-        fitting = some * (0.999999 * sets.allowed.min() / some.norm_bound(sets.bounds.W))
-        assert sets.margin_at(k, fitting).inside
-        nodes = Zonotope(np.tile(fitting.c, (q + 1, 1)), np.tile(fitting.G, (q + 1, 1, 1)))
-        assert sets.holds(k, nodes, np.zeros((q, 6)))
+    assert np.all(varying >= constant * (1 - 1e-12)) and varying.max() > 1.05 * constant
 
 
 def test_item_5_polytopes_are_no_smaller_than_the_balls_anywhere():
-    assert np.all(radii("polytope") >= radii("ball") * (1 - 1e-9))
+    safety = small_safety()
+    polytopes, balls = (get_recover(kind, safety.clearance, safety.bounds) for kind in ("polytope", "ball"))
+    for node in range(0, safety.problem.K * safety.clearance.q, 5):
+        assert polytopes.radius(node) >= balls.radius(node) * (1 - 1e-9)
 
 
 def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
@@ -142,18 +122,11 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
     e = np.array([3.0, 0, 0, 0.05, 0, 0])
     assert np.linalg.norm(in_mm_per_s @ e) > 10 * np.linalg.norm(e), "the printed norm changes with the unit"
     inverse = np.linalg.inv(in_mm_per_s)
-    scaled = LinearSystem(
-        in_mm_per_s @ SYSTEM.A @ inverse,
-        in_mm_per_s @ SYSTEM.B,
-        in_mm_per_s @ SYSTEM.D,
-        SYSTEM.u_max,
-        SYSTEM.w_max,
-        C=SYSTEM.position @ inverse,
-        mass=10.0,
-    )
+    T = in_mm_per_s
+    matrices = T @ SYSTEM.A @ inverse, T @ SYSTEM.B, T @ SYSTEM.D
+    limits = SYSTEM.u_max, SYSTEM.w_max
+    scaled = LinearSystem(*matrices, *limits, C=SYSTEM.position @ inverse, mass=10.0)
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
-    from polaris.synthesis.safety.carried_rows import error_tube
-
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
     tightening = error_tube(plain, theta, SYSTEM.position).tightening
     same = error_tube(other, in_mm_per_s @ theta, scaled.position).tightening
@@ -176,27 +149,16 @@ def test_item_7_the_printed_ball_admits_states_from_which_the_thrusters_saturate
 
 def test_item_7_reference_inputs_leave_room_for_the_tracker():
     safety = small_safety()
-    system = safety.problem.system
-    corners = (safety.start).corners()
-    worst = 0.0
-    for lag in range(safety.clearance.q * 4):
+    system, q, corners, worst = safety.problem.system, safety.clearance.q, safety.start.corners(), 0.0
+    for lag in range(q * 4):
         carried = corners @ (safety.tracking.gain @ np.linalg.matrix_power(safety.tracking.flow.phi, lag)).T
-        worst = max(
-            worst,
-            float((np.abs(safety.plan.nu[lag // safety.clearance.q]) + np.abs(carried).max(axis=0)).max()),
-        )
-    assert worst <= system.u_max.max()
-    assert np.all(np.abs(safety.plan.nu) < system.u_max)
+        used = np.abs(safety.plan.nu[lag // q]) + np.abs(carried).max(axis=0)
+        worst = max(worst, float(used.max()))
+    assert worst <= system.u_max.max() and np.all(np.abs(safety.plan.nu) < system.u_max)
 
 
 def test_item_12_a_reference_safe_until_T_may_be_unsafe_right_after_it():
     """As printed the plan ends at T, and nothing keeps clear later; ours says so (Proposition 12)."""
-    from dataclasses import replace
-
-    from polaris.model.scene.obstacles import BoxObstacle
-    from polaris.planning.reference import Reference
-    from polaris.synthesis.safety.get_safety import get_safety
-
     base = small_safety()
     after = base.reference.chi[base.problem.K + 20, :3]  # where the first plan coasts 600 s after T
     block = BoxObstacle("block", after, [8.0, 8.0, 8.0])

@@ -1,7 +1,5 @@
 """Errors of the paper's planner and its Lemma 3 as printed: the printed form fails, ours holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -25,18 +23,10 @@ def box(center, half, K):
     return TimedPolytope("box", NORMALS, np.tile(NORMALS @ center + np.r_[half, half], (K, 2, 1)))
 
 
-def problem(body, K=40, delta=75.0, margin=10.0, **more):
-    return PlanProblem(
-        CW,
-        np.array([0, -1000, 0, 0, 0, 0.0]),
-        K,
-        delta,
-        (body,),
-        (np.full((K, 6), margin),),
-        np.full((K, 3), 0.9),
-        EllipticalNMT(ETA, 100.0, 250.0),
-        **more,
-    )
+def problem(body, **more):
+    start, margins = np.array([0, -1000, 0, 0, 0, 0.0]), (np.full((40, 6), 10.0),)
+    goal = EllipticalNMT(ETA, 100.0, 250.0)
+    return PlanProblem(CW, start, 40, 75.0, (body,), margins, np.full((40, 3), 0.9), goal, **more)
 
 
 def test_note_8_second_row_of_eq_23_admits_the_inside_of_the_set():
@@ -70,9 +60,8 @@ def test_note_9_waypoints_and_chord_are_safe_but_the_path_is_not():
     facet = body.offsets[0, 0, 0]
     assert path[0, 0] > facet and path[-1, 0] > facet  # eq. 23 without error bound: accepted
     assert path[:, 0].min() < facet  # and yet inside
-    task = PlanProblem(
-        CW, start, 1, delta, (body,), (np.zeros((1, 6)),), np.ones((1, 3)), EllipticalNMT(ETA, 100.0, 250.0)
-    )
+    goal = EllipticalNMT(ETA, 100.0, 250.0)
+    task = PlanProblem(CW, start, 1, delta, (body,), (np.zeros((1, 6)),), np.ones((1, 3)), goal)
     certified = recheck(task, u[None]).surplus[0][0, 0]
     true = path[:, 0].min() - facet
     assert certified <= true + 1e-9 and certified == pytest.approx(true, abs=0.5)
@@ -110,14 +99,11 @@ def test_note_11_one_big_m_hides_a_violation_of_a_metre():
     # ours: M per row from what the thrusters can do, always less, and no M in the answer:
     # the facets are fixed, the program is solved again and the path re-checked
     task = problem(box((-250, -600, 0), 120, 40), extra_margin=20.0)
-    rows = PlanRows(task)
-    worst = max(
-        float(np.max(facets.at_least + rows.extreme(facets.a, budget=1.0))) * rows.length
-        for k in range(40)
-        for facets in [rows.options((0, k))]
-    )
-    assert worst <= printed_m / 5
-    assert plan(task).extra.min() >= 20.0 * (1 - 1e-6)
+    rows, worst = PlanRows(task), 0.0
+    for facets in (rows.options((0, k)) for k in range(40)):
+        least = facets.at_least + rows.extreme(facets.a, budget=1.0)
+        worst = max(worst, float(np.max(least)) * rows.length)
+    assert worst <= printed_m / 5 and plan(task).extra.min() >= 20.0 * (1 - 1e-6)
 
 
 def test_note_13_distance_alone_goes_far_and_costs_much():

@@ -9,27 +9,7 @@ import pytest
 from scipy import sparse
 
 import reach
-from reach import (
-    AffineImage,
-    Always,
-    Ellipsoid,
-    HPolytope,
-    HybridAutomaton,
-    HybridOptions,
-    Intersection,
-    Interval,
-    LinearFlow,
-    LinearSystem,
-    LTVSystem,
-    MinkowskiSum,
-    Mode,
-    Never,
-    ReachError,
-    Signal,
-    Transition,
-    Varying,
-    Zonotope,
-)
+from reach import Always, Ellipsoid, HPolytope, HybridOptions, Interval, LinearFlow, LinearSystem, Zonotope
 
 BOX = Interval([-1.0, -1.0], [1.0, 1.0])
 ZONOTOPE = Zonotope([0.0, 1.0], [[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]])
@@ -39,25 +19,28 @@ ROUND = Ellipsoid.ball([0.0, 0.0], 1.0)
 A = np.array([[0.0, 1.0], [-1.0, -0.5]])
 B = np.array([[0.0], [1.0]])
 SYSTEM = LinearSystem(A, B, Interval([-1.0], [1.0]))
-VARYING = LTVSystem(Varying(lambda t: A * (1 + t), slope=np.abs(A)), B, Interval([-1.0], [1.0]))
-AUTOMATON = HybridAutomaton(
-    [Mode("a", LinearSystem(A)), Mode("b", LinearSystem(A))],
-    [Transition("a", "b", guard=HPolytope([[1.0, 0.0]], [0.5]))],
+VARYING = reach.LTVSystem(reach.Varying(lambda t: A * (1 + t), slope=np.abs(A)), B, Interval([-1.0], [1.0]))
+AUTOMATON = reach.HybridAutomaton(
+    [reach.Mode("a", LinearSystem(A)), reach.Mode("b", LinearSystem(A))],
+    [reach.Transition("a", "b", guard=HPolytope([[1.0, 0.0]], [0.5]))],
 )
 TRAJECTORY = reach.simulate_hybrid(AUTOMATON, [0.0, 1.0], 1.0, dt=0.1)
 FLOW = LinearFlow.continuous(A, B, 0.1, 0.1)
 POLICY = reach.Network((reach.Affine([[1.0, 0.5]], [0.1]), reach.Activation("tanh")))
 LOOP = reach.NetworkLoop(A, B, B, 0.1, 0.1, POLICY, np.eye(2))
 TUBE = reach.support_tube(SYSTEM, BOX, 1.0, np.eye(2), step=0.5)
+SPAN, RNG, SAFE = (0.0, 1.0), np.random.default_rng(0), {"a": [Always(POLYTOPE)]}
+CHOSEN = {"dt": 0.1, "policy": "random", "rng": RNG, "jumps": 3}
+BOUNDED = {"tolerance": 0.1, "limit": [1.0, 1.0], "max_effort": 1e6}
 SETS = {
     "interval": BOX,
     "zonotope": ZONOTOPE,
     "polytope": POLYTOPE,
     "half-space": HPolytope([[1.0, 0.5]], [1.0]),
     "ellipsoid": ROUND,
-    "image": AffineImage([[1.0, 0.3], [0.1, 1.0]], POLYTOPE, [0.0, 0.1]),
-    "sum": MinkowskiSum((ROUND, POLYTOPE)),
-    "intersection": Intersection((ROUND, POLYTOPE)),
+    "image": reach.AffineImage([[1.0, 0.3], [0.1, 1.0]], POLYTOPE, [0.0, 0.1]),
+    "sum": reach.MinkowskiSum((ROUND, POLYTOPE)),
+    "intersection": reach.Intersection((ROUND, POLYTOPE)),
     "stack": STACK,
 }
 
@@ -74,35 +57,32 @@ CALLS = {
     "NetworkTube.support": (LOOP.tube(ZONOTOPE, 2).support, (np.eye(2),)),
     "NetworkTube.at": (LOOP.tube(ZONOTOPE, 2).at, ([0.0, 0.1],)),
     "read_onnx": (reach.read_onnx, ("missing.onnx",)),
-    "AffineImage": (AffineImage, (np.eye(2), BOX, [0.0, 0.0])),
+    "AffineImage": (reach.AffineImage, (np.eye(2), BOX, [0.0, 0.0])),
     "Always": (Always, (POLYTOPE, (0.0, 1.0))),
     "Ellipsoid": (Ellipsoid, ([0.0, 0.0], np.eye(2))),
     "Ellipsoid.ball": (Ellipsoid.ball, ([0.0, 0.0], 1.0)),
     "Ellipsoid.from_shape": (Ellipsoid.from_shape, ([0.0, 0.0], np.eye(2))),
     "Ellipsoid.sublevel": (Ellipsoid.sublevel, ([0.0, 0.0], np.eye(2), 2.0)),
     "HPolytope": (HPolytope, (np.eye(2), [1.0, 1.0])),
-    "HybridAutomaton": (HybridAutomaton, (AUTOMATON.modes, AUTOMATON.transitions, "a")),
-    "Intersection": (Intersection, ((BOX, ROUND),)),
+    "HybridAutomaton": (reach.HybridAutomaton, (AUTOMATON.modes, AUTOMATON.transitions, "a")),
+    "Intersection": (reach.Intersection, ((BOX, ROUND),)),
     "Interval": (Interval, ([0.0, 0.0], [1.0, 1.0])),
     "Interval.around": (Interval.around, ([[0.0, 0.0], [1.0, 1.0]],)),
     "Interval.ball": (Interval.ball, ([0.0, 0.0], [1.0, 1.0])),
-    "LTVSystem": (LTVSystem, (A, B, Interval([-1.0], [1.0]), [0.0, 0.0], 0.0)),
+    "LTVSystem": (reach.LTVSystem, (A, B, Interval([-1.0], [1.0]), [0.0, 0.0], 0.0)),
     "LinearSystem": (LinearSystem, (A, B, Interval([-1.0], [1.0]), [0.0, 0.0], (), False, None)),
     "LinearFlow.continuous": (LinearFlow.continuous, (A, B, 0.1, 0.1)),
     "LinearFlow.sampled": (LinearFlow.sampled, (A, B, np.ones((1, 2)), B, 0.1, 0.1)),
     "LinearFlow.disturbance_support": (FLOW.disturbance_support, (np.eye(2), 3)),
     "LinearFlow.disturbance_nodes": (FLOW.disturbance_nodes, (3, 5.0)),
     "LinearFlow.norms": (FLOW.norms, (3,)),
-    "MinkowskiSum": (MinkowskiSum, ((BOX, ROUND),)),
-    "Mode": (Mode, ("a", LinearSystem(A), POLYTOPE)),
-    "Never": (Never, (POLYTOPE, (0.0, 1.0))),
-    "Signal": (Signal, ([0.0, 1.0], [[0.0], [1.0]])),
-    "Signal.constant_pieces": (Signal.constant_pieces, ([0.0, 1.0], [[0.0], [1.0]])),
-    "Transition": (
-        Transition,
-        ("a", "b", POLYTOPE, (0.0, 1.0), (0.0, 1.0), np.eye(2), [0.0, 0.0], BOX, True),
-    ),
-    "Varying": (Varying, (lambda t: A, np.abs(A), np.abs(A))),
+    "MinkowskiSum": (reach.MinkowskiSum, ((BOX, ROUND),)),
+    "Mode": (reach.Mode, ("a", LinearSystem(A), POLYTOPE)),
+    "Never": (reach.Never, (POLYTOPE, (0.0, 1.0))),
+    "Signal": (reach.Signal, ([0.0, 1.0], [[0.0], [1.0]])),
+    "Signal.constant_pieces": (reach.Signal.constant_pieces, ([0.0, 1.0], [[0.0], [1.0]])),
+    "Transition": (reach.Transition, ("a", "b", POLYTOPE, SPAN, SPAN, np.eye(2), [0.0, 0.0], BOX, True)),
+    "Varying": (reach.Varying, (lambda t: A, np.abs(A), np.abs(A))),
     "Zonotope": (Zonotope, ([0.0, 0.0], np.eye(2))),
     "Zonotope.box": (Zonotope.box, ([0.0, 0.0], [1.0, 1.0])),
     "Zonotope.point": (Zonotope.point, ([0.0, 0.0],)),
@@ -127,27 +107,11 @@ CALLS = {
     "reduction_loss": (reach.reduction_loss, (ZONOTOPE, ZONOTOPE)),
     "replay_hybrid": (reach.replay_hybrid, (AUTOMATON, TRAJECTORY, 1e-8)),
     "simulate": (reach.simulate, (SYSTEM, [0.0, 0.0], [0.0, 1.0], [[0.5]])),
-    "simulate_hybrid": (
-        reach.simulate_hybrid,
-        (AUTOMATON, [0.0, 1.0], 0.5),
-        {"dt": 0.1, "policy": "random", "rng": np.random.default_rng(0), "jumps": 3},
-    ),
-    "falsify_hybrid": (
-        reach.falsify_hybrid,
-        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3),
-        {"dt": 0.1, "runs": 1, "rng": np.random.default_rng(0), "jumps": 2},
-    ),
-    "verify_hybrid": (
-        reach.verify_hybrid,
-        (AUTOMATON, BOX, {"a": [Always(POLYTOPE)]}, 0.3, HybridOptions(0.1)),
-        {"dt": 0.1, "runs": 1, "seed": 0},
-    ),
+    "simulate_hybrid": (reach.simulate_hybrid, (AUTOMATON, [0.0, 1.0], 0.5), CHOSEN),
+    "falsify_hybrid": (reach.falsify_hybrid, (AUTOMATON, BOX, SAFE, 0.3), {"dt": 0.1, "runs": 1, "rng": RNG}),
+    "verify_hybrid": (reach.verify_hybrid, (AUTOMATON, BOX, SAFE, 0.3, HybridOptions(0.1)), {"dt": 0.1}),
     "state_scale": (reach.state_scale, (A - np.eye(2),)),
-    "support_tube": (
-        reach.support_tube,
-        (SYSTEM, BOX, 0.5, np.eye(2)),
-        {"tolerance": 0.1, "limit": [1.0, 1.0], "max_effort": 1e6},
-    ),
+    "support_tube": (reach.support_tube, (SYSTEM, BOX, 0.5, np.eye(2)), BOUNDED),
     "support_tube, steps": (reach.support_tube, (SYSTEM, BOX, 0.5, np.eye(2)), {"step": 0.1}),
     "verify": (reach.verify, (SYSTEM, BOX, Always(POLYTOPE), 0.2), {"max_effort": 1e6}),
     "worst_case": (reach.worst_case, (SYSTEM, BOX, 0.5, [1.0, 0.0]), {"step": 0.1}),
@@ -155,91 +119,42 @@ CALLS = {
     "zonotope_tube": (reach.zonotope_tube, (SYSTEM, BOX, 0.5), {"tolerance": 0.1, "frame": np.eye(2)}),
     "SupportTube.at": (TUBE.at, ([0.1],)),
 }
+DIRECTION, POINT = ([[1.0, 0.5]],), ([1.0, 0.0],)
 METHODS = {
-    "support": ([[1.0, 0.5]],),
-    "support_up": ([[1.0, 0.5]],),
-    "support_down": ([[1.0, 0.5]],),
-    "support_vector": ([1.0, 0.5],),
+    **dict.fromkeys(("support", "support_up", "support_down"), DIRECTION),
+    **dict.fromkeys(("__add__", "__sub__", "support_vector", "__contains__"), POINT),
+    **dict.fromkeys(("__and__", "__le__", "product"), (BOX,)),
+    **dict.fromkeys(("__rmatmul__", "enclosing_zonotope", "norm_bound"), (np.eye(2),)),
+    **dict.fromkeys(("corners", "to_polytope", "volume"), (100,)),
+    **dict.fromkeys(("meet_halfspace", "intersect_halfspace"), ([1.0, 0.0], 0.5)),
+    **dict.fromkeys(("vertices", "vertices_2d"), ()),
     "contains": ([0.0, 0.0], 1e-9),
-    "__rmatmul__": (np.eye(2),),
-    "__add__": ([1.0, 0.0],),
     "__mul__": (2.0,),
-    "__sub__": ([1.0, 0.0],),
-    "__and__": (BOX,),
-    "__le__": (BOX,),
-    "__contains__": ([0.0, 0.0],),
     "__getitem__": (0,),
-    "product": (BOX,),
     "project": ([0],),
     "hull": (ZONOTOPE,),
-    "enclosing_zonotope": (np.eye(2),),
-    "norm_bound": (np.eye(2),),
     "reduce": (1.0, "pca"),
-    "meet_halfspace": ([1.0, 0.0], 0.5),
-    "intersect_halfspace": ([1.0, 0.0], 0.5),
-    "corners": (100,),
     "sample": (np.random.default_rng(0), 3),
-    "to_polytope": (100,),
-    "volume": (100,),
     "inflate": ([0.1, 0.1],),
     "is_empty_within": ([1.0, 1.0],),
-    "vertices": (),
-    "vertices_2d": (),
 }
-WRONG = [
-    None,
-    "text",
-    b"bytes",
-    True,
-    0,
-    -1,
-    2.5,
-    -2.5,
-    np.nan,
-    np.inf,
-    1 + 2j,
-    [],
-    [1.0],
-    [np.nan, 0.0],
-    ["a", "b"],
-    [1.0, 2.0, 3.0],
-    [[1.0], [2.0, 3.0]],
-    [[np.inf, 1.0], [0.0, 1.0]],
-    np.zeros((0, 2)),
-    np.zeros((2, 0)),
-    np.ones((2, 3)),
-    np.ones((3, 2, 2)),
-    np.array([object(), None]),
-    np.array(["x", "y"]),
-    {},
-    {"a": 1},
-    {1, 2},
-    object(),
-    len,
-    Interval,
-    (1.0, 0.0),
-    (0.0, np.nan),
-    sparse.identity(2),
-    sparse.identity(3),
-    BOX,
-    STACK,
-    Interval([0.0], [1.0]),
-    Interval([0.0] * 3, [1.0] * 3),
-    HPolytope([[1.0, 0.0], [-1.0, 0.0]], [-1.0, 0.0]),
-    HPolytope([[1.0, 0.0]], [0.0]),
+NUMBERS = (True, 0, -1, 2.5, -2.5, np.nan, np.inf, 1 + 2j, 1e300, np.datetime64("2020-01-01"))
+LISTS = ([], [1.0], [np.nan, 0.0], ["a", "b"], [1.0, 2.0, 3.0], [[1.0], [2.0, 3.0]], [[np.inf, 1], [0, 1]])
+LISTS += ([1e300, 1e300], [1e-320, 0.0], (1.0, 0.0), (0.0, np.nan), range(2), [BOX, None])
+ARRAYS = (np.zeros((0, 2)), np.zeros((2, 0)), np.ones((2, 3)), np.ones((3, 2, 2)))
+ARRAYS += (np.array([object(), None]), np.array(["x", "y"]), sparse.identity(2), sparse.identity(3))
+OBJECTS = (None, "text", b"bytes", {}, {"a": 1}, {1, 2}, object(), len, Interval)
+OBJECTS += (BOX, STACK, Interval([0.0], [1.0]), Interval([0.0] * 3, [1.0] * 3))
+OBJECTS += (HPolytope([[1.0, 0.0], [-1.0, 0.0]], [-1.0, 0.0]), HPolytope([[1.0, 0.0]], [0.0]))
+OBJECTS += (
     LinearSystem([[1.0]]),
     LinearSystem(A, discrete=True),
     SYSTEM,
     VARYING,
     AUTOMATON,
     Always(POLYTOPE),
-    range(2),
-    1e300,
-    [1e300, 1e300],
-    [1e-320, 0.0],
-    np.datetime64("2020-01-01"),
-    [BOX, None],
-]
+)
+WRONG = (*NUMBERS, *LISTS, *ARRAYS, *OBJECTS)
 
 
 def _first(X):
@@ -249,13 +164,13 @@ def _first(X):
 
 
 def attempt(call, args, more):
-    """Return the error of a call that is no `ReachError`, as text; None without one."""
+    """Return the error of a call that is no `reach.ReachError`, as text; None without one."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", reach.ReachWarning)
         warnings.simplefilter("error", RuntimeWarning)
         try:
             call(*args, **more)
-        except ReachError:
+        except reach.ReachError:
             return None
         except Exception as error:
             return f"{type(error).__name__}: {error}"
@@ -298,24 +213,7 @@ def test_wrong_arguments_of_methods_are_one_error(kind):
 
 
 def test_every_public_function_is_tried():
-    values = (
-        "Answer",
-        "ConvexSet",
-        "Flowpipes",
-        "HybridTrajectory",
-        "HybridTube",
-        "HybridVerdict",
-        "LinearFlow",
-        "NetworkTube",
-        "NormBracket",
-        "ReachError",
-        "ReachWarning",
-        "Segment",
-        "SupportTube",
-        "Trajectory",
-        "Unresolved",
-        "Verdict",
-        "Visit",
-        "ZonotopeTube",
-    )
-    assert set(reach.__all__) - {name.split(".")[0] for name in CALLS} <= set(values)
+    values = "Answer ConvexSet Flowpipes HybridTrajectory HybridTube HybridVerdict LinearFlow NetworkTube"
+    values += " NormBracket ReachError ReachWarning Segment SupportTube Trajectory Unresolved Verdict Visit"
+    values += " ZonotopeTube"
+    assert set(reach.__all__) - {name.split(".")[0] for name in CALLS} <= set(values.split())

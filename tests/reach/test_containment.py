@@ -12,7 +12,6 @@ from reach.sets.interval import Interval
 from reach.sets.lazy import AffineImage, MinkowskiSum
 from reach.sets.norms import largest_norm
 from reach.sets.polytope import HPolytope
-from reach.sets.relations.distance import Answer
 from reach.sets.relations.pairs import contains, disjoint
 from reach.sets.zonotope import Zonotope
 from tests.reach.strategies import (
@@ -38,9 +37,7 @@ def check(answer, outer, inner):
     """A witness is in the inner set and not in the outer one."""
     if answer.holds is False:
         w = answer.witness
-        assert inner.contains(w, 1e-7)
-        assert not outer.contains(w, 0)
-        assert answer.margin <= 0
+        assert inner.contains(w, 1e-7) and not outer.contains(w, 0) and answer.margin <= 0
         assert answer.direction @ w > outer.support(answer.direction) - 1e-9 * size(outer)
 
 
@@ -151,34 +148,14 @@ def test_disjoint_sets_are_separated_and_others_share_a_point(n, data):
         assert (X.support(D) + Y.support(-D)).min() > -1e-6 * (size(X) + size(Y))
 
 
-@settings(max_examples=8)
-@given(st.integers(2, 3), st.data())
-def test_translates_are_apart_exactly_when_they_are_moved_beyond_the_sum(n, data):
-    X, Y = data.draw(sets(n)), data.draw(sets(n))
-    d = directions(n, 1)[0]
-    touch = X.support(d) + Y.support(-d)
-    assert disjoint(X, Y + (touch + 0.01 * size(X)) * d)
-    assert not disjoint(X, Y + X.support_vector(d) - Y.support_vector(-d))
-    assert disjoint(X, X).holds is not True
-
-
 def test_unbounded_polytopes():
     left, right = HPolytope([[1, 0.3]], [-5]), HPolytope([[-1, -0.3]], [-5])
-    assert disjoint(left, UNIT) and disjoint(UNIT, left) and disjoint(left, right)
-    ball = Ellipsoid.ball([0, 0], 4.7)
-    far = disjoint(left, ball)
-    assert far and np.isclose(far.margin, 5 / np.hypot(1, 0.3) - 4.7, rtol=1e-3)
-    assert disjoint(ball, left) and disjoint(left, Ellipsoid.ball([0, 0], 4.8)).holds is False
-    assert disjoint(left, HPolytope([[0, 1]], [0])).holds is False
-    for outer in (UNIT, ball, Interval([0, 0], [1, 1]), right):
-        answer = contains(outer, left)
-        assert answer.holds is False and left.contains(answer.witness) and not outer.contains(answer.witness)
+    far = disjoint(left, Ellipsoid.ball([0, 0], 4.7))
+    assert far and far.margin == pytest.approx(5 / np.hypot(1, 0.3) - 4.7, rel=1e-3)
+    assert disjoint(left, right) and disjoint(left, HPolytope([[0, 1]], [0])).holds is False
     assert contains(left, HPolytope([[1, 0.3]], [-6])) and contains(left, left)
-
-
-def test_empty_sets_lie_in_everything_and_meet_nothing():
-    empty = HPolytope([[1, 0], [-1, 0]], [-1, 0])
-    assert contains(UNIT, empty) and disjoint(empty, UNIT) and not contains(empty, UNIT)
+    X = HPolytope([[1.0], [-1.0]], [0.125, 0.125])
+    assert disjoint(X, X + [0.375]).margin == pytest.approx(0.125, rel=1e-6)
 
 
 def test_flat_sets():
@@ -200,43 +177,24 @@ def test_generalised_cross_product_is_orthogonal_without_rounding(n, data):
     assert bool(np.any(normal != 0)) is bool(np.linalg.matrix_rank(columns) == n - 1)
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=6))
-def test_integers_are_the_floats_times_one_power_of_two(values):
-    (whole, one) = integers(np.array(values), np.ones(1))
-    assert [w / one[0] for w in whole] == values
-
-
-def test_an_answer_is_true_only_if_proved():
-    assert Answer(True, 0.0) and not Answer(False, 0.0) and not Answer(None, 0.0)
-
-
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
         (lambda: contains(UNIT, UNIT, "best"), "method must be"),
         (lambda: contains(UNIT, Interval([0], [1])), "dimensions 2 and 1"),
         (lambda: contains(Interval([[0, 0]], [[1, 1]]), UNIT), "a single set"),
-        (lambda: contains(UNIT, Interval([[0, 0]], [[1, 1]])), "a single set"),
         (lambda: contains(UNIT + Ellipsoid.ball([0, 0], 1), UNIT), "MinkowskiSum is not supported"),
         (lambda: contains(Ellipsoid([0, 0], [[1, 0], [0, 0]]), UNIT), "flat ellipsoid"),
         (
-            lambda: contains(Zonotope(np.zeros(6), np.ones((6, 30))), Zonotope.point(np.zeros(6)), "exact"),
+            lambda: contains(Zonotope(np.zeros(6), np.ones((6, 30))), Zonotope.point([0] * 6), "exact"),
             "facets",
         ),
-        (lambda: disjoint(UNIT, Interval([0], [1])), "dimensions 2 and 1"),
-        (lambda: disjoint(UNIT, Interval([[0, 0]], [[1, 1]])), "a single set"),
         (lambda: largest_norm(Interval([[0, 0]], [[1, 1]])), "a single set"),
     ],
 )
 def test_malformed_questions_are_one_clear_error(ask, says):
     with pytest.raises(ReachError, match=says):
         ask()
-
-
-def test_polytopes_apart_by_exact_multipliers_say_how_far():
-    X = HPolytope([[1.0], [-1.0]], [0.125, 0.125])
-    answer = disjoint(X, X + [0.375])
-    assert answer and answer.margin == pytest.approx(0.125, rel=1e-6)
 
 
 SQUARE = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -296,9 +254,3 @@ def test_an_empty_set_contains_nothing_else(outer, inner):
         assert "proved bounds" in answer.reason and inner == "sum with strip"
     else:
         assert answer.holds is False and np.all(np.isfinite(answer.witness))
-
-
-def test_the_whole_space_holds_everything():
-    everything = UNBOUNDED["everything"]
-    assert all(contains(everything, one).holds for one in (BOUNDED | UNBOUNDED).values())
-    assert all(disjoint(everything, one).holds is False for one in (BOUNDED | UNBOUNDED).values())

@@ -1,7 +1,5 @@
 """One protocol over all classes: the same members, the same signatures, the same mathematics."""
 
-import inspect
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,28 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from reach.numerics.errors import ReachError
-from reach.sets.convex import ConvexSet, SetOperators
+from reach.sets.convex import ConvexSet
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
 from reach.sets.lazy import AffineImage, MinkowskiSum
 from reach.sets.polytope import HPolytope
 from reach.sets.zonotope import Zonotope
 from tests.reach.strategies import directions, numbers, polytopes, sets, size, some_points, vectors, zonotopes
-
-CLASSES = [Interval, Zonotope, HPolytope, Ellipsoid, AffineImage, MinkowskiSum]
-ASKED = ["dim", "center", "extent", "terms"]
-CALLED = ["support", "support_up", "support_down", "support_vector", "interval_hull", "contains"]
-DERIVED = ["project", "product", "enclosing_zonotope", "vertices_2d", "plot"]
-OPERATORS = [
-    "__rmatmul__",
-    "__add__",
-    "__radd__",
-    "__sub__",
-    "__mul__",
-    "__rmul__",
-    "__neg__",
-    "__contains__",
-]
 
 
 def examples():
@@ -45,19 +28,6 @@ def examples():
     ]
 
 
-@pytest.mark.parametrize("cls", CLASSES)
-def test_every_class_has_every_member_with_the_same_signature(cls):
-    for name in ASKED:
-        assert hasattr(cls, name), name
-    for name in CALLED + DERIVED + OPERATORS + ["__le__"]:
-        model = getattr(SetOperators, name)
-        mine, theirs = inspect.signature(getattr(cls, name)), inspect.signature(model)
-        assert [(p.name, p.default) for p in mine.parameters.values()] == [
-            (p.name, p.default) for p in theirs.parameters.values()
-        ], name
-        assert inspect.getdoc(getattr(cls, name)) or name.startswith("__"), name
-
-
 @pytest.mark.parametrize("X", examples(), ids=lambda X: type(X).__name__)
 def test_shapes_of_answers(X):
     assert isinstance(X, ConvexSet)
@@ -65,10 +35,8 @@ def test_shapes_of_answers(X):
     for lead in [(), (3,), (4, 3)]:
         D = np.ones((*lead, 2))
         assert X.support(D).shape == X.support_up(D).shape == X.support_down(D).shape == lead
-        assert X.support_vector(D).shape == D.shape
-        assert X.contains(D).shape == lead
-    assert X.center in X
-    assert np.all(X.support_down(np.eye(2)) <= X.support_up(np.eye(2)))
+        assert X.support_vector(D).shape == D.shape and X.contains(D).shape == lead
+    assert X.center in X and np.all(X.support_down(np.eye(2)) <= X.support_up(np.eye(2)))
 
 
 @settings(max_examples=25)
@@ -149,15 +117,12 @@ def test_enclosing_zonotope_holds_the_set(X, seed):
 def test_lazy_results_stay_exact_under_further_operations(P, Z):
     X = P + Ellipsoid.ball([0, 0], 1)
     M, D = np.array([[1.0, 2.0], [0.0, 0.0], [3.0, -1.0]]), directions(3, 4)
-    assert isinstance(X, MinkowskiSum) and isinstance(M @ P, AffineImage)
+    assert isinstance(X, MinkowskiSum) and isinstance(M @ P, AffineImage) and len((X + Z + X).parts) == 5
     truth = P.support(D @ M) + np.linalg.norm(D @ M, axis=-1)
     assert np.allclose((M @ X).support(D), truth, atol=1e-7 * size(P))
-    assert np.allclose(
-        (2 * (M @ P) + [1, 0, 0]).support(D), 2 * P.support(D @ M) + D[:, 0], atol=1e-6 * size(P)
-    )
-    assert len((X + Z + X).parts) == 5
-    image = np.eye(2) @ AffineImage(np.eye(2), P, [1.0, 2.0])
-    assert np.allclose(image.center, P.center + [1, 2])
+    moved = 2 * (M @ P) + [1, 0, 0]
+    assert np.allclose(moved.support(D), 2 * P.support(D @ M) + D[:, 0], atol=1e-6 * size(P))
+    assert np.allclose((np.eye(2) @ AffineImage(np.eye(2), P, [1.0, 2.0])).center, P.center + [1, 2])
 
 
 @pytest.mark.parametrize(

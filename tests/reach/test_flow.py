@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from polaris.model.hill import clohessy_wiltshire
@@ -29,38 +28,6 @@ def flow(kind, h=10.0, w_max=1e-4):
     return LinearFlow.sampled(SYSTEM.A, SYSTEM.B, GAIN, SYSTEM.D, w_max, h)
 
 
-def inside_period(kind, s):
-    """M(s), independently of the class."""
-    if kind == "continuous":
-        return expm(A_C * s)
-    As, Bs = discretize(SYSTEM.A, SYSTEM.B, s)
-    return As - Bs @ GAIN
-
-
-@pytest.mark.parametrize("kind", ["continuous", "sampled"])
-@given(seed=st.integers(0, 10_000), h=st.floats(0.5, 20))
-@settings(max_examples=25)
-def test_path_stays_within_the_bow_of_its_chord(kind, seed, h):
-    rng = np.random.default_rng(seed)
-    z = Zonotope(rng.normal(size=6) * [9, 9, 9, 1, 1, 1], rng.normal(size=(6, 4)))
-    f = flow(kind, h)
-    intersample = f.intersample(z)
-    worst = np.zeros(6)
-    for e in z.sample(rng, 8):
-        for share in np.linspace(0, 1, 9):
-            chord = (1 - share) * e + share * (f.phi @ e)
-            worst = np.maximum(worst, np.abs(inside_period(kind, share * h) @ e - chord))
-    assert np.all(worst <= intersample * (1 + 1e-9) + 1e-12)
-
-
-def test_bow_is_not_idle():
-    e = np.array([10.0, 0, 0, 0, 0, 0])
-    f = flow("continuous", 5.0)
-    chord = 0.5 * e + 0.5 * f.phi @ e
-    reached = np.abs(expm(A_C * 2.5) @ e - chord)[0]
-    assert 0.6 < reached / f.intersample(Zonotope.point(e))[0] <= 1
-
-
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])
 def test_disturbance_support_is_reached_by_the_closed_form_worst_case(kind):
     f = flow(kind, 5.0)
@@ -79,58 +46,16 @@ def test_disturbance_support_is_reached_by_the_closed_form_worst_case(kind):
 
 
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])
-def test_disturbance_zonotopes_hold_simulated_responses(kind):
-    f = flow(kind, 5.0)
-    rng = np.random.default_rng(0)
-    stacks = f.disturbance_nodes(12), f.disturbance_nodes(12, together=5)
-    D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(10, 6))])
-    A_x = A_C if kind == "continuous" else SYSTEM.A
-    step, push = discretize(A_x, SYSTEM.D, 0.5)
-    for _ in range(60):
-        e = np.zeros(6)
-        for node in range(12):
-            inner, w0 = np.zeros(6), rng.normal(size=3)
-            for _ in range(10):
-                w = w0 if rng.random() < 0.5 else rng.normal(size=3)
-                inner = step @ inner + push @ (w / np.linalg.norm(w) * 1e-4)
-            e = f.phi @ e + inner
-            assert all(np.all(D @ e <= sets[node + 1].support(D) * (1 + 1e-9)) for sets in stacks)
-            assert np.all(np.abs(inner) <= f.period_box * (1 + 1e-9))
-
-
-def test_disturbance_zonotope_is_within_forty_per_cent_of_the_exact_support():
-    f = flow("continuous", 5.0)
-    exact = f.disturbance_support(np.eye(6), 12)[-1]
-    assert np.all(f.disturbance_nodes(12)[-1].half_widths <= 1.4 * exact)
-    assert np.all(f.disturbance_nodes(12, together=5)[-1].half_widths <= 1.75 * exact)  # a fast loop turns
-
-
-@pytest.mark.parametrize("kind", ["continuous", "sampled"])
-def test_lyapunov_norm_contracts_every_period(kind):
-    f = flow(kind)
-    W, factor = f.lyapunov
-    rng = np.random.default_rng(0)
-    e = rng.normal(size=(200, 6)) * [50, 50, 50, 1, 1, 1]
-    before, after = np.linalg.norm(e @ W.T, axis=1), np.linalg.norm(e @ f.phi.T @ W.T, axis=1)
-    assert np.all(after <= factor * before * (1 + 1e-12))
-    norms = f.norms(30)
-    assert np.all(np.diff(norms) <= 1e-12)
-    assert norms[0] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("kind", ["continuous", "sampled"])
 @pytest.mark.parametrize(
     ("sizes", "same"),
     [
-        ([1e3] * 6, 1e-7),
-        ([1e-6] * 6, 1e-7),
+        ([1] * 6, 1e-7),
         ([1e3] * 3 + [1e-6] * 3, 1e-7),
         ([1e-6] * 3 + [1e3] * 3, 1e-7),
         ([1e3, 1, 1e-6, 1e-6, 1e3, 1], 1e-2),  # axes that hardly influence each other, in units of their own
     ],
-    ids=["mm", "Mm", "mm and Mm/s", "Mm and mm/s", "mixed"],
 )
-def test_contraction_does_not_depend_on_the_units(kind, sizes, same):
+def test_lyapunov_norm_contracts_and_does_not_depend_on_the_units(kind, sizes, same):
     plain, T = flow(kind), np.diag(sizes)
     back = np.linalg.inv(T)
     if kind == "continuous":
@@ -143,7 +68,9 @@ def test_contraction_does_not_depend_on_the_units(kind, sizes, same):
     W, factor = other.lyapunov
     e = np.random.default_rng(0).normal(size=(200, 6)) * [50, 50, 50, 1, 1, 1] @ T
     before, after = np.linalg.norm(e @ W.T, axis=1), np.linalg.norm(e @ other.phi.T @ W.T, axis=1)
-    assert np.all(after <= factor * before)
+    norms = plain.norms(30)
+    assert np.all(after <= factor * before * (1 + 1e-12))
+    assert np.all(np.diff(norms) <= 1e-12) and norms[0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])
@@ -176,32 +103,14 @@ def test_growth_bounds_the_exponential_over_the_whole_step(seed, h):
         assert np.all(np.abs(expm(A * s)) <= bound * (1 + 1e-9))
 
 
-def test_discretize_agrees_with_an_integrator():
-    u = np.array([0.3, -0.2, 0.1])
-    x0 = np.array([10.0, -20, 5, 0.1, 0.2, -0.1])
-    solved = solve_ivp(lambda t, x: SYSTEM.A @ x + SYSTEM.B @ u, (0, 120), x0, rtol=1e-11, atol=1e-12)
-    Ad, Bd = discretize(SYSTEM.A, SYSTEM.B, 120.0)
-    assert np.allclose(Ad @ x0 + Bd @ u, solved.y[:, -1], rtol=1e-8)
-
-
-@given(
-    st.floats(-10, 10), st.floats(0, 10), st.floats(0, 5), st.sampled_from([None, 1, 8]), st.integers(0, 100)
-)
+@given(st.floats(-10, 10), st.floats(0, 10), st.floats(0, 5), st.sampled_from([None, 1, 8]), st.integers(0))
 def test_clip_relaxation_holds_the_clip(lo, width, limit, slopes, seed):
     hi = lo + width
     slope, offset, radius = clip_relaxation(lo, hi, limit, slopes)
-    y = np.concatenate(
-        [np.random.default_rng(seed).uniform(lo, hi, 50), [lo, hi], np.clip([-limit, limit], lo, hi)]
-    )
-    assert np.all(
-        np.abs(np.clip(y, -limit, limit) - (slope * y + offset)) <= radius + 1e-12 * (1 + abs(lo) + width)
-    )
-
-
-def test_clip_relaxation_is_exact_away_from_the_limits():
-    assert clip_relaxation(-1.0, 1.0, 2.0)[2] == 0
-    slope, offset, radius = clip_relaxation(3.0, 5.0, 2.0)
-    assert (slope, offset, radius) == (0, 2.0, 0)
+    inner = np.random.default_rng(seed).uniform(lo, hi, 50)
+    y = np.concatenate([inner, [lo, hi], np.clip([-limit, limit], lo, hi)])
+    off = np.abs(np.clip(y, -limit, limit) - (slope * y + offset))
+    assert np.all(off <= radius + 1e-12 * (1 + abs(lo) + width))
 
 
 @pytest.mark.parametrize(("lo", "hi", "limit"), [(1, 0, 1), (0, 1, -1), (np.nan, 1, 1), (0, np.inf, 1)])
@@ -226,7 +135,8 @@ def test_of_84_random_systems_nothing_that_is_reached_is_missed(kind, seed):
     K = rng.normal(size=(2, n)) * (rng.random() < 0.7) / size
     f = LinearFlow.sampled(A, B, K, D, w_max, h) if sampled else LinearFlow.continuous(A, D, w_max, h)
     rows = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(2, n)) / size])
-    bound, nodes, within = f.disturbance_support(rows, count), f.disturbance_nodes(count), f.period_zonotope
+    bound, within = f.disturbance_support(rows, count), f.period_zonotope
+    stacks = f.disturbance_nodes(count), f.disturbance_nodes(count, together=2)
     ball, rest = Ellipsoid.ball(np.zeros(p), w_max), Zonotope.point(np.zeros(n))
     reached, attained = np.zeros(len(rows)), np.zeros(len(rows))
     times = np.linspace(0, h, 9)
@@ -240,7 +150,7 @@ def test_of_84_random_systems_nothing_that_is_reached_is_missed(kind, seed):
         reached, attained = reached + exact - error, attained + worst
         grain = grain + 1e-9 * np.abs(bound[k + 1])
         assert np.all(np.maximum(reached, attained) <= bound[k + 1] + grain)
-        assert np.all(np.maximum(reached, attained) <= nodes[k + 1].support(rows) + grain)
+        assert all(np.all(np.maximum(reached, attained) <= X[k + 1].support(rows) + grain) for X in stacks)
     assert np.all(np.abs(f.input_map(D) @ rng.uniform(-1, 1, p) * w_max / p) <= f.period_box * (1 + 1e-9))
     start = truth.body("zonotope", n, rng)
     intersample = f.intersample(start)

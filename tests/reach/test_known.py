@@ -4,22 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import sparse
 from scipy.integrate import solve_ivp
 
-from reach import (
-    Always,
-    HPolytope,
-    Interval,
-    LinearSystem,
-    ReachError,
-    Signal,
-    Zonotope,
-    support_tube,
-    verify,
-    zonotope_tube,
-)
-from reach.tubes.known_input import known_response
+from reach import Interval, LinearSystem, ReachError, Signal, Zonotope, support_tube, zonotope_tube
 from reach.tubes.trajectory import worst_case
 from tests.reach import truth
 
@@ -56,21 +43,6 @@ def signals(draw, m):
     if draw(st.booleans()) and count > 2:
         t[1] = t[2]
     return Signal(t, rng.normal(size=(count, m)))
-
-
-def test_values_are_joined_and_held_at_the_ends():
-    assert np.allclose(RAMPS([-1.0, 0.25, 1.3, 1.65, 9.0])[:, 0], [0.0, 0.5, -2.0, -0.75, 0.5])
-    assert np.allclose(RAMPS.slope([-1.0, 0.25, 9.0])[:, 0], [0.0, 2.0, 0.0])
-    steps = Signal.constant_pieces([0.0, 1.0, 2.0], [[1.0], [3.0], [2.0]])
-    assert np.allclose(steps([0.0, 0.99, 1.0, 1.5, 2.0, 5.0])[:, 0], [1.0, 1.0, 3.0, 3.0, 2.0, 2.0])
-
-
-@pytest.mark.parametrize("make", [np.asarray, sparse.csr_matrix])
-def test_the_motion_is_that_of_a_solver(make):
-    system = LinearSystem(make(A), B, nominal=RAMPS)
-    nodes = np.linspace(0, 3, 38)
-    response = known_response(system, np.eye(2), nodes, np.full(37, 3 / 37))
-    assert np.allclose(response.states, motion(system, RAMPS, nodes), atol=1e-11)
 
 
 @given(truth.cases(kinds=("random", "oscillating", "triangular", "zero")), st.integers(3, 40), st.data())
@@ -118,32 +90,11 @@ def test_sampled_trajectories_stay_inside(arguments):
         assert np.all(tube.intersample <= 0.5e-3 * 1.05)
 
 
-def test_a_specification_of_a_motion_with_a_nominal_input_is_decided():
-    system = LinearSystem(A, B, Interval([-0.05], [0.05]), nominal=RAMPS)
-    t = np.linspace(0, 3, 601)
-    top = motion(LinearSystem(A, B, nominal=RAMPS), RAMPS, t)[:, 0].max()
-    still = Interval([0.0, 0.0], [0.01, 0.0])
-    for limit, status in ((top + 0.1, "proven"), (top, "violated")):
-        assert verify(system, still, Always(HPolytope([[1.0, 0.0]], [limit])), 3.0).status == status
-
-
 def test_a_known_motion_that_is_back_at_the_nodes_is_bounded_between_them():
     """One step over a whole turn: at both ends the state is as good as at rest."""
     turning = LinearSystem([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], nominal=Signal([0.0], [[1.0]]))
     tube = support_tube(turning, Zonotope.point([0.0, 0.0]), 2 * np.pi, [[1.0, 0.0]], step=2 * np.pi)
     assert tube.interval[0, 0] >= 2.0 and abs(tube.upper[-1, 0]) < 1e-6
-
-
-def test_a_break_of_slope_between_nodes_is_of_second_order_and_a_jump_of_first():
-    intersamples = {}
-    for name, signal in (("kink", Signal([0.0, 0.55, 1.0], [[0.0], [1.0], [0.0]])), ("jump", RAMPS)):
-        system = LinearSystem(A, B, nominal=signal)
-        at = [
-            support_tube(system, BOX, 2.0, [[0.0, 1.0]], step=h).intersample.max() for h in (0.2, 0.1, 0.05)
-        ]
-        intersamples[name] = at[0] / at[1], at[1] / at[2]
-    assert min(intersamples["kink"]) > 3
-    assert min(intersamples["jump"]) > 1.5
 
 
 def test_a_discrete_system_takes_the_signal_at_its_steps():
@@ -157,15 +108,6 @@ def test_a_discrete_system_takes_the_signal_at_its_steps():
     assert tube.upper[-1] == pytest.approx([high, -low], rel=1e-12)
     hull = zonotope_tube(system, Interval([1.0], [1.0]), 6).nodes[-1].interval_hull()
     assert (hull.lo[0], hull.hi[0]) == pytest.approx((low, high), rel=1e-12)
-
-
-def test_a_held_input_keeps_the_nominal_one():
-    system = LinearSystem(A, B, Interval([-0.1], [0.3]), nominal=RAMPS).holding_inputs()
-    start = np.eye(3)[:, :2] @ BOX.to_zonotope() + np.eye(3)[:, 2:] @ Interval([0.3], [0.3]).to_zonotope()
-    free = LinearSystem(A, B, c=B[:, 0] * 0.3, nominal=RAMPS)
-    a = support_tube(system, start, 2.0, [[1.0, 0.0, 0.0]], step=0.1)
-    b = support_tube(free, BOX, 2.0, [[1.0, 0.0]], step=0.1)
-    assert np.allclose(a.upper, b.upper, atol=1e-9)
 
 
 def test_a_worst_case_adds_the_nominal_input():

@@ -75,10 +75,6 @@ def braked(delta, a, depth, back=0.2):
     return np.sqrt(2 * a * (delta - depth / 2))
 
 
-def printed(delta, a, depth):
-    return np.sqrt(2 * a * delta)
-
-
 def h_outside(z, radius, a, depth, root=braked):
     """Eqs. 26 and 29, or 30 and 31 (with 2 a_max for a)."""
     p, v = z[:3], z[3:]

@@ -46,33 +46,28 @@ def drawn(count):
 
 def make(kind, q=Q, period=1.0, sun=0.0, unknown=None, sharing="centralized", mixed=False):
     planner = BackupPlanner(AllTime(Brake(q, period, unknown), sun), mixed)
-    if kind == "implicit":
-        return Implicit(planner)
-    if kind == "simplex_implicit":
-        return SimplexImplicit(planner)
-    families = Families(q, "linear", sampled=SampledData(period) if kind == "explicit" else None)
+    if kind in ("implicit", "simplex_implicit"):
+        return (Implicit if kind == "implicit" else SimplexImplicit)(planner)
     if kind == "simplex_explicit":
-        return SimplexExplicit(planner, families)
-    return Explicit(
-        planner, Centralized(families) if sharing == "centralized" else Decentralized(families, sharing)
-    )
+        return SimplexExplicit(planner, Families(q, "linear"))
+    families = Families(q, "linear", sampled=SampledData(period))
+    if sharing == "centralized":
+        return Explicit(planner, Centralized(families))
+    return Explicit(planner, Decentralized(families, sharing))
 
 
-class Navigation:
+def navigation(unknown, mode):
     """Errors at the edge of their bounds: `bias` for ever, `flip` each period, or turned against safety."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (5, 6))
 
-    def __init__(self, unknown, mode, seed=0):
-        self.bound = unknown.estimate
-        self.mode, self.rng = mode, np.random.default_rng(seed)
-        self.signs = self.rng.choice([-1.0, 1.0], (5, 6))
+    def seen(k, x):
+        if mode == "against":  # farther from the neighbour, and slower, than is true
+            return x + unknown.estimate * np.sign(
+                np.hstack([x[:, :3] - np.roll(x[:, :3], -1, axis=0), -x[:, 3:]])
+            )
+        return x + unknown.estimate * signs * (-1.0 if mode == "flip" else 1.0) ** k
 
-    def __call__(self, k, x):
-        signs = self.signs
-        if self.mode == "flip":
-            signs = signs * (-1.0) ** k
-        elif self.mode == "against":  # farther from the neighbour, and slower, than is true
-            signs = np.sign(np.hstack([x[:, :3] - np.roll(x[:, :3], -1, axis=0), -x[:, 3:]]))
-        return x + self.bound * signs
+    return seen
 
 
 def fly(f, x, sun, primary, seconds, unknown=None, seen=None):
@@ -90,9 +85,6 @@ def fly(f, x, sun, primary, seconds, unknown=None, seen=None):
     return *harsh.fly(q, f.period, x, sun, seconds, decide)[:2], said
 
 
-# ---- the plan, the tube, the bounds
-
-
 @pytest.mark.parametrize("period", [0.2, 1.0, 2.0])
 def test_plans_end_at_rest_within_the_thrust_and_are_flown_exactly(period):
     brake = Brake(Q, period)
@@ -104,10 +96,8 @@ def test_plans_end_at_rest_within_the_thrust_and_are_flown_exactly(period):
             assert np.abs(u).max() <= 1.02  # a guess, which the check decides on
             np.testing.assert_allclose(plan[1:], plan[:-1] @ Phi.T + u @ Gamma.T, atol=1e-6)
             np.testing.assert_allclose(plan[-1] @ brake.to_rest.T, 0.0, atol=1e-12)
-        moved = (
-            brake.plan(x, shift=-20 * toward)[-1, :, :3] - brake.extended(brake.plan(x), len(plan))[-1, :, :3]
-        )
-        assert (np.linalg.norm(moved, axis=1) > 15).all()
+        moved = brake.plan(x, shift=-20 * toward)[-1] - brake.extended(brake.plan(x), len(plan))[-1]
+        assert (np.linalg.norm(moved[:, :3], axis=1) > 15).all()
 
 
 UNKNOWN = {
@@ -121,10 +111,7 @@ UNKNOWN = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "period"),
-    [*((name, 2.0) for name in UNKNOWN), ("all", 1.0), pytest.param("all", 0.2, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("name", "period"), [*((name, 2.0) for name in UNKNOWN), ("all", 1.0)])
 def test_no_errors_leave_the_tube_and_the_worst_come_near_its_wall(period, name):
     """Signs of every error such that one output is largest at some time: the adjoint's."""
     unknown = UNKNOWN[name]
@@ -170,7 +157,9 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
         t = np.concatenate([[0.0], *(D * (np.arange(len(u)) + s) for s in (0.25, 0.5, 0.75, 1.0))])
         angle = Q.mean_motion * np.linspace(0, 2 * np.pi / Q.mean_motion, 60)
         rest = plan[-1]
-        held = np.stack([np.kron(np.eye(2), turn(-a)) @ rest.T for a in angle]).transpose(0, 2, 1)
+        c, s, o = np.cos(angle), np.sin(angle), 0 * angle
+        turns = np.array([[c, s, o], [-s, c, o], [o, o, o + 1]]).transpose(2, 1, 0)
+        held = np.concatenate([rest[:, :3] @ turns, rest[:, 3:] @ turns], axis=2)
         x_all = np.concatenate([at, held])
         t_all = np.concatenate([t, D * len(u) + angle / Q.mean_motion])
         sun_all = Q.sun_angle(t_all, sun)
@@ -191,32 +180,16 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
     assert np.median(gaps) < 0.02
 
 
-def turn(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def test_held_in_free_flight_keeps_its_share_of_the_distance():
-    brake = Brake(Q)
-    plane, across = brake.drifting
-    rng = np.random.default_rng(0)
-    p = rng.standard_normal((300, 3))
-    rest = np.hstack([p, p @ brake.spin.T])
-    flown = np.einsum("tij,kj->tki", free_flight(Q.mean_motion, np.linspace(0, 500, 173)), rest)[..., :3]
-    least = np.linalg.norm(flown, axis=-1).min(axis=0)
-    claimed = np.hypot(plane * np.linalg.norm(p[:, :2], axis=1), across * np.abs(p[:, 2]))
-    assert (claimed <= least).all() and (claimed >= 0.8 * least).all()
-
-
-def test_held_for_long_nothing_is_claimed_across_the_plane():
+def test_held_in_free_flight_a_deputy_keeps_its_share_of_the_distance():
     """After a quarter of an orbit what was held on the axis across the plane is at the chief."""
     quarter = np.pi / 2 / Q.mean_motion
-    for duration in (quarter - 0.3, quarter, quarter + 0.7, 1.4 * quarter):
+    for duration in (500.0, quarter - 0.3, quarter, quarter + 0.7, 1.4 * quarter):
         brake = Brake(replace(Q, passive_time=duration))
         plane, across = brake.drifting
         flown = free_flight(Q.mean_motion, np.linspace(0, duration, 20001))[:, :3] @ brake.resting
         assert 0 <= across <= np.abs(flown[:, 2, 2]).min() + 1e-9
-        assert 0 <= plane <= np.linalg.svd(flown[:, :2, :2], compute_uv=False).min() + 1e-9
+        least = np.linalg.svd(flown[:, :2, :2], compute_uv=False).min()
+        assert 0 <= plane <= least + 1e-9 and (duration > 500 or plane >= 0.8 * least)
 
 
 @pytest.mark.parametrize("distance", [900.0, 9000.0])
@@ -237,77 +210,41 @@ def test_where_the_zone_is_left_out_no_plan_beyond_it_is_proven(distance):
     assert (astray <= brake.tube.widest[0]) == proven.good
 
 
-@pytest.mark.parametrize("period", [0.2, 1.0, 2.0])
-def test_most_drawn_states_are_proven_from_the_first_instant(period):
-    states, suns = drawn(40 if period == 1.0 else 15)
-    brake = Brake(Q, period)
-    good = [BackupPlanner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)]
-    assert np.mean(good) >= 0.9
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("period", "exact", "with_errors"), [(0.2, 392, 348), (1.0, 391, 317), (2.0, 391, 279)]
 )
-def test_at_least_95_percent_of_drawn_states_are_proven(period, exact, with_errors):
+def test_nearly_all_drawn_states_are_proven_as_the_page_says(period, exact, with_errors):
     """The table of docs/inspection-assured.md."""
     states, suns = drawn(400)
     errors = Thrusters.from_errors(0.005, np.deg2rad(0.1), 0.005, 0.0005 / (2 * period), 3)
     for unknown, count in ((None, exact), (Uncertainty(0.05, 0.002, 1e-5, errors), with_errors)):
         brake = Brake(Q, period, unknown)
-        good = [
-            BackupPlanner(AllTime(brake, sun)).find(0.0, x).good for x, sun in zip(states, suns, strict=True)
-        ]
+        planners = [BackupPlanner(AllTime(brake, sun)) for sun in suns]
+        good = [planner.find(0.0, x).good for planner, x in zip(planners, states, strict=True)]
         assert abs(sum(good) - count) <= 1  # one may lie at the edge of rounding
-        assert unknown or np.mean(good) >= 0.95
     shown = Path("docs/inspection-assured.md").read_text(encoding="utf-8")
     assert f"| {period:g} s | {exact} | {with_errors} |" in shown
 
 
-# ---- the filters
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_harsh_primaries_find_no_period_without_a_proven_answer(kind):
+@pytest.mark.parametrize(
+    ("kind", "sharing"), [*((kind, "centralized") for kind in KINDS), ("explicit", "consensus")]
+)
+def test_harsh_primaries_find_no_period_without_a_proven_answer(kind, sharing):
     states, suns = drawn(3)
-    f = make(kind, period=2.0, sun=suns[2])
-    least, unproven, said = fly(f, states[2], suns[2], Harsh(Q, "mixed", suns[2], 30.0), 120.0)
-    assert unproven == 0 and least >= 0
-    assert set(said) & {"filtered", "backup"}
-
-
-def test_consensus_is_proven_too():
-    states, suns = drawn(2)
-    f = make("explicit", sun=suns[1], sharing="consensus")
-    least, unproven, _ = fly(f, states[1], suns[1], Harsh(Q, "deputy", suns[1]), fewer(40.0, 15.0))
-    assert unproven == 0 and least >= 0
+    f = make(kind, period=2.0, sun=suns[2], sharing=sharing)
+    duration = 120.0 if sharing == "centralized" else 30.0
+    least, unproven, said = fly(f, states[2], suns[2], Harsh(Q, "mixed", suns[2], 30.0), duration)
+    assert unproven == 0 and least >= 0 and set(said) & {"filtered", "backup"}
 
 
 @pytest.mark.parametrize("mode", ["bias", "flip", "against"])
 def test_estimates_at_the_edge_of_their_bound(mode):
-    states, suns = drawn(8)
-    x, sun = next(
-        (x, s)
-        for x, s in zip(states, suns, strict=True)
-        if BackupPlanner(AllTime(Brake(Q, 1.0, BAD), s)).find(0.0, x).good
-    )
+    planned = ((x, s, BackupPlanner(AllTime(Brake(Q, 1.0, BAD), s))) for x, s in zip(*drawn(8), strict=True))
+    x, sun = next((x, s) for x, s, planner in planned if planner.find(0.0, x).good)
     f = make("explicit", sun=sun, unknown=BAD)
-    least, unproven, said = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0, BAD, Navigation(BAD, mode))
+    least, unproven, said = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0, BAD, navigation(BAD, mode))
     assert unproven == 0 and least >= 0
-
-
-def test_plan_goes_on_where_states_are_lost_and_nothing_is_uncertain():
-    states, suns = drawn(1)
-    rng = np.random.default_rng(1)
-
-    def lost(k, x):
-        return np.where(rng.random((5, 1)) < 0.3 * (k > 0), np.nan, x)
-
-    f = make("explicit", sun=suns[0])
-    least, unproven, said = fly(f, states[0], suns[0], Harsh(Q, "deputy", suns[0]), 60.0, seen=lost)
-    assert unproven == 0 and least >= 0 and "backup" in said
-    f = make("explicit", sun=suns[0], unknown=Uncertainty(0.01, 0.001))
-    assert fly(f, states[0], suns[0], Harsh(Q, "deputy", suns[0]), 10.0, seen=lost)[1] > 0
 
 
 class Group:
@@ -342,30 +279,12 @@ def group(kind, lost, k, period=1.0, unknown=None):
     return Group([Member(i, rule, 0.0, x) for i, rule in enumerate(rules)], lost), x, sun
 
 
-def losses(share, seed=0):
-    rng = np.random.default_rng(seed)
-    return lambda k: rng.random((5, 5)) < share
-
-
-@pytest.mark.parametrize("kind", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)])
-def test_a_group_that_loses_messages_is_safe(kind):
-    f, x, sun = group(kind, losses(0.05), 2, 2.0)
+def test_a_group_that_loses_messages_is_safe():
+    rng = np.random.default_rng(0)
+    f, x, sun = group("explicit", lambda k: rng.random((5, 5)) < 0.05, 2, 2.0)
     least, unproven, _ = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0)
     assert least >= 0 and unproven == 0
     assert f.mixes > 3 and (f.moved > 3).all()  # some went on with what others left
-
-
-def test_a_deputy_that_is_cut_off_and_all_others_hold():
-    def lost(k):
-        cut = np.zeros((5, 5), dtype=bool)
-        cut[3, :] = cut[:, 3] = k >= 5
-        return cut
-
-    f, x, sun = group("explicit", lost, 2, 2.0)
-    least, unproven, _ = fly(f, x, sun, Harsh(Q, "deputy", sun), 240.0)
-    assert least >= 0 and unproven == 0
-    assert (f.moved == 5).all()  # nobody knows what it does, but for its plan
-    assert all(len(one.message(x[0], x[0, 3:]).plan) <= 3 for one in f.members)  # they have come to rest
 
 
 def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all():
@@ -376,7 +295,7 @@ def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all()
     for k in range(6):
         seen, wanted = x.copy(), aim(2.0 * k, x)
         seen[2] = 1e30 if k == 5 else x[2]
-        sent = [one.message(seen[i], wanted[i]) for i, one in enumerate(members)]
+        sent = [one.message(*each) for one, *each in zip(members, seen, wanted, strict=True)]
         deaf = [None if j == 1 and k < 5 else each for j, each in enumerate(sent)]
         u = [one.decide(2.0 * k, sent if i else deaf) for i, one in enumerate(members)]
         x = x @ Phi.T + np.array(u) @ Gamma.T
@@ -384,21 +303,6 @@ def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all()
         assert len(plans) == (0 if k == 5 else 4)
         assert all(np.array_equal(plan, plans[0]) for plan in plans)
     assert not any(one.unproven for one in members)  # the plan of the third is flown exactly
-
-
-def test_messages_of_the_period_before_are_lost():
-    f, x, _ = group("implicit", None, 2, 2.0)
-    Phi, Gamma = Q.discretize(2.0)
-    old = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
-    u = [one.decide(0.0, old) for one in f.members]
-    x = x @ Phi.T + np.array(u) @ Gamma.T
-    sent = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
-    f.members[0].decide(2.0, [sent[0], old[1], *sent[2:]])
-    f.members[1].decide(2.0 + 1e-9, sent)  # by its clock
-    f.members[2].decide(2.0, sent)
-    assert [one.moved for one in f.members[:3]] == [False, True, True]
-    plans = [one.rule.plan.plan for one in f.members[1:3]]
-    assert np.array_equal(*plans)
 
 
 @pytest.mark.parametrize("how", ["late", "no number", "not known"])
@@ -424,8 +328,7 @@ def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
     x[0] = one.message(x[0], x[0, :3]).plan[0, 0]  # on its plan again
     for each in f.members:  # the others' clocks and plans have gone on, too
         each._due = one._due
-    assert go(one._due, heard=False)
-    assert not go(one._due, heard=True) and one.moved
+    assert go(one._due, heard=False) and not go(one._due, heard=True) and one.moved
 
 
 OTHERS = {
@@ -455,11 +358,10 @@ def test_a_group_whose_deputies_have_different_rules_moves_nowhere_and_says_so(n
 
 
 def test_without_mixed_plans_there_is_no_group():
-    x = drawn(1)[0][0]
-    with pytest.raises(ScenarioError, match="mixed"):
-        Member(0, make("explicit"), 0.0, x)
-    with pytest.raises(ScenarioError, match="equal answers to equal messages"):
-        Member(0, SimplexImplicit(BackupPlanner(AllTime(Brake(Q)), mixed=True)), 0.0, x)
+    x, again = drawn(1)[0][0], SimplexImplicit(BackupPlanner(AllTime(Brake(Q)), mixed=True))
+    for words, rule in (("mixed", make("explicit")), ("equal answers to equal messages", again)):
+        with pytest.raises(ScenarioError, match=words):
+            Member(0, rule, 0.0, x)
     with pytest.raises(ScenarioError, match="must have a proven plan"):
         Member(0, make("explicit", mixed=True), 0.0, np.repeat(x[:1], 5, axis=0))
 
@@ -504,15 +406,6 @@ def test_latching_and_handing_back():
     assert {entry.to for entry in f.log} == {"backup", "desired"}
 
 
-def test_periods_and_thrust_that_do_not_do_are_refused():
-    with pytest.raises(ScenarioError, match="thrust_max"):
-        Brake(Q, 1.0, Uncertainty(position=100.0))
-    with pytest.raises(ScenarioError, match="period"):
-        Brake(Q, -1.0)
-    with pytest.raises(ScenarioError, match="velocity"):
-        Uncertainty(velocity=-0.1)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @given(sequence=calls(2))
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
@@ -527,10 +420,9 @@ def test_malformed_calls_and_odd_times(kind):
     odd_times(make(kind, TWO), x, np.zeros((2, 3)))
 
 
-@pytest.mark.parametrize("kind", [pytest.param("explicit", marks=pytest.mark.slow), "simplex_implicit"])
-def test_the_command_of_the_long_flights(kind, capsys, monkeypatch):
+def test_the_command_of_the_long_flights(capsys, monkeypatch):
     monkeypatch.setattr(harsh, "PERIODS", (2.0, 1.0))
-    harsh.main(["--flights", "4", "--seconds", "20", "--kind", kind, "--errors"])
+    harsh.main(["--flights", "4", "--seconds", "20", "--kind", "simplex_implicit", "--errors"])
     lines = capsys.readouterr().out.splitlines()
     flown = [line.split()[1:3] for line in lines[:4]]
     assert flown == [["deputy", "2"], ["cone", "2"], ["far", "2"], ["deputy", "1"]]
@@ -540,5 +432,5 @@ def test_the_command_of_the_long_flights(kind, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", [[], ["--errors"], ["--kind", "implicit"]])
 def test_long_flights_with_harsh_primaries(arguments, capsys):
-    harsh.main(["--flights", "33", "--seconds", str(fewer(600, 150)), *arguments])
+    harsh.main(["--flights", str(fewer(33, 15)), "--seconds", str(fewer(600, 100)), *arguments])
     assert capsys.readouterr().out.endswith(": 0 violated, 0 periods not proven\n")

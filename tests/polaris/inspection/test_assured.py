@@ -6,7 +6,6 @@ from inspect import signature
 import numpy as np
 import pytest
 
-from benchmarks.harsh import Harsh
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
 from polaris.inspection.backup.planner import BackupPlanner
@@ -33,7 +32,6 @@ FROM = {
     "cone": ([[-300 * np.cos(ANGLE), 300 * np.sin(ANGLE), 0, 0, 0, 0]], "phi4"),
     "zone": ([[0, 0, 1005, 0, 0, 0]], "phi6"),
     "speed": ([[0, -300, 200, 0, 0.75, 0.85]], "phi3"),
-    "pair's cone": ([[0, -300, 300, 0, 0, 0], [30, -300, 300, 0, 0, 0]], "phi5"),
     "pair": ([[0, -300, 300, 0, 0, 0.25], [0, -300, 309.5, 0, 0, 0.2]], "phi2"),
     "free flight": ([[0, -60, 20, -0.0606, 0.2348, -0.0782]], None),
 }
@@ -57,14 +55,7 @@ def back(f, q, x, wanted, most):
     raise AssertionError(f"not proven after {most} s: {answer.fallback}")
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        pytest.param(kind, name, marks=[] if i % 4 == j % 4 or name == "pair" else pytest.mark.slow)
-        for i, kind in enumerate(KINDS)
-        for j, name in enumerate(FROM)
-    ],
-)
+@pytest.mark.parametrize(("kind", "name"), list(zip([*KINDS, "explicit"], FROM, strict=True)))
 def test_every_kind_comes_back_from_outside_and_is_proven_then(kind, name):
     """5 m inside the sun's cone they braked and stayed, 600 of 600 periods unproven."""
     x, violated = FROM[name]
@@ -80,16 +71,8 @@ def test_every_kind_comes_back_from_outside_and_is_proven_then(kind, name):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_primary_may_lead_the_way_back_as_under_the_plain_filter(kind):
-    x = FROM["cone"][0]
-    flown = back(make(kind, ONE), ONE, x, np.array([[0.5, 1.0, 0.0]]), 40)
-    assert sum(answer.unproven for _, answer in flown) <= 18  # as long as `centralized` takes
-
-
-@pytest.mark.parametrize("loops", [pytest.param(True, marks=pytest.mark.slow), False])
-@pytest.mark.parametrize("kind", KINDS)
-def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, monkeypatch):
-    monkeypatch.setattr(compiled, "is_enabled", lambda: loops)
+def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, monkeypatch):
+    monkeypatch.setattr(compiled, "is_enabled", lambda: False)
     rng, count = np.random.default_rng(4), 0
     for _ in range(fewer(20, 12)):
         x = rng.uniform(-1, 1, (2, 6)) * np.repeat([900.0, 0.8], 3)
@@ -97,30 +80,12 @@ def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, mo
         answer = f.filter(0.0, x, wanted)
         if answer.unproven:
             count += 1
-            expected = ActiveSetFilter(plain(TWO, 1.0 if kind == "explicit" else 1.004)).filter(
-                0.0, x, wanted
-            )
+            barrier = ActiveSetFilter(plain(TWO, 1.0 if kind == "explicit" else 1.004))
+            expected = barrier.filter(0.0, x, wanted)
             assert np.array_equal(answer.u, expected.u) and answer.missed == expected.missed
             batch = f.recovery.filtering.batch(x[None], np.zeros(1), wanted[None])
             assert np.array_equal(batch.u[0], answer.u) or expected.status == "backup"
     assert count > fewer(5, 3)
-
-
-@pytest.mark.slow
-def test_at_rest_in_the_plane_at_985_m_nothing_is_violated():
-    """No plan is proven there. By an unproven plan in place of an unproven proposal phi9 came to -0.023."""
-    f, x, (Phi, Gamma) = make("explicit", ONE), np.array([[0.0, -985, 0, 0, 0, 0]]), ONE.discretize(1.0)
-    least = np.inf
-    for k in range(300):
-        answer = f.filter(float(k), x, 0.01 * (np.array([[0, -980.0, 0]]) - x[:, :3]) - x[:, 3:])
-        x = x @ Phi.T + answer.u @ Gamma.T
-        least = min(
-            least, *(float(v.min(initial=np.inf)) for v in allowable(ONE, x, ONE.sun_angle(k + 1.0)).values())
-        )
-    assert least >= 0
-
-
-# ---- lost states
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0, 2.0, 5.0])
@@ -147,19 +112,10 @@ def off_plan(error):
 
 
 @pytest.mark.parametrize(
-    ("kind", "period", "tau"),
-    [
-        pytest.param(kind, *each, marks=[] if each[0] == 1.0 or kind == "implicit" else pytest.mark.slow)
-        for each in [(0.2, 2e-3), (1.0, 2e-3), (1.0, 5e-2), (2.0, 1e-2)]
-        for kind in KINDS
-    ],
+    ("kind", "period", "tau"), [*((kind, 1.0, 5e-2) for kind in KINDS), ("implicit", 2.0, 1e-2)]
 )
 def test_states_lost_under_jitter_do_not_end_the_proof(kind, period, tau):
-    """One lost state ended it: 11 of 120 periods were unproven at 2 ms with 30 % of the states lost.
-
-    Full thrust turns round every 3 s; calls are off by all that is declared, and states are lost for some
-    seconds. Each deputy is within the tube about its plan at instants between the samples, too.
-    """
+    """Each deputy is within the tube about its plan at instants between the samples, too."""
     q, rng = TWO, np.random.default_rng(3)
     f = make(kind, q, period, unknown=Uncertainty(jitter=tau))
     x = np.array([[0, -300.0, -400, 0, 0, 0], [50.0, -300, 300, 0.1, 0, 0]])
@@ -235,30 +191,6 @@ def test_a_call_at_an_unknown_time_is_not_proven(kind):
     assert said == [False, False, True, True, True, True, False]
 
 
-# ---- late calls
-
-
-def test_calls_a_millisecond_off_are_proven():
-    """Of 200 calls 111 were unproven: a plan was dropped when a call was later than 1e-6 of a period."""
-    states, suns = drawn(3)
-    for period, clock in ((1.0, "jitter"), (0.2, "jitter"), (1.0, "fast"), (1.0, "slow")):
-        rng, x, late = np.random.default_rng(2), states[2], 0.0
-        f, aim = make("explicit", period=period, sun=suns[2]), Harsh(Q, "mixed", suns[2], 20.0)
-        for k in range(round(fewer(60, 20) / period)):
-            now = k * period + late
-            answer = f.filter(now, x, aim(now, x))
-            assert not answer.unproven, (period, clock, k, answer.fallback)
-            drift = {"fast": -5e-4, "slow": 5e-4}.get(clock, 0.0)
-            late = late + drift if drift else rng.uniform(-1e-3, 1e-3)
-            hold = (k + 1) * period + late - now
-            for part in (0.25, 0.5, 0.75, 1.0):
-                Phi, Gamma = Q.discretize(part * hold)
-                at = x @ Phi.T + answer.u @ Gamma.T
-                phi = allowable(Q, at, Q.sun_angle(now + part * hold, suns[2]))
-                assert min(values.min() for values in phi.values()) >= 0
-            x = at
-
-
 def test_later_than_declared_drops_the_plan():
     x, sun = (values[0] for values in drawn(1))
     for jitter, late, kept in ((0, 1e-3, 0), (2e-3, 1.9e-3, 1), (2e-3, 2.1e-3, 0), (5e-3, -4.5e-3, 1)):
@@ -267,45 +199,6 @@ def test_later_than_declared_drops_the_plan():
         call = f._receiver.receive(1.0 + late, x @ Phi.T + answer.u @ Gamma.T, None)
         assert not answer.unproven and (f._kept(call, [])[1] is not None) == kept
 
-
-@pytest.mark.parametrize(
-    ("sign", "period"),
-    [
-        pytest.param(sign, period, marks=[] if period > 0.2 else pytest.mark.slow)
-        for sign in ("late", "early", "in turn", "random")
-        for period in (0.2, 1.0, 2.0)
-    ],
-)
-def test_flights_with_jitter_do_not_leave_the_tube(period, sign):
-    """Commands take effect early or late by all that is declared; the state is looked at between samples."""
-    tau = min(0.05, period / 10)
-    brake, rng = Brake(ONE, period, Uncertainty(jitter=tau)), np.random.default_rng(1)
-    x = np.array([[300.0, 200.0, 400.0, 0.5, 0.5, -0.5]])
-    toward = np.array([[0.6, 0.8, 0.0]])
-    plan = brake.extended(brake.plan(x, toward, np.array([[30.0, 0.0, 0.0]])), 10)
-    plan = brake.extended(plan, len(plan) + round(60 / period))
-    wall, asked, share = brake.around(plan)[:, 0], brake.thrusts(plan), []
-    signs = {"late": lambda k: 1, "early": lambda k: -1, "in turn": lambda k: (-1) ** k}
-    moment = signs.get(sign, lambda k: rng.choice([-1, 1]))
-    off = lambda a, b: np.linalg.norm((a - b).reshape(2, 3), axis=1)  # noqa: E731
-    u, at, t = asked[0], x, 0.0  # the state at the time t, under the thrust u
-    for k in range(1, len(asked)):
-        call = k * period + tau * moment(k)
-        for now in np.append(np.arange(t + period / 7, call, period / 7), call):
-            Phi, Gamma = ONE.discretize(now - t)
-            at, t = at @ Phi.T + u @ Gamma.T, now
-            j = min(int(t / period), len(asked) - 1)
-            Phi, Gamma = ONE.discretize(t - j * period)
-            here = plan[j] @ Phi.T + asked[j] @ Gamma.T
-            assert (off(at, here) <= wall[j] + 1e-12).all()
-            share.append(float((off(at, here) / wall[j]).max()))
-        Phi, Gamma = ONE.discretize(k * period - call)
-        u = brake.follow(at @ Phi.T + u @ Gamma.T, plan[k:])
-        assert np.abs(u - asked[k]).max() <= brake.tube.feedback + 1e-12
-    assert max(share) > 0.05
-
-
-# ---- what is refused
 
 WRONG = {
     "a name": lambda p: Explicit(p, "centralized"),
@@ -316,37 +209,28 @@ WRONG = {
     "no families": lambda p: SimplexExplicit(p, "linear"),
     "no planner": lambda p: Implicit(p.check),
     "no check": lambda p: BackupPlanner(p.brake),
-    "no brake": lambda p: AllTime(p.inspection if hasattr(p, "inspection") else TWO),
+    "no brake": lambda p: AllTime(TWO),
     "no filter": lambda p: ActiveSetFilter(plain(TWO).families),
     "no families of one": lambda p: Centralized(TWO),
     "no families of two": lambda p: Decentralized(TWO),
     "no rule": lambda p: Member(0, p, 0.0, np.zeros((2, 6))),
     "wrong shape": lambda p: Member(0, Implicit(BackupPlanner(p.check, mixed=True)), 0.0, np.zeros((3, 6))),
-    "no inspection": lambda p: build_filter("explicit", "five"),
-    "no brake of one": lambda p: build_filter("explicit", TWO, brake=3),
-    "no bounds": lambda p: build_filter("explicit", TWO, uncertainty=0.1),
     "two periods": lambda p: build_filter("explicit", TWO, 2.0, brake=p.brake),
     "two bounds": lambda p: build_filter("implicit", TWO, uncertainty=Uncertainty(1.0), brake=p.brake),
-    "no period": lambda p: build_filter("centralized", TWO, 0.0),
-    "no length": lambda p: build_filter("centralized", TWO, "1"),
     "one of all": lambda p: build_filter("decentralized", TWO, sharing="centralized"),
     "all of one": lambda p: build_filter("centralized", TWO, sharing="half"),
     "no plans": lambda p: build_filter("centralized", TWO, mixed=True),
     "other brake": lambda p: build_filter("centralized", ONE, brake=p.brake),
-    "no sharing": lambda p: build_filter("decentralized", TWO, sharing=""),
     "a letter": lambda p: build_filter("explicit", TWO, without="sun"),
-    "a number as alpha": lambda p: build_filter(
-        "explicit", TWO, strengthening=PRESETS["linear"] | {"sun": 1}
-    ),
     "no alpha": lambda p: build_filter("explicit", TWO, strengthening={}),
     "alpha of none": lambda p: build_filter("explicit", TWO, strengthening=PRESETS["linear"] | {"sn": 1}),
     "no thrusters": lambda p: Brake(TWO, 1.0, Uncertainty(thrusters=0.1)),
     "many looks": lambda p: build_filter("simplex_explicit", TWO, looks=10**6),
-    "no sun": lambda p: build_filter("centralized", TWO, sun_start=np.nan),
-    "no sun of a plan": lambda p: build_filter("implicit", TWO, sun_start="noon"),
-    "no margin": lambda p: build_filter("simplex_explicit", TWO, margin=np.nan),
     "four axes": lambda p: Brake(TWO, 1.0, Uncertainty(position=(1, 2, 3, 4))),
     "too much jitter": lambda p: Brake(TWO, 1.0, Uncertainty(jitter=0.6)),
+    "too uncertain": lambda p: Brake(TWO, 1.0, Uncertainty(position=100.0)),
+    "a negative period": lambda p: Brake(TWO, -1.0),
+    "a negative bound": lambda p: Uncertainty(velocity=-0.1),
 }
 
 

@@ -1,7 +1,5 @@
 """The Monte Carlo: sampling, judgement, failures; the paper's in the slow test."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -14,7 +12,6 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.flights.blocks import BlockOutcome, fly_block
-from polaris.inspection.flights.primary import LQR
 from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.flights.simulation import FlightBatch, RunRecorder, fly_one
 from polaris.inspection.inspection import Inspection
@@ -55,8 +52,7 @@ def test_initial_conditions_are_inside_and_reproducible(drawn):
     assert (Families(Q)(x, sun).h >= 0).all()
     assert not np.array_equal(x, initial_conditions(Families(Q), 8, seed=2)[0])
     # With the cube of 1000 m and 1 m/s, the published library accepts 0.65 % of the samples.
-    assert 0.003 < accepted < 0.012
-    assert np.abs(x[..., :3]).max() > 400 and np.ptp(sun) > np.pi
+    assert 0.003 < accepted < 0.012 and np.abs(x[..., :3]).max() > 400 and np.ptp(sun) > np.pi
 
 
 @pytest.mark.slow
@@ -69,24 +65,19 @@ def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
 
 
 def test_least_values_are_those_of_the_flight_flown_alone(drawn):
+    """A run kept out of a block, too."""
     x, sun, _ = drawn
-    block = fly_block(FlightBatch(Q, x[:3], sun[:3], 30.0), central())
+    flights = FlightBatch(Q, x[:3], sun[:3], 30.0)
+    kept = RunRecorder(flights, 2)
+    block = fly_block(flights, central(), kept)
     for run in range(3):
         flight = fly_one(FlightBatch(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
         for name, values in allowable(Q, flight.x, flight.sun).items():
-            at_samples = values.min()
-            assert block.least[name][run] <= at_samples + 1e-9
             # Half a second between the instants looked at: nothing moves by more than a metre.
-            assert block.least[name][run] > at_samples - 1.0
+            assert values.min() - 1.0 < block.least[name][run] <= values.min() + 1e-9
         np.testing.assert_allclose(block.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
-
-
-def test_conditions_asked_for_in_parts_are_those_drawn_at_once(drawn):
-    x, sun, _ = drawn
-    parts = InitialConditions(Families(Q), seed=1)
-    for count in (3, 8, 5):
-        np.testing.assert_array_equal(parts.first(count)[0], x[:count])
-        np.testing.assert_array_equal(parts.first(count)[1], sun[:count])
+    for name, values in held_by(kept.flight(), ARRAYS).items():
+        np.testing.assert_allclose(values, held_by(flight, ARRAYS)[name], rtol=1e-9, atol=1e-9)
 
 
 def test_results_come_back_from_their_columns(drawn):
@@ -103,25 +94,10 @@ def test_results_come_back_from_their_columns(drawn):
     assert again.failures() == block.failures()
 
 
-def test_a_run_kept_out_of_a_block_is_the_run_flown_alone(drawn):
-    x, sun, _ = drawn
-    flights = FlightBatch(Q, x[:3], sun[:3], 6.0, 0.5)
-    kept = RunRecorder(flights, 2)
-    fly_block(flights, central(), kept)
-    run = kept.flight()
-    alone = fly_one(FlightBatch(Q, x[2:3], sun[2:3], 6.0, 0.5), central())
-    for name, values in held_by(run, ARRAYS).items():
-        np.testing.assert_allclose(values, held_by(alone, ARRAYS)[name], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(run.t, alone.t)
-
-
 def test_a_failure_says_what_who_and_when():
     """Two deputies on a collision course, too close to stop; a third is beyond the keep-in zone."""
     q = Inspection(deputies=3)
-    x = np.zeros((1, 3, 6))
-    x[0, 0] = [0, 300, 0, 0, -0.4, 0]
-    x[0, 1] = [0, 289, 0, 0, 0.4, 0]
-    x[0, 2] = [0, 0, 1010, 0, 0, 0]
+    x = np.array([[[0, 300, 0, 0, -0.4, 0], [0, 289, 0, 0, 0.4, 0], [0, 0, 1010.0, 0, 0, 0]]])
     block = fly_block(FlightBatch(q, x, np.zeros(1), 10.0), central(q))
     assert not block.success[0] and any(least[0] < 0 for least in block.least.values())
     what = {row["what"]: row for row in block.failures()}
@@ -129,12 +105,6 @@ def test_a_failure_says_what_who_and_when():
     assert what["phi6"]["deputies"] == (2,) and what["phi6"]["time"] == 0.0
     assert what["phi6"]["value"] == pytest.approx(-10)
     assert "no solution" in what and np.isnan(what["no solution"]["value"])
-
-
-def test_what_is_left_out_is_not_judged(drawn):
-    x, sun, _ = drawn
-    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 3.0), without_sun())
-    assert "phi5" not in block.least and "phi4" in block.least and "phi8" in block.least
 
 
 def test_left_out_families_and_sampled_studies_are_judged_alike():
@@ -159,21 +129,14 @@ def test_what_cannot_be_told_is_a_failure(drawn):
         block = fly_block(FlightBatch(Q, lost, sun[:1], 2.0), central())
     assert not block.success[0] and block.least["phi1"][0] == -np.inf
 
-    class Broken:
-        def __call__(self, t, states):
-            return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
+    def broken(t, states):
+        return np.full((*states.shape[:-1], 3), np.nan if t >= 1 else 0.0)
 
-    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 3.0, primary=Broken()), central())
+    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 3.0, primary=broken), central())
     assert not block.success.any() and (block.columns["short_s"] == 1.0).all()
     assert np.isfinite(block.least["phi1"]).all() and not any(
         (least < 0).any() for least in block.least.values()
     )
-
-
-def test_a_primary_controller_that_attacks_is_filtered(drawn):
-    x, sun, _ = drawn
-    block = fly_block(FlightBatch(Q, x[:2], sun[:2], 20.0, 0.2, LQR(Q)), central())
-    assert (block.columns["interventions_share"] == 1).all() and block.success.all()
 
 
 def page_text():

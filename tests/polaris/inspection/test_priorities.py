@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
+from scipy.optimize import linprog, nnls
 
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.filters.asif import ActiveSetFilter
@@ -14,10 +14,6 @@ from polaris.rta import priorities, vertex
 from polaris.rta.priorities import EXACT, GAP, MET, SPARE, SURE, least_violation
 from polaris.rta.projection import FAILED, FILTERED, SHORT, project, solve
 from polaris.rta.vertex import lowest
-from tests.sizes import fewer
-
-CLOSE = 5e-3
-"""Of the limit: what another 1e-7 for rows that count more may be worth between near-parallel rows."""
 
 STATED = (SPARE + GAP) / SURE
 """Of the limit: what a shortage may be larger than need be if no row that counts more may lose anything."""
@@ -57,11 +53,8 @@ def odd_program(rng, least_angle=1e-6):
         G[i] = rng.choice([-1.0, 1.0]) * G[j] + angle * rng.standard_normal(v)
     length = np.linalg.norm(G, axis=1)
     G[length > 0] /= length[length > 0, None]
-    tightening = [
-        rng.uniform(-1, 1.5, M),
-        np.round(rng.uniform(-4, 6, M)) / 4,
-        rng.choice([-0.5, 0.0, 0.3, 2.0, 1e12, np.inf], M),
-    ][rng.integers(3)]
+    odd = rng.choice([-0.5, 0.0, 0.3, 2.0, 1e12, np.inf], M)
+    tightening = [rng.uniform(-1, 1.5, M), np.round(rng.uniform(-4, 6, M)) / 4, odd][rng.integers(3)]
     scale = 10 ** rng.uniform(-6, 6, M)
     if rng.random() < 0.2:
         G[rng.integers(M)] = 0.0
@@ -69,14 +62,20 @@ def odd_program(rng, least_angle=1e-6):
     return G * scale[:, None], tightening * scale * limit, rng.standard_normal(v) * limit, limit, rank
 
 
-def of_length_1(G, bound, rank):
+def of_length_1(G, tightening, rank):
+    """Rows of length 1, and what they need of what full thrust gives."""
     some = G.any(axis=1)
     length = np.linalg.norm(G[some], axis=1)
-    return G[some] / length[:, None], bound[some] / length, rank[some]
+    G = G[some] / length[:, None]
+    return G, np.minimum(tightening[some] / length, np.abs(G).sum(axis=1) * (1 - SPARE)), rank[some]
 
 
 def witnessed(G, tightening, rank, short, m):
-    """As `could_be_less`, nothing given away; only what an input shows that really keeps what counts more."""
+    """By how much the shortage of row m can be less without making any that counts more larger, if shown.
+
+    Those of earlier ranks count more, and those of its own rank that are as large; smaller ones of its rank
+    may grow until they are as large; later ranks do not count.
+    """
     own, earlier = rank == rank[m], rank < rank[m]
     allowed = np.where(earlier, short, np.where(own, np.maximum(short, short[m]), np.inf))
     allowed[m] = np.inf
@@ -97,8 +96,8 @@ def check_odd(programs):
     for G, bound, desired, limit, rank in programs:
         u = least_violation(G, bound, desired, limit, rank)
         assert u is not None and np.abs(u).max() <= limit
-        G, bound, rank = of_length_1(G, bound, rank)
-        short, tightening = shortages(G, bound, limit, u)
+        G, tightening, rank = of_length_1(G, bound / limit, rank)
+        short = np.maximum(tightening - G @ u / limit, 0.0)
         for m in np.flatnonzero(short > 1e-6):
             less = witnessed(G, tightening, rank, short, m)
             looked += less is not None
@@ -106,78 +105,17 @@ def check_odd(programs):
     return looked
 
 
-def shortages(G, bound, limit, u):
-    """In parts of the limit, and the bounds they are measured from."""
-    tightening = np.minimum(bound / limit, np.abs(G).sum(axis=1) * (1 - SPARE))
-    return np.maximum(tightening - G @ u / limit, 0.0), tightening
-
-
-def could_be_less(G, tightening, rank, short, m):
-    """By how much the shortage of row m could be less without making any that counts more larger.
-
-    Those of earlier ranks count more, and those of its own rank that are as large; smaller ones of its rank
-    may grow until they are as large; later ranks do not count.
-    """
-    own, earlier = rank == rank[m], rank < rank[m]
-    allowed = np.where(earlier, short, np.where(own, np.maximum(short, short[m]), np.inf))
-    allowed[m] = np.inf
-    kept = np.isfinite(allowed)
-    rows = -G[kept] if kept.any() else None
-    limits = (allowed + 1e-7 - tightening)[kept] if kept.any() else None
-    answer = linprog(-G[m], rows, limits, bounds=[(-1, 1)] * G.shape[1])
-    assert answer.status == 0
-    return short[m] - max(tightening[m] + answer.fun, 0.0)
-
-
 @given(st.integers(0, 10**6))
 @settings(max_examples=25, deadline=None)
 def test_no_shortage_can_be_made_less_but_at_the_cost_of_what_counts_more(seed):
-    G, bound, desired, limit, rank = random_program(np.random.default_rng(seed))
-    u = least_violation(G, bound, desired, limit, rank)
-    assert u is not None and np.abs(u).max() <= limit
-    some = G.any(axis=1)
-    short, tightening = shortages(G[some], bound[some], limit, u)
-    for m in np.flatnonzero(short > 1e-6):
-        assert could_be_less(G[some], tightening, rank[some], short, m) < CLOSE
-        less = witnessed(G[some], tightening, rank[some], short, m)
-        assert less is None or less < 1.01 * STATED
-    np.testing.assert_array_equal(u, least_violation(G, bound, desired, limit, rank))
-
-
-@pytest.mark.slow
-def test_many_random_programs():
-    rng = np.random.default_rng(1)
-    for _ in range(fewer(1500, 500)):
-        G, bound, desired, limit, rank = random_program(rng)
-        u = least_violation(G, bound, desired, limit, rank)
-        some = G.any(axis=1)
-        short, tightening = shortages(G[some], bound[some], limit, u)
-        for m in np.flatnonzero(short > 1e-6):
-            assert could_be_less(G[some], tightening, rank[some], short, m) < CLOSE
-
-
-def test_a_row_with_a_small_multiplier_is_not_settled_for_good():
-    """One of 4e-7 kept a row 0.095 of the limit larger than need be."""
-    rng = np.random.default_rng(1)
-    for _ in range(63):
-        G, bound, desired, limit, rank = random_program(rng)
-    u = least_violation(G, bound, desired, limit, rank)
-    G, bound, rank = of_length_1(G, bound, rank)
-    short, tightening = shortages(G, bound, limit, u)
-    assert 0.8 < short[11] < 0.86  # was 0.95
-    assert could_be_less(G, tightening, rank, short, 11) < CLOSE
+    program = random_program(np.random.default_rng(seed))
+    check_odd([program])
+    np.testing.assert_array_equal(least_violation(*program), least_violation(*program))
 
 
 def test_odd_programs():
     rng = np.random.default_rng(2)
     assert check_odd(odd_program(rng) for _ in range(20)) > 100
-
-
-@pytest.mark.slow
-def test_many_odd_programs():
-    rng = np.random.default_rng(3)
-    count = fewer(300, 100)
-    assert check_odd(odd_program(rng) for _ in range(count)) > 5 * count
 
 
 def test_rows_parallel_to_rounding_get_an_answer_that_keeps_the_first_rank():
@@ -186,8 +124,7 @@ def test_rows_parallel_to_rounding_get_an_answer_that_keeps_the_first_rank():
         G, bound, desired, limit, rank = odd_program(rng, 1e-15)
         u = least_violation(G, bound, desired, limit, rank)
         assert u is not None and np.abs(u).max() <= limit
-        G, bound, rank = of_length_1(G, bound, rank)
-        tightening = shortages(G, bound, limit, u)[1]
+        G, tightening, rank = of_length_1(G, bound / limit, rank)
         rows = rank == rank.min(initial=40)
         if not rows.any():
             continue
@@ -245,9 +182,8 @@ def test_what_is_no_number_is_refused(value, copies):
 
 
 def test_no_rows_at_all():
-    nothing = project(
-        np.zeros((9, 0, 3)), np.zeros((9, 0)), np.full((9, 3), 2.0), 1.0, np.zeros((9, 0), dtype=int)
-    )
+    rank = np.zeros((9, 0), dtype=int)
+    nothing = project(np.zeros((9, 0, 3)), np.zeros((9, 0)), np.full((9, 3), 2.0), 1.0, rank)
     np.testing.assert_allclose(nothing.u, 1.0)
     u = least_violation(np.zeros((2, 3)), np.ones(2), np.full(3, 0.5), 1.0, np.zeros(2, dtype=int))
     np.testing.assert_allclose(u, 0.5)
@@ -268,9 +204,8 @@ def test_whatever_later_ranks_ask_a_rank_that_can_be_met_is_met(seed):
             continue
         if (bound[rows] == np.inf).any():
             break
-        answer = linprog(
-            np.zeros(G.shape[1]), -G[rows], -bound[rows] / limit - 1e-6, bounds=[(-1, 1)] * G.shape[1]
-        )
+        limits = [(-1, 1)] * G.shape[1]
+        answer = linprog(np.zeros(G.shape[1]), -G[rows], -bound[rows] / limit - 1e-6, bounds=limits)
         if answer.status != 0:
             break
         assert (bound[rows] / limit - G[rows] @ u / limit).max() <= 2e-9
@@ -289,6 +224,8 @@ def test_a_hopeless_row_frees_no_row_of_an_earlier_rank_and_none_of_its_own_that
     np.testing.assert_allclose(u, [0.3, 0.4, 0.6], atol=1e-6)
     u, status = solve(G, bound, np.zeros(3), 1.0, np.array([8, 0, 8, 2]))
     np.testing.assert_allclose(u, [-1.0, 0.4, 0.6], atol=1e-6)
+    u, status = solve(G, bound, np.zeros(3), 1.0)
+    assert status == FAILED and np.isnan(u).all(), "without ranks there is no second program"
 
 
 def test_what_can_be_met_goes_the_old_way(monkeypatch):
@@ -308,3 +245,96 @@ def test_fifty_deputies_anywhere_are_answered_without_exact_arithmetic(monkeypat
     decision = asif.filter(0.0, x[2], rng.uniform(-1, 1, (50, 3)))
     assert decision.status == "short" and decision.fallback is not None and len(decision.missed) > 20
     assert np.abs(decision.u).max() <= 1.0
+
+
+CLOSE = 1e-8
+
+
+def project_all(G, bound, desired, limit):
+    """All rows in one rank."""
+    return project(G, bound, desired, limit, np.zeros(bound.shape, dtype=int))
+
+
+def residuals(G, bound, desired, limit, u):
+    """Primal residual, and stationarity with the best multipliers >= 0 on what holds with equality.
+
+    Rows are taken with length 1, the limits count as rows.
+    """
+    size = len(desired)
+    length = np.linalg.norm(G, axis=1)
+    G, bound = G[length > 0] / length[length > 0, None], bound[length > 0] / length[length > 0]
+    rows = np.vstack([G, np.eye(size), -np.eye(size)])
+    least = np.concatenate([bound, np.full(2 * size, -limit)])
+    slack = rows @ u - least
+    active = slack < CLOSE
+    stationarity = nnls(rows[active].T, u - desired)[1] if active.any() else np.linalg.norm(u - desired)
+    return max(-slack.min(), 0.0), stationarity
+
+
+def random_problem(rng, M, v=3, K=1):
+    G = rng.standard_normal((K, M, v)) * 10 ** rng.uniform(-3, 1, (K, M, 1))
+    bound = rng.uniform(-1.5, 0.7, (K, M)) * np.linalg.norm(G, axis=2)
+    return G, bound, rng.uniform(-2, 2, (K, v))
+
+
+@given(st.integers(0, 10**6), st.integers(1, 30))
+@settings(max_examples=30)
+def test_optimality_conditions(seed, M):
+    rng = np.random.default_rng(seed)
+    G, bound, desired = random_problem(rng, M, K=20)
+    for size in (20, 1):  # a batch, and one alone: two ways through the code
+        batch = project_all(G[:size], bound[:size], desired[:size], 1.0)
+        for k in np.flatnonzero(batch.status < SHORT):
+            primal, stationarity = residuals(G[k], bound[k], desired[k], 1.0, batch.u[k])
+            assert primal < CLOSE and stationarity < CLOSE
+        for k in np.flatnonzero(batch.status >= SHORT):
+            rows = G[k] / np.linalg.norm(G[k], axis=1, keepdims=True)
+            tightening = bound[k] / np.linalg.norm(G[k], axis=1)
+            matrix, limits = -np.c_[rows, np.ones(M)], [(-1, 1)] * 3 + [(None, None)]
+            answer = linprog([0, 0, 0, 1], matrix, -tightening, bounds=limits)
+            assert answer.fun > -1e-9, "called infeasible, but is not"
+            # The worst violation is the least possible; what full thrust cannot give counts as full thrust.
+            reach = np.minimum(tightening, np.abs(rows).sum(axis=1))
+            least = linprog([0, 0, 0, 1], matrix, -reach, bounds=limits)
+            short = (reach - rows @ batch.u[k]).max()
+            assert short <= max(least.fun, 0.0) + 1e-6 and np.abs(batch.u[k]).max() <= 1.0
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60)
+def test_what_satisfies_everything_is_left_alone(seed):
+    rng = np.random.default_rng(seed)
+    G, _, desired = random_problem(rng, 8, K=30)
+    desired = np.clip(desired, -1, 1)
+    bound = np.einsum("kmv,kv->km", G, desired) - rng.choice([0.0, 1e-9, 1.0], (30, 8)) * np.abs(
+        rng.standard_normal((30, 8))
+    )
+    exact = (np.einsum("kmv,kv->km", G, desired) >= bound + 1e-9).all(axis=1)
+    answer = project_all(G, bound, desired, 1.0)
+    assert (answer.u[exact] == desired[exact]).all()
+    np.testing.assert_allclose(answer.u, desired, atol=1e-7)
+    # One alone goes to the solver; the filters look first whether there is anything to do.
+    one = project_all(G[:1], bound[:1], desired[:1], 1.0)
+    np.testing.assert_allclose(one.u, desired[:1], atol=1e-7)
+
+
+def test_hopeless_programs_get_a_finite_input():
+    """Contradictions, rows of zeros, bounds out of all reach, infinite bounds."""
+    eye = np.eye(3)
+    cases = [
+        (np.array([eye[0], -eye[0]]), [0.5, 0.5]),
+        (np.array([eye[0], 0 * eye[0]]), [0.2, 1.0]),
+        (np.array([eye[0], 1e-14 * eye[1]]), [0.2, 1.0]),
+        (np.array([eye[0], eye[1]]), [1e15, 0.3]),
+        (np.array([eye[0], eye[1]]), [np.inf, 0.3]),
+        (np.array([0 * eye[0]]), [np.inf]),
+        (np.array([0 * eye[0], 0 * eye[0]]), [1e-9, 5.0]),
+    ]
+    for G, bound in cases:
+        for copies in (1, 9):
+            with np.errstate(all="raise", under="ignore"):
+                answer = project_all(
+                    np.stack([G] * copies), np.array([bound] * copies), np.full((copies, 3), 0.1), 1.0
+                )
+            assert (answer.status == SHORT).all(), bound
+            assert np.isfinite(answer.u).all() and (np.abs(answer.u) <= 1).all()

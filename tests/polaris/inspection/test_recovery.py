@@ -16,46 +16,19 @@ SPEEDS = ("phi3", "phi9", "phi10", "phi11")
 
 
 def fly(q, families, sharing, x, seconds):
-    """Without any desired thrust, the sun at 0 to begin with: least and last values, largest speed."""
+    """Without any desired thrust, the sun at 0 to begin with: least and last values."""
     filtering = make_filter(families, sharing)
-    K, moves = len(x), [q.discretize(part) for part in (0.5, 1.0)]
+    K, moves = len(x), [(part, *q.discretize(part)) for part in (0.5, 1.0)]
     least = allowable(q, x, np.zeros(K))
-    fastest = np.zeros(K)
     for k in range(seconds):
         answer = filtering.batch(x, q.sun_angle(np.full(K, float(k))), np.zeros((K, q.deputies, 3)))
         assert (answer.status < FAILED).all() and np.abs(answer.u).max() <= q.thrust_max
-        after = [x @ Phi.T + answer.u @ Gamma.T for Phi, Gamma in moves]
-        for states, part in zip(after, (0.5, 1.0), strict=True):
-            now = allowable(q, states, q.sun_angle(np.full(K, k + part)))
+        for part, Phi, Gamma in moves:
+            after = x @ Phi.T + answer.u @ Gamma.T
+            now = allowable(q, after, q.sun_angle(np.full(K, k + part)))
             least = {name: np.minimum(least[name], now[name]) for name in least}
-        x = after[-1]
-        fastest = np.maximum(fastest, np.abs(x[..., 3:]).max(axis=(1, 2)))
-    return least, now, fastest
-
-
-def pairs_inside_the_cone(gap, K=24):
-    """Two deputies at rest, `gap` [m] apart, inside the cone of positions that look into the sun."""
-    rng = np.random.default_rng(0)
-    away = rng.uniform(50, 500, K)
-    off, way = rng.standard_normal((2, K, 3))
-    off[:, 0] = 0.0
-    off /= np.linalg.norm(off, axis=1, keepdims=True)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    middle = -away[:, None] * np.eye(3)[0] + off * (rng.uniform(0, 0.5, K) * away)[:, None]
-    x = np.zeros((K, 2, 6))
-    x[:, 0, :3], x[:, 1, :3] = middle + way * gap / 2, middle - way * gap / 2
-    return x
-
-
-@pytest.mark.parametrize("preset", ["polaris", "afrl", "linear"])
-@pytest.mark.parametrize("gap", [25.0, 30.0])
-def test_two_deputies_at_rest_inside_a_sun_cone_leave_it_without_a_collision(preset, gap):
-    """Asked back at 53 m/s and free of all else by as much, they met at 3.5 m/s."""
-    q = Inspection(deputies=2)
-    least, _, fastest = fly(q, Families(q, preset), "centralized", pairs_inside_the_cone(gap), 100)
-    assert least["phi2"].min() > 0 and least["phi1"].min() > 0
-    assert fastest.max() < q.speed_max
-    assert min(least[name].min() for name in SPEEDS) >= -1e-6
+        x = after
+    return least, now
 
 
 def outside(q, K, rng):
@@ -84,22 +57,21 @@ def recoveries(N, preset, sharing, sampled, K, seconds, seed):
     q = Inspection(deputies=N)
     families = Families(q, preset, (), sampled)
     x = outside(q, K, np.random.default_rng(seed))
-    h, start = families(x, np.zeros(K)).h, allowable(q, x, np.zeros(K))
-    kept = []
-    least, last, _ = fly(q, families, sharing, x, seconds)
+    h, start, kept = families(x, np.zeros(K)).h, allowable(q, x, np.zeros(K)), 0
+    least, last = fly(q, families, sharing, x, seconds)
     for name, phi in (("chief_separation", "phi1"), ("deputy_separation", "phi2")):
         some = np.array(families.family) == name
         good = (h[:, some] >= 0) & (start[phi] >= 0)
         assert (least[phi][good] >= 0).all(), (N, preset, sharing, phi, least[phi][good].min())
-        kept.append(good.sum())
-    return sum(kept), start, last
+        kept += good.sum()
+    return kept, last
 
 
 @pytest.mark.parametrize("sharing", ALL)
 @pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
 def test_no_way_back_violates_a_separation(sharing, sampled):
     for N, preset in ((3, "polaris"), (2, "linear")):
-        kept, start, last = recoveries(N, preset, sharing, sampled, 6, 60, 3)
+        kept, last = recoveries(N, preset, sharing, sampled, 6, 60, 3)
         assert kept > 6 * N
         for name in SPEEDS:
             assert last[name].min() >= -0.02, name
@@ -107,8 +79,7 @@ def test_no_way_back_violates_a_separation(sharing, sampled):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sharing", ALL)
-@pytest.mark.parametrize("preset", ["polaris", "afrl", "linear"])
 @pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
-def test_many_ways_back_violate_no_separation(sharing, preset, sampled):
-    for N in (1, 2, 3, 5):
-        recoveries(N, preset, sharing, sampled, 25, fewer(250, 80), 100 + N)
+def test_many_ways_back_violate_no_separation(sharing, sampled):
+    for N, preset in ((1, "linear"), (3, "afrl"), (5, "linear")):
+        recoveries(N, preset, sharing, sampled, 25, fewer(250, 60), 100 + N)

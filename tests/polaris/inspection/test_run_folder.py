@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +16,23 @@ from typer.testing import CliRunner
 
 import polaris
 from polaris.cli import app as cli
+from polaris.inspection.backup.all_time import AllTime
+from polaris.inspection.backup.brake import Brake
+from polaris.inspection.backup.planner import BackupPlanner
+from polaris.inspection.backup.tube import Uncertainty
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.filters.assured import Explicit, Implicit
+from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.simplex import SimplexExplicit, SimplexImplicit
+from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
+from polaris.rta.projection import FILTERED
 from polaris.runs.files.ownership import MANIFEST
-from polaris.runs.inspections.inspection import covered_periods
+from polaris.runs.inspections.inspection import assumptions, covered_periods
 from polaris.runs.run import read_run
-from polaris.scenario.scenario import load_scenario
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.metrics import lower_bound
 
 SHORT = ("--set", "flight.duration_s=20")
@@ -32,21 +45,29 @@ def invoke(*args):
     return CliRunner().invoke(cli.app, list(map(str, args)))
 
 
+COMMANDS = {
+    "inspection": ("run", "inspection", *SHORT),
+    "fuel_limit": ("run", "fuel-limit", *SHORT),
+    "monte_carlo": (*CAMPAIGN, *ALONE),
+}
+
+
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """One run folder of each kind, without figures."""
     place = tmp_path_factory.mktemp("runs")
-    made = {}
-    for kind, command in {
-        "inspection": ("run", "inspection", *SHORT),
-        "fuel_limit": ("run", "fuel-limit", *SHORT),
-        "monte_carlo": (*CAMPAIGN, *ALONE),
-    }.items():
-        made[kind] = place / kind
-        done = invoke(*command, "--out", made[kind], "--no-figures")
+    for kind, command in COMMANDS.items():
+        done = invoke(*command, "--out", place / kind, "--no-figures")
         assert done.exit_code == 0, done.output
         assert "Guarantee: " in done.stdout and "To draw the figures: polaris plot" in done.stdout
-    return made
+    return {kind: place / kind for kind in COMMANDS}
+
+
+def fly(tmp_path, name, *assignments):
+    """Run a scenario with assignments; what the command says, and the summary."""
+    words = [word for each in assignments for word in ("--set", each)]
+    done = invoke("run", name, *words, "--out", tmp_path / "a", "--no-figures")
+    return done, summary(tmp_path / "a")
 
 
 def summary(folder):
@@ -54,9 +75,6 @@ def summary(folder):
         raise AssertionError(f"{name} is not strict JSON")
 
     return json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=refuse)
-
-
-# -- what is in them --------------------------------------------------------------------------------
 
 
 def test_flight_folder_holds_what_was_flown(folders):
@@ -97,12 +115,9 @@ def test_periods_that_began_unsafe_or_had_no_solution_are_not_covered(folders):
     ],
 )
 def test_nothing_is_claimed_beyond_what_the_filter_gives(tmp_path, settings, word):
-    options = [part for text in settings for part in ("--set", text)]
-    done = invoke(
-        "run", "inspection", "--set", "flight.duration_s=3", *options, "--out", tmp_path / "a", "--no-figures"
-    )
+    done, table = fly(tmp_path, "inspection", "flight.duration_s=3", *settings)
     assert done.exit_code == 0, done.output
-    claim = summary(tmp_path / "a")["guarantee"]
+    claim = table["guarantee"]
     assert claim["kind"] == "none" and word in claim["reason"] and claim["assumptions"] == []
 
 
@@ -115,30 +130,23 @@ def test_fuel_folder_holds_what_was_flown(folders):
 
 
 def test_fuel_limit_is_kept_by_the_backup(tmp_path):
-    settings = ("--set", "flight.duration_s=400", "--set", "fuel.spent_m_s=18")
-    done = invoke("run", "fuel-limit", *settings, "--out", tmp_path / "a", "--no-figures")
+    done, table = fly(tmp_path, "fuel-limit", "flight.duration_s=400", "fuel.spent_m_s=18")
     assert done.exit_code == 0 and "The fuel limit is kept." in done.stdout
-    table = summary(tmp_path / "a")
     assert 0 < table["latched_at_s"] < 400 and 0 <= table["phi12_least_m_s"] < 2
     assert table["guarantee"]["kind"] == "by_prediction" and table["delta_v_m_s"] > 19
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("reason", "settings"),
     [
-        ("initial_state=[0,60,0,0,-4,0]", "flight.duration_s=200"),  # too fast to turn before the chief
-        ("initial_state=[0,400,0,0,3,0]", "fuel.spent_m_s=19", "flight.duration_s=20"),  # too little fuel
+        ("took over at the start", ("initial_state=[0,60,0,0,-4,0]", "flight.duration_s=200")),  # too fast
+        ("cut off", ("initial_state=[0,400,0,0,3,0]", "fuel.spent_m_s=19", "flight.duration_s=20")),
     ],
 )
-def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, settings):
-    words = [word for setting in settings for word in ("--set", setting)]
-    done = invoke("run", "fuel-limit", *words, "--out", tmp_path / "a", "--no-figures")
-    table = summary(tmp_path / "a")
+def test_nothing_is_claimed_of_a_flight_that_begins_on_backup(tmp_path, reason, settings):
+    done, table = fly(tmp_path, "fuel-limit", *settings)
     assert done.exit_code == 0 and table["latched_at_s"] == 0
-    assert table["guarantee"]["kind"] == "none"
-    assert ("thrust was cut off" if "fuel.spent_m_s=19" in settings else "took over at the start") in table[
-        "guarantee"
-    ]["reason"]
+    assert table["guarantee"]["kind"] == "none" and reason in table["guarantee"]["reason"]
 
 
 def test_campaign_folder_holds_what_was_flown(folders):
@@ -156,17 +164,9 @@ def test_lower_bound_is_clopper_and_pearsons():
     assert lower_bound(90, 100) < 0.9
 
 
-# -- repeating --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["inspection", "fuel_limit", "monte_carlo"])
+@pytest.mark.parametrize("kind", COMMANDS)
 def test_the_same_scenario_gives_the_same_bytes(folders, tmp_path, kind):
-    command = {
-        "inspection": ("run", "inspection", *SHORT),
-        "fuel_limit": ("run", "fuel-limit", *SHORT),
-        "monte_carlo": (*CAMPAIGN, *ALONE),
-    }[kind]
-    assert invoke(*command, "--out", tmp_path / "again", "--no-figures", "-q").exit_code == 0
+    assert invoke(*COMMANDS[kind], "--out", tmp_path / "again", "--no-figures", "-q").exit_code == 0
     names = [path.relative_to(folders[kind]) for path in sorted(folders[kind].rglob("*")) if path.is_file()]
     for name in names:
         if name.name not in ("summary.json", "manifest.json", MANIFEST):  # they tell when
@@ -186,13 +186,9 @@ def test_overrides_are_noted_and_read_back(folders):
         read_run(folders["inspection"].parent)
 
 
-# -- failing ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("damage", [b"", b"PK nonsense", None])
 def test_damaged_or_missing_file_is_one_readable_error(folders, tmp_path, damage):
-    folder = tmp_path / "broken"
-    shutil.copytree(folders["inspection"], folder)
+    folder = shutil.copytree(folders["inspection"], tmp_path / "broken")
     (folder / "flight.npz").unlink()
     if damage is not None:
         (folder / "flight.npz").write_bytes(damage)
@@ -202,28 +198,24 @@ def test_damaged_or_missing_file_is_one_readable_error(folders, tmp_path, damage
 
 
 def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
-    folder = tmp_path / "broken"
-    shutil.copytree(folders["inspection"], folder)
+    folder = shutil.copytree(folders["inspection"], tmp_path / "broken")
     with np.load(folder / "flight.npz") as file:
-        arrays = {name: file[name] for name in file.files}
-    np.savez(folder / "flight.npz", **{**arrays, "states": arrays["states"][:-1]})
-    with pytest.raises(ScenarioError, match="wrong shape"):
-        read_run(folder).plot_data()
-    arrays["states"][3, 1, 2] = np.nan
-    np.savez(folder / "flight.npz", **arrays)
-    with pytest.raises(ScenarioError, match="not finite"):
-        read_run(folder).plot_data()
+        arrays = dict(file)
+    lost = arrays["states"].copy()
+    lost[3, 1, 2] = np.nan
+    for states, words in ((arrays["states"][:-1], "wrong shape"), (lost, "not finite")):
+        np.savez(folder / "flight.npz", **arrays | {"states": states})
+        with pytest.raises(ScenarioError, match=words):
+            read_run(folder).plot_data()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("campaign", "inspection"), ("polaris run",)),
-        (("campaign", "nope"), ("nope",)),
         (("run", "inspection", "--solver", "highs"), ("planner", "unknown key")),
         (("run", "inspection", "--set", "flight.periode_s=1"), ("did you mean period_s",)),
         (("run", "inspection", "--set", "initial.states[7][0]=1"), ("initial.states[7]",)),
-        (("falsify", "inspection"), ("'schedule' here",)),
         (("model-error", "fuel-limit"), ("'schedule' here",)),
     ],
 )
@@ -237,61 +229,169 @@ def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argumen
 
 
 OUTWARDS = (
-    "initial.states=[[0, -985, 0, 0, -0.1, 0]]",
-    'filter.without=["keep_in"]',
-    "flight.duration_s=40",
-    'primary=[{ kind = "to_distance", distance_m = 1200 }]',
-    "parameters.delta_v_max_m_s=0.5",
+    *("initial.states=[[0, -985, 0, 0, -0.1, 0]]", 'filter.without=["keep_in"]', "flight.duration_s=40"),
+    *('primary=[{ kind = "to_distance", distance_m = 1200 }]', "parameters.delta_v_max_m_s=0.5"),
 )
-
-
-def outwards(*more):
-    """Return the words of a command that flies away from the chief, with other assignments after its own."""
-    sets = [word for assignment in (*OUTWARDS, *more) for word in ("--set", assignment)]
-    return ["run", "inspection", *sets, "--no-figures", "--out"]
 
 
 def test_a_flight_that_violates_ends_with_exit_code_5_and_says_what_exceeds_the_tank(tmp_path):
     """By a process of its own: a caller sees its exit code."""
-    command = [sys.executable, "-m", "polaris", *outwards(), "a"]
+    words = [word for each in OUTWARDS for word in ("--set", each)]
+    command = [sys.executable, "-m", "polaris", "run", "inspection", *words, "--no-figures", "--out", "a"]
     environment = {**os.environ, "PYTHONPATH": str(Path(polaris.__file__).parents[1])}
     done = subprocess.run(
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 5, done.stdout + done.stderr
-    assert summary(tmp_path / "a")["safe"] is False
-    assert "CONSTRAINTS ARE VIOLATED." in done.stdout
+    assert summary(tmp_path / "a")["safe"] is False and "CONSTRAINTS ARE VIOLATED." in done.stdout
     assert "THE FUEL LIMIT IS EXCEEDED" in done.stdout and "of 0.5 m/s" in done.stdout
 
 
 def test_a_flight_that_violates_nothing_ends_with_exit_code_0_and_says_neither(tmp_path):
-    done = invoke(*outwards("filter.without=[]", "flight.duration_s=2"), tmp_path / "a")
-    assert done.exit_code == 0, done.output
-    assert summary(tmp_path / "a")["safe"] is True
+    done, table = fly(tmp_path, "inspection", *OUTWARDS, "filter.without=[]", "flight.duration_s=2")
+    assert done.exit_code == 0 and table["safe"] is True
     assert "CONSTRAINTS ARE VIOLATED." not in done.stdout and "FUEL LIMIT IS EXCEEDED" not in done.stdout
-
-
-@pytest.mark.parametrize("name", ["inspection", "fuel-limit", "inspection-monte-carlo"])
-def test_check_tells_what_a_scenario_is(name):
-    done = invoke("check", name)
-    assert done.exit_code == 0 and done.stdout.startswith(f"{name} is valid: ")
 
 
 def test_json_is_the_summary_and_nothing_else(tmp_path):
     out = tmp_path / "a"
     done = invoke("run", "inspection", "--set", "flight.duration_s=2", "--no-figures", "--out", out, "--json")
-    assert (done.exit_code, done.stderr) == (0, "")
-    assert json.loads(done.stdout) == summary(out)
+    assert invoke("check", "inspection").stdout.startswith("inspection is valid: ")
+    assert (done.exit_code, done.stderr) == (0, "") and json.loads(done.stdout) == summary(out)
 
 
-def test_a_run_that_fails_late_leaves_the_old_folder_whole(folders, tmp_path, monkeypatch):
-    folder = tmp_path / "run"
-    shutil.copytree(folders["inspection"], folder)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+PERIODS = 25
+STATES = [[-180.0, -60.0, 40.0, 0.0, 0.0, 0.0], [-200.0, 90.0, -30.0, 0.0, 0.0, 0.0]]
+FILTERS = {
+    "explicit": {"sampled_data_share": 0.4},
+    "implicit": {},
+    "simplex_explicit": {"margin": 0.01, "release": 0.06, "looks": 3},
+    "simplex_implicit": {"release_distance_m": 3.0, "dwell_s": 5.0},
+}
 
-    def fail(*args):
-        raise RuntimeError("no ink")
 
-    monkeypatch.setattr("polaris.report.figures.draw_figures", fail)
-    assert invoke("run", "inspection", "--set", "flight.duration_s=2", "--out", folder, "-q").exit_code == 1
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+def by_hand(kind, q, alpha, sun):
+    planner = BackupPlanner(AllTime(Brake(q, 1.0, Uncertainty(jitter=0.0)), sun))
+    return {
+        "explicit": lambda: Explicit(planner, Centralized(Families(q, alpha, sampled=SampledData(1.0, 0.4)))),
+        "implicit": lambda: Implicit(planner),
+        "simplex_explicit": lambda: SimplexExplicit(planner, Families(q, alpha), 0.01, 0.06, looks=3),
+        "simplex_implicit": lambda: SimplexImplicit(planner, 3.0, dwell=5.0),
+    }[kind]()
+
+
+@pytest.fixture(scope="module", params=FILTERS)
+def flown(request, tmp_path_factory):
+    """A file of one's own with such a filter, and its run folder."""
+    place = tmp_path_factory.mktemp(request.param)
+    document = tomllib.loads((scenario_folder() / "inspection.toml").read_text(encoding="utf-8"))
+    document["filter"] = {"kind": request.param, **FILTERS[request.param]}
+    document["initial"] = {"kind": "states", "states": STATES, "sun_angle_deg": 180.0}
+    document["flight"] = {"duration_s": float(PERIODS), "between": 1}
+    file = place / "mine.toml"
+    file.write_text(write_toml(document), encoding="utf-8")
+    done = invoke("run", file, "--out", place / "run", "--no-figures")
+    assert done.exit_code == 0, done.output
+    return request.param, place / "run", done.stdout
+
+
+def test_flight_is_that_of_the_filter_asked_by_hand(flown):
+    kind, folder, _ = flown
+    scenario = read_run(folder).scenario
+    run = read_run(folder).plot_data()
+    q, primary = scenario.inspection(), scenario.primary()
+    filtering, x = by_hand(kind, q, scenario.strengthening(), float(run.sun[0])), run.x[0]
+    Phi, Gamma = q.discretize(1.0)
+    for k in range(PERIODS):
+        decision = filtering.filter(float(k), x, primary(float(k), x[None])[0])
+        np.testing.assert_allclose(run.u[k], decision.u, atol=1e-12)
+        assert ((run.status[k] == 0) == ~decision.intervened).all()
+        x = x @ Phi.T + decision.u @ Gamma.T
+    assert {FILTERED, BACKUP} & set(run.status.ravel().tolist()) and (run.status != UNPROVEN).all()
+
+
+def test_flight_is_judged_and_told(flown):
+    kind, folder, shown = flown
+    table = summary(folder)
+    sharing = "centralized" if kind == "explicit" else None
+    assert table["filter"] == {"kind": kind, "sharing": sharing, "without": [], "sampled_data": False}
+    judged = [row["constraint"] for row in table["constraints"]]
+    assert table["safe"] and judged == [f"phi{k}" for k in range(1, 12)]
+    assert sum(table["steps"].values()) == 2 * PERIODS and f"Filter ({kind})" in shown
+    claim = table["guarantee"]
+    assert claim["kind"] == "all_time" and claim["periods_covered"] == PERIODS
+    assert "Guarantee: all time" in shown
+
+
+def test_nothing_is_claimed_where_no_plan_is_proven(tmp_path):
+    """At 985 m, at rest among the stars, a deputy is faster along an axis than it may, sooner or later."""
+    start = 'initial={ kind = "states", sun_angle_deg = 0.0, states = [[985.0, 0.0, 0.0, 0.0, -0.999, 0.0]] }'
+    _, table = fly(
+        tmp_path, "inspection", 'filter={ kind = "simplex_implicit" }', "flight.duration_s=3", start
+    )
+    assert table["guarantee"]["kind"] == "none" and "no plan is known" in table["guarantee"]["reason"]
+    assert table["guarantee"]["first_missed_s"] == 0.0 and table["steps"]["unproven"] == 3
+
+
+def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
+    words = ['filter={ kind = "explicit" }', "flight.duration_s=20", "flight.disturbance_max_m_s2=1e-5"]
+    words += ["navigation={ position_error_m = 0.05, velocity_error_m_s = 0.002 }"]
+    words += ["thrusters.magnitude_error=0.01"]
+    (_, table), folder = fly(tmp_path, "inspection", *words), read_run(tmp_path / "a")
+    claim = table["guarantee"]
+    assert claim["kind"] == "all_time" and table["safe"]
+    said = "; ".join(claim["assumptions"])
+    assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
+    run, q = folder.plot_data(), folder.scenario.inspection()
+    Phi, Gamma = q.discretize(1.0)
+    np.testing.assert_allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, atol=1e-9)
+    # What acted is off the thrust limits by the errors: they are flown, not only booked.
+    assert 1.0 < np.abs(run.u).max() <= 1.0 + 0.01 + 12 * 1e-5
+    bare = {"filter": {"kind": "centralized"}, "navigation": {"position_error_m": 0.05}}
+    assert not load_scenario("inspection", bare).uncertainty().exact
+
+
+def test_a_delay_is_an_error_of_what_is_predicted():
+    tables = {"navigation": {"position_error_m": [0.05, 0.0, 0.01], "velocity_error_m_s": 0.002}}
+    late = load_scenario("inspection", {**tables, "timing": {"delay_s": 3.0}}).uncertainty().estimate
+    at_once = load_scenario("inspection", tables).uncertainty().estimate
+    np.testing.assert_allclose(at_once, [0.05, 0.0, 0.01, 0.002, 0.002, 0.002])
+    np.testing.assert_allclose(late - at_once, [0.006, 0.006, 0.006, 0, 0, 0], atol=3e-5)
+
+
+@pytest.mark.parametrize("kind", ["centralized", "explicit", "simplex_implicit"])
+def test_a_jitter_is_tolerated_by_every_kind(kind):
+    scenario = load_scenario("inspection", {"filter": {"kind": kind}, "timing": {"jitter_s": 0.05}})
+    assert scenario.uncertainty().jitter == 0.05 and load_scenario("inspection").uncertainty().jitter == 0.0
+    filtering = scenario.filter(scenario.model.filter, 1.0)
+    if kind == "centralized":
+        assert filtering.families.sampled.period == 1.1  # from one late call to another
+    else:
+        assert filtering.filter.recovery.families.sampled.period == 1.1
+    assert any("at most 0.05 s early or late" in said for said in assumptions(scenario))
+
+
+SCHEDULES = "timing.clock_error_s=0.1 timing.missed_periods=2 thrusters.pulse=centred"
+SCHEDULES += " thrusters.remainder=carried thrusters.thrust_max_N=0.5"
+
+
+@pytest.mark.parametrize("assignment", SCHEDULES.split())
+def test_what_only_schedules_have_is_refused(assignment):
+    with pytest.raises(ScenarioError, match=f"{assignment.split('=')[0]}: .*schedules only"):
+        load_scenario("inspection").with_assignments([assignment])
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "rule"),
+    [
+        ({"kind": "implicit", "margin": 0.1}, "filter.margin", "unknown key"),
+        ({"kind": "explicit", "sharing": "coasting"}, "filter.sharing", "centralized"),
+        ({"kind": "simplex_explicit", "margin": 0.2}, "filter.release", "at least the margin"),
+        ({"kind": "simplex_explicit", "looks": 0}, "filter.looks", ">= 1"),
+        ({"kind": "simplex_implicit", "without": ["moon"]}, "filter.without[0]", "'chief_sep"),
+    ],
+)
+def test_broken_table_is_one_line_with_field_and_rule(table, field, rule):
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("inspection", {"filter": table})
+    assert caught.value.field == field and rule in caught.value.rule, str(caught.value)
