@@ -180,6 +180,18 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
     assert np.median(gaps) < 0.02
 
 
+def test_every_margin_counts_the_tube():
+    """Wider by 5 m and 0.1 m/s, as much of every distance and speed is lost; of pairs, twice as much."""
+    (x, *_), (sun, *_) = drawn(1)
+    check = AllTime(Brake(Q), sun)
+    proven = BackupPlanner(check).find(0.0, x)
+    less = proven.margins - check(0.0, proven.plan, proven.tube + [5.0, 0.1])
+    kinds = np.array([label.split("[")[0].rstrip("+-") for label in check.labels])
+    expected = {"phi1": 5.0, "phi2": 10.0, "phi4": 5.0, "phi5": 10.0, "phi6": 5.0, "phi7": 5.0, "phi8": 10.0}
+    for name, least in expected.items() | {("phi3", 0.1), ("phi9", 0.01), ("phi10", 0.01), ("phi11", 0.01)}:
+        assert less[kinds == name].min() >= least - 1e-6, name
+
+
 def test_held_in_free_flight_a_deputy_keeps_its_share_of_the_distance():
     """After a quarter of an orbit what was held on the axis across the plane is at the chief."""
     quarter = np.pi / 2 / Q.mean_motion
@@ -303,6 +315,17 @@ def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all()
         assert len(plans) == (0 if k == 5 else 4)
         assert all(np.array_equal(plan, plans[0]) for plan in plans)
     assert not any(one.unproven for one in members)  # the plan of the third is flown exactly
+
+
+def test_messages_of_the_period_before_are_lost():
+    f, x, _ = group("implicit", None, 2, 2.0)
+    Phi, Gamma = Q.discretize(2.0)
+    old = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
+    x = x @ Phi.T + np.array([one.decide(0.0, old) for one in f.members]) @ Gamma.T
+    sent = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
+    f.members[0].decide(2.0, [sent[0], old[1], *sent[2:]])
+    f.members[1].decide(2.0 + 1e-9, sent)  # by its clock
+    assert [one.moved for one in f.members[:2]] == [False, True]
 
 
 @pytest.mark.parametrize("how", ["late", "no number", "not known"])
