@@ -1,23 +1,17 @@
 """Claims of a run beside safety, against what its scenario demands and the rest of its folder."""
 
 import json
-import math
 import tomllib
 
 import numpy as np
 import pytest
-
-pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify
 from polaris.certificate.files.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
 from polaris.certificate.files.scenario_keys import SCENARIO
 from polaris.certificate.files.structure import Items, OneOf
 from polaris.model.errors import ScenarioError
-from polaris.report import write_report
-from polaris.report.figures import draw_run
-from polaris.report.sentences import goal as _goal
-from polaris.runs.files.arrays import read_arrays, tube_arrays
+from polaris.runs.read_schedule import read_schedule
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -28,184 +22,56 @@ from tests.polaris.certificate.test_forged_runs import NO_CLAIM
 from tests.polaris.forging import QUARTER, Forger, Lie, make, pattern, places, replaced
 from tests.polaris.tiny import TINY
 
-CORNER = (
-    "initial_set.center=[1.0,1.0,0.0,0.0]",
-    'obstacles=[{kind="polytope",name="wall",normals=[[2.0,0.0]],offsets_m=[0.0],unbounded=true},'
-    '{kind="polytope",name="wedge",normals=[[1.0,-1.0],[-1.0,4.0]],offsets_m=[0.0,-0.0],unbounded=true}]',
-    'keep_in=[{kind="polytope",name="quadrant",normals=[[0.0,-1.0],[-1.0,3e-9]],offsets_m=[0.0,0.0]},'
-    '{kind="cone",name="cone",apex_m=[0.0,0.0],axis=[1.0,1.0],half_angle_deg=80.0}]',
-)
-"""Every set has its facets through the origin."""
-
-
-@pytest.mark.slow
-def test_a_scene_of_walls_through_the_origin_is_proven_drawn_and_verified(tmp_path):
-    assignments = [QUARTER, "simulation.runs=2", "schedule.bound_programs=0", *CORNER]
-    made = run(TINY, tmp_path / "run", overrides=assignments, draw=draw_run)
-    assert made.summary["guarantee"]["kind"] == "proved"
-    write_report(made.path)
-    verdict = verify(made.path)
-    assert verdict.outcome == "VERIFIED", verdict.text()
-
-
-# -- tubes.npz --------------------------------------------------------------------------------------
-
-SOFT = (
-    *("feedback={period_s=0.25}", "tracking.Q=[0.1,0.1,0.1,0.1]", "tracking.R=[10.0,10.0]"),
-    *("initial_set.half_widths=[0.0005,0.0005,0.0001,0.0001]", "system.disturbance_max=0.0001"),
-    *("experimental.0.Q=[0.1,0.1,0.1,0.1]", "experimental.0.R=[10.0,10.0]"),
-    *('experimental.0.reference={kind="shared"}', "planner.extra_margin_m=0.0"),
-    'obstacles=[{kind="ball",name="far",center_m=[0.0,60.0],radius_m=1.0}]',
-)
-"""Next to no feedback: what displaces flights is not hidden in what they need to answer it."""
-BIT = "thrusters.impulse_bit_N_s=0.02"
-DISPLACED = {
-    "carried": [BIT, "thrusters.remainder=carried"],
-    "carried, of another size": [BIT, "thrusters.remainder=carried", "thrusters.magnitude_error=0.05"],
-    "carried and pulsed": [BIT, "thrusters.remainder=carried", "thrusters.pulse=centred"],
-    "pulsed": ["thrusters.pulse=centred"],
-    "early or late": ["timing.jitter_s=0.02"],
-}
-
-
-@pytest.mark.parametrize("kind", DISPLACED)
-def test_flights_are_inside_the_sets_of_the_file_at_nodes_and_between(kind, tmp_path):
-    """Along random rows, each flight against the zonotopes as they are read; some use most of them."""
-    schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, *DISPLACED[kind]]))
-    np.savez(tmp_path / "tubes.npz", **tube_arrays(schedule))
-    file, runs = read_arrays(tmp_path / "tubes.npz"), simulate(schedule, 150, 0, initial="corners")
-    (K, q), system = file["intersample"].shape[:2], schedule.safety.problem.system
-    at = np.arange(K)[:, None] * q + np.arange(q + 1)
-    errors = runs.states[:, at] - schedule.safety.reference.fine(q)[:K]
-    within = between(runs, schedule, parts=20).reshape(len(errors), K, q, -1, system.n)
-    largest, rng = 0.0, np.random.default_rng(0)
-    for row in [*np.eye(system.n), *rng.normal(size=(20, system.n))]:
-        middle, intersample = file["center_error"] @ row, file["intersample"] @ np.abs(row)
-        half = np.abs(file["generators"].astype(float) @ row).sum(axis=1).T
-        share = np.abs(errors @ row - middle) / half
-        assert np.all(share <= 1 + 1e-6)
-        largest = max(largest, float(share[:, :, 1:].max()))
-        low, high, along = middle - half, middle + half, within @ row
-        off = system.w_max * schedule.safety.tracking.flow.h  # `between` knows of none
-        assert np.all(along >= (np.minimum(low[:, :-1], low[:, 1:]) - intersample - off)[..., None])
-        assert np.all(along <= (np.maximum(high[:, :-1], high[:, 1:]) + intersample + off)[..., None])
-    last = np.abs(errors[:, -1, -1] - file["final_center_error"])
-    assert np.all(last <= np.abs(file["final_generators"]).sum(axis=1) + 1e-9)
-    assert largest > (0.4 if "carried" in kind else 0.02)  # of what is carried at the start, too
-
-
-def between(runs, schedule, parts):
-    """Errors within every period of a double integrator under the thrust that was applied, held or pulsed."""
-    h, fired = schedule.safety.tracking.flow.h, np.array(schedule.safety.problem.system.timing.pulse_thrust)
-    ends, u = np.linspace(-0.5, 0.5, parts + 1)[:, None], runs.inputs[:, :, None]
-    if len(fired):
-        on = np.abs(u) / fired / 2
-        u = np.sign(u) * fired * np.maximum(np.minimum(on, ends[1:]) - np.maximum(-on, ends[:-1]), 0) * parts
-    nu = np.repeat(schedule.safety.reference.nu, runs.inputs.shape[1] // schedule.safety.problem.K, axis=0)
-    K, count = schedule.safety.problem.K, runs.inputs.shape[1]
-    start = runs.states[:, :-1] - np.vstack([*schedule.safety.reference.fine(count // K)[:K, :-1]])
-    d = np.cumsum(u - nu[:count, None] + np.zeros((parts, 1)), axis=2) * h / parts
-    d = start[:, :, None, 2:] + np.concatenate([0 * d[:, :, :1], d], axis=2)
-    p = start[:, :, None, :2] + np.cumsum((d[:, :, 1:] + d[:, :, :-1]) / 2, axis=2) * h / parts
-    return np.concatenate([p, d[:, :, 1:]], axis=-1)
-
-
-# -- order of states --------------------------------------------------------------------------------
-
 CART = {
     "system": {
         "kind": "linear",
         "A": [
             [0.0, 1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -4.0],
-        ],  # position, velocity, force of a slow motor
-        **{"B": [[0.0], [0.0], [4.0]], "D": [[0.0], [1.0], [0.0]], "input_max": 1.0},
-        **{"disturbance_max": 0.01, "position_states": [0]},
+            [0.0, -4.0, 0.0],
+            [1.0, 0.0, 0.0],
+        ],  # velocity, force of a slow motor, position
+        **{"B": [[0.0], [4.0], [0.0]], "D": [[1.0], [0.0], [0.0]], "input_max": 1.0},
+        **{"disturbance_max": 0.01, "position_states": [2]},
     },
-    "initial_set": {"kind": "box", "center": [0.0, 0.0, 0.0], "half_widths": [0.02, 0.01, 0.01]},
+    "initial_set": {"kind": "box", "center": [0.0, 0.0, 0.0], "half_widths": [0.01, 0.01, 0.02]},
     "tracking": {"Q": [1.0, 1.0, 1.0], "R": [1.0]},
-    "goal": {"kind": "box", "center": [3.0, 0.0, 0.0], "half_widths": [0.01, 0.02, 0.5]},
+    "goal": {"kind": "box", "center": [0.0, 0.0, 3.0], "half_widths": [0.02, 0.5, 0.01]},
     "obstacles": [
         {"kind": "polytope", "name": "wall", "normals": [[-1.0]], "offsets_m": [-4.0], "unbounded": True}
     ],
-    "experimental": [{"kind": "saturated_affine", "name": "u", "Q": [2.0, 1.0, 1.0], "R": [1.0]}],
+    "experimental": [{"kind": "saturated_affine", "name": "u", "Q": [1.0, 1.0, 2.0], "R": [1.0]}],
 }
-"""An odd number of states, one of which is neither position nor velocity."""
+"""An odd number of states, in an order of their own, one of which is neither position nor velocity."""
 
 
-def in_order(scenario, order):
-    """Return the scenario with its states in another order."""
-    scenario = {**scenario}
-    system, place = scenario["system"], [order.index(i) for i in range(len(order))]
-    matrices = {"A": [[system["A"][i][j] for j in order] for i in order]}
-    matrices |= {key: [system[key][i] for i in order] for key in "BD"}
-    first = system.get("position_states", range(len(order) // 2))
-    scenario["system"] = system | matrices | {"position_states": [place[i] for i in first]}
-
-    def turned(table):
-        """Lists with a number for every state; tables within, too."""
-        for key, value in table.items():
-            if isinstance(value, dict):
-                value = turned(value)
-            elif key in ("center", "half_widths", "state", "Q"):
-                value = [value[i] for i in order]
-            table = table | {key: value}
-        return table
-
-    for name in ("initial_set", "goal", "tracking"):
-        scenario[name] = turned(scenario[name])
-    scenario["experimental"] = [turned(each) for each in scenario["experimental"]]
-    return scenario
+def test_velocities_are_those_of_the_position_wherever_they_stand(tmp_path):
+    """To the synthesis, to the checker and in flight."""
+    base = tomllib.loads(TINY.read_text(encoding="utf-8")) | CART
+    base |= {"feedback": {"period_s": 0.25}, "simulation": {"runs": 2}, "schedule": {"bound_programs": 0}}
+    (tmp_path / "cart.toml").write_text(write_toml(base), encoding="utf-8")
+    made = run(tmp_path / "cart.toml", tmp_path / "run")
+    assert verify(made.path).outcome == "VERIFIED"
+    goal = made.summary["guarantee"]["goal"]
+    assert goal["velocity_time_s"] == 3.0 and goal["drift_m_per_orbit"] is None  # a quarter of 12 s
+    states = made.plot_data().flights["polaris"].states[:, round(goal["by_s"] / 0.25)]
+    velocity, _, position = (np.abs(states - [0.0, 0.0, 3.0]) - [0.02, 0.5, 0.01]).T  # beyond the goal's box
+    assert np.all(np.maximum(position, 3.0 * velocity) <= goal["distance_m"])
 
 
-@pytest.mark.parametrize(
-    ("change", "orders"),
-    [pytest.param({}, ([0, 1, 2, 3], [3, 0, 2, 1]), marks=pytest.mark.slow), (CART, ([0, 1, 2], [1, 2, 0]))],
-    ids=["robot", "cart"],
-)
-def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
-    """Velocities are those of the position, wherever they stand, to the synthesis and to the checker."""
-    base = tomllib.loads(TINY.read_text(encoding="utf-8")) | change
-    base |= {"feedback": {"period_s": 0.25}, "simulation": {"runs": 2}}
-    base |= {"schedule": {"bound_programs": 0}}
-    claims = []
-    for order in orders:
-        file = tmp_path / f"{order}.toml"
-        file.write_text(write_toml(in_order(base, order)), encoding="utf-8")
-        made = run(file, tmp_path / "run")
-        assert verify(made.path).outcome == "VERIFIED"
-        claims.append(made.summary["guarantee"]["goal"])
-        assert claims[-1].pop("drift_m_per_orbit") is None
-    for claim in claims:
-        assert claim == pytest.approx(claims[0], rel=1e-3)  # weights of sums are found by ascent
-    assert claims[0]["velocity_time_s"] == 3.0  # a quarter of 12 s
-
-
-# -- velocities -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("most", "reached"), [(0.5, True), pytest.param(0.005, "not_proven", marks=pytest.mark.slow)]
-)
-def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
+def test_velocities_have_a_tolerance_of_their_own(tmp_path, most=0.5):
     """A goal claimed as reached is within both, to the checker too, which refuses a narrower one."""
     near = ["goal.tolerance_m=2.0", f"goal.velocity_tolerance_m_s={most}", "schedule.bound_programs=0"]
     forger = Forger(make([QUARTER, *near], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     lie = Lie(forger)
     goal = lie.schedule["guarantee"]["goal"]
-    assert goal["reached"] == reached and goal["velocity_time_s"] == pytest.approx(2.0 / most)
-    assert (goal["distance_m"] <= 2.0) == (reached is True)
+    assert goal["reached"] is True and goal["velocity_time_s"] == pytest.approx(2.0 / most)
     lie.scenario["goal"]["velocity_tolerance_m_s"] = 0.9 * most
     lie.judge({"goal"})
     lie = Lie(forger)
     for name in ("schedule", "summary"):
         getattr(lie, name)["guarantee"]["goal"]["velocity_time_s"] = 1.0
     lie.judge({"goal"})
-
-
-def test_flights_keep_both_tolerances():
     near = [QUARTER, "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.1"]
     schedule = synthesize(load_scenario(TINY).with_assignments(near))
     runs, arrival = simulate(schedule, 200, 0, disturbance="worst", tail=True), schedule.arrival
@@ -219,7 +85,7 @@ def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
     asked = [QUARTER, f"abort={{orbit={orbit},within_s=14.0}}", "schedule.bound_programs=0"]
     forger = Forger(make(asked, tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
-    schedule = synthesize(load_scenario(TINY).with_assignments([*asked, "tracking.R=[60,60]"]))
+    schedule = read_schedule(forger.run)
     k, way = next((k, way) for k, way in enumerate(schedule.powered.ways) if way.branch is not None)
     runs = simulate(schedule.aborted(k), 40, 0, disturbance="worst", tail=True)
     off = np.abs(runs.states[:, way.cell * 4] - [0.0, 6.0, 0.0, 0.0]).max(axis=0)
@@ -229,62 +95,28 @@ def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
     lie.judge({"powered_abort"})
 
 
-ANY = [1.0, 1.0, float("inf"), float("inf")]
 MIXED = {
     **{"A": [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0] * 4, [0.0] * 4]},
-    **{
-        "B": [[0.5, 0.0], [0.0, 0.5], [1.0, 0.0], [0.0, 1.0]],
-        "C": [[1.0, 0.0, -0.5, 0.0], [0.0, 1.0, 0.0, 0.0]],
-    },
+    **{"B": [[0.5, 0.0], [0.0, 0.5], [1.0, 0.0], [0.0, 1.0]]},
+    **{"C": [[1.0, 0.0, -0.5, 0.0], [0.0, 1.0, 0.0, 0.0]]},
 }
 """The robot, one state of which is a position plus half a velocity: that velocity is part of the position."""
 
 
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        ({"system": MIXED}, "has no velocity among the states"),
-        pytest.param(
-            {"goal": {"kind": "box", "center": [8.0, 6.0, 0.0, 0.0], "half_widths": ANY}},
-            "sets no condition on velocities",
-            marks=pytest.mark.slow,
-        ),
-    ],
-    ids=["mixed", "any"],
-)
-def test_a_tolerance_of_velocities_without_effect_is_refused(change, rule, tmp_path):
+def test_a_tolerance_of_velocities_without_effect_is_refused(tmp_path):
     """A run that is far faster would count as reached, to the checker too."""
     base = load_scenario(TINY).with_assignments([QUARTER, "goal.tolerance_m=2.0"]).to_dict()
     base |= {"schedule": {"bound_programs": 0}, "simulation": {"runs": 2}}
-    base["system"] |= change.get("system", {})
-    base["goal"] = change.get("goal", base["goal"]) | {"tolerance_m": 2.0}
-    if "system" in change:
-        base["system"].pop("position_states", None)
+    base["system"] |= MIXED
+    base["system"].pop("position_states", None)
     file = tmp_path / "scene.toml"
     file.write_text(write_toml(base), encoding="utf-8")
     lie = Lie(Forger(run(file, tmp_path / "run").path, tmp_path))
     lie.scenario["goal"]["velocity_tolerance_m_s"] = 1e-6
     lie.judge({"goal"})
     scenario = load_scenario(file).with_assignments(["goal.velocity_tolerance_m_s=1e-6"])
-    with pytest.raises(ScenarioError, match=f"goal.velocity_tolerance_m_s.*{rule}"):
+    with pytest.raises(ScenarioError, match="velocity_tolerance_m_s.*has no velocity among the states"):
         synthesize(scenario)
-
-
-def test_a_tolerance_of_velocities_needs_one_of_lengths():
-    with pytest.raises(ScenarioError, match="must be given with velocity_tolerance"):
-        load_scenario(TINY).with_assignments(["goal.velocity_tolerance_m_s=0.1"])
-
-
-@pytest.mark.parametrize("drift", [None, 73.7])
-def test_the_line_of_the_goal_says_when_how_near_and_what_holds_it(drift):
-    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "tolerance_m": 4.0}
-    cost = {"velocity_time_s": 450.0, "drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3}
-    line = _goal(claim | cost)
-    assert line.startswith("reached at 1958 s, within 3.9 m (the tolerance is 4 m; velocity errors count as")
-    assert "S must fly on to stay there" in line and ("m per orbit" in line) == (drift is not None)
-
-
-# -- what a scenario demands ------------------------------------------------------------------------
 
 
 def paths(shape, at=()):
@@ -342,12 +174,9 @@ def demanding(tmp_path_factory):
     return Forger(make(DEMANDING, folder), folder)
 
 
-def test_every_limit_on_a_schedule_has_a_tighter_one():
-    """A new one? Enter it into `DEMANDING` and `TIGHTER`."""
-    assert {key for claim in ("schedule", "upkeep") for key in listed(CHECKED[claim])} <= set(TIGHTER)
-
-
 def test_what_is_demanded_and_not_checked_is_printed(demanding):
+    """A new limit on a schedule? Enter it into `DEMANDING` and `TIGHTER`."""
+    assert {key for claim in ("schedule", "upkeep") for key in listed(CHECKED[claim])} <= set(TIGHTER)
     verdict = demanding.judge({})
     assert verdict.outcome == "VERIFIED", verdict.text()
     lines = [line for line in verdict.text().splitlines() if line.startswith("not checked: ")]
@@ -391,8 +220,6 @@ def test_a_tank_of_which_a_run_says_nothing_is_printed_as_not_checked(plain):
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert any(line.endswith(": tank.delta_v_m_s") for line in verdict.unchecked)
 
-
-# -- numbers of one folder --------------------------------------------------------------------------
 
 CONTRARY = {
     "seed": [7],
@@ -490,42 +317,23 @@ def test_every_number_of_a_schedule_that_looks_better_is_refused(demanding, deri
     assert not passed
 
 
-def test_a_margin_of_a_step_under_s_is_no_more_than_derived(demanding):
+def test_a_margin_of_a_step_under_s_is_no_more_than_derived_nor_spending_than_claimed(demanding):
     """The need fits."""
     lie = Lie(demanding)
     k = max(k for k, step in enumerate(lie.schedule["steps"]) if step["mode"] == 0)
     step = lie.schedule["steps"][k]
     step |= {"margin": 0.99, "tightening": (1 - 0.99) * step["clearance"]}
     lie.judge({"margins", "recoverable"})
-
-
-def test_runs_that_spend_more_than_is_claimed_are_refused(demanding):
     lie = Lie(demanding)
     lie.summary["polaris"]["delta_v_max_m_s"] = 1.01 * lie.summary["guarantee"]["goal"]["delta_v_max_m_s"]
     lie.judge({"summary"})
 
 
-def test_a_witness_may_lie_in_the_last_of_the_whole_steps_that_a_drift_is_followed_over(demanding):
-    lie = Lie(demanding)
-    abort, delta = lie.schedule["guarantee"]["abort"], lie.schedule["step_s"]
-    steps = math.ceil(abort["drift_s"] / delta) + 1
-    assert abort["drift_s"] % delta > 0
-    for after, claim in (((steps + 0.01) * delta, "passive"), (steps * delta, "")):
-        abort["witness"]["after_s"] = after
-        lie.summary["guarantee"] = lie.schedule["guarantee"]
-        verdict = lie.verdict()
-        assert verdict.claim == claim and (verdict.outcome == "VERIFIED") == (not claim), verdict.text()
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        {"step": "clear"},
-        {"step": 99},
-        {"t_s": 0.5},
-        {"unsafe_set": "no"},
-        {"after_s": 1e9},
-        {"distance_m": 1.0},
+        *({"step": "clear"}, {"step": 99}, {"t_s": 0.5}),
+        *({"unsafe_set": "no"}, {"after_s": 1e9}, {"distance_m": 1.0}),
     ],
     ids=str,
 )

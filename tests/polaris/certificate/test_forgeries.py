@@ -1,14 +1,11 @@
 """Unsafe certificates made to look safe, with hashes and digest right: none is verified."""
 
-import copy
 import hashlib
 import json
 import shutil
+from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("flint")
-
 
 import polaris
 from polaris.certificate.checker import verify, verify_document
@@ -18,6 +15,7 @@ from polaris.certificate.model.perception import _check_cone, _check_keep_in
 from polaris.runs.certificate import certificate
 from tests.kept import CHOSEN
 from tests.polaris.conftest import synthesised as bundled
+from tests.polaris.corruptions import scaled
 from tests.polaris.tiny import TINY
 
 
@@ -35,9 +33,8 @@ def forge(run, tmp_path):
     data = json.loads((folder / "certificate.json").read_text())
 
     def finish(rehash=True):
-        if rehash:
-            for name in data["artefacts"]:
-                data["artefacts"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        for name in data["artefacts"] if rehash else ():
+            data["artefacts"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
         data["digest"] = digest(data)
         (folder / "certificate.json").write_text(canonical(data))
         return verify(folder)
@@ -45,22 +42,13 @@ def forge(run, tmp_path):
     return folder, data, finish
 
 
-def scaled(hexadecimal, factor):
-    return (float.fromhex(hexadecimal) * factor).hex()
-
-
-def test_untouched_it_is_verified(forge):
-    assert forge[2]().outcome == "VERIFIED"
-
-
 @pytest.mark.parametrize("factor", [0.0, 2.0**30, 2.0**-50, 1 + 1e-6])
 def test_facets_without_unit_normals_are_refused(forge, factor):
     _, data, finish = forge
     item = data["unsafe_sets"][0]
-    item["normals"][0] = [scaled(x, factor) for x in item["normals"][0]]
-    for pair in item["offsets"]:
-        for row in pair:
-            row[0] = scaled(row[0], factor)
+    item["normals"][0] = scaled(item["normals"][0], factor)
+    for row in (row for pair in item["offsets"] for row in pair):
+        row[0] = scaled(row[0], factor)
     for row in data["facets"]:
         row[0] = 0
     verdict = finish()
@@ -85,24 +73,6 @@ def test_a_mean_motion_that_is_not_positive_is_refused(value):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "format")
 
 
-def test_step_tables_that_say_something_else_are_refused(forge):
-    folder, _, finish = forge
-    stored = json.loads((folder / "schedule.json").read_text())
-    for change in ({"mode": 1 - stored["steps"][0]["mode"]}, {"t_start_s": 7.0}, {"controller": "another"}):
-        other = copy.deepcopy(stored)
-        other["steps"][0].update(change)
-        (folder / "schedule.json").write_text(json.dumps(other))
-        assert finish().claim in ("schedule", "controllers")
-
-
-def test_times_of_the_reference_are_compared(forge):
-    folder, _, finish = forge
-    lines = (folder / "reference.csv").read_text().splitlines()
-    lines[2] = ",".join(["1e6", *lines[2].split(",")[1:]])
-    (folder / "reference.csv").write_text("\n".join(lines) + "\n")
-    assert finish().claim == "reference"
-
-
 @pytest.mark.parametrize("name", ["a\nVERIFIED in 1.0 s", "\udc80", "\x1b[2J", 7])
 def test_names_that_do_not_print_are_refused(forge, name):
     data = forge[1]
@@ -112,23 +82,15 @@ def test_names_that_do_not_print_are_refused(forge, name):
 
 
 @pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
-def test_numbers_that_are_none_are_refused(forge, text):
+def test_numbers_and_versions_that_are_none_are_refused(forge, text):
     folder, data, _ = forge
-    whole = canonical(data)
-    (folder / "certificate.json").write_text(whole[:-1] + f',"more":{text}}}')
-    verdict = verify(folder)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "format")
+    (folder / "certificate.json").write_text(canonical(data)[:-1] + f',"more":{text}}}')
+    assert (verify(folder).outcome, verify(folder).claim) == ("REJECTED", "format")
+    for version in (True, 2.0, "2"):
+        data["schema_version"] = version
+        data["digest"] = digest(data)
+        assert verify_document(data).outcome == "UNKNOWN"
 
-
-@pytest.mark.parametrize("version", [True, 2.0, "2"])
-def test_a_version_is_a_whole_number(forge, version):
-    data = forge[1]
-    data["schema_version"] = version
-    data["digest"] = digest(data)
-    assert verify_document(data).outcome == "UNKNOWN"
-
-
-# -- keep-in sets, asked directly -----------------------------------------------------------------------
 
 CONE = {"name": "cone", "axis": [1.0, 0.0, 0.0], "apex_m": [0.0, 0.0, 0.0], "half_angle_deg": 30.0}
 
@@ -142,48 +104,40 @@ def cone_rows(angle_deg, facets=12, turns=1):
     return [[-sin(half), cos(half) * cos(a), cos(half) * sin(a)] for a in around]
 
 
+FLAT = {"name": "wedge", "axis": [1.0, 0.0], "apex_m": [0.0, 0.0], "half_angle_deg": 30.0}
+
+
 def test_pyramids_inside_a_cone_are_accepted():
     for rows in (cone_rows(30.0), cone_rows(20.0), cone_rows(30.0, 3), cone_rows(30.0)[::-1]):
         _check_cone(rows, [0.0] * len(rows), CONE)
-    flat = {"name": "wedge", "axis": [1.0, 0.0], "apex_m": [0.0, 0.0], "half_angle_deg": 30.0}
-    _check_cone([[-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]], [0.0, 0.0], flat)
+    _check_cone([[-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]], [0.0, 0.0], FLAT)
 
 
 @pytest.mark.parametrize(
-    "rows",
+    ("rows", "cone"),
     [
-        cone_rows(31.0),
-        cone_rows(30.0, 7, turns=2),
-        cone_rows(30.0)[:5],
-        [cone_rows(30.0)[f] for f in (0, 2, 1, *range(3, 12))],
-        [[-4e-10, 1.0, 0.0], [4e-10, 0.9, 0.19**0.5], [4e-10, 0.9, -(0.19**0.5)]] * 4,
-        [[-1.0, 0.0, 0.0]] * 12,
+        (cone_rows(31.0), CONE),  # wide
+        (cone_rows(30.0, 7, turns=2), CONE),  # a star
+        (cone_rows(30.0)[:5], CONE),  # open
+        ([cone_rows(30.0)[f] for f in (0, 2, 1, *range(3, 12))], CONE),  # in disorder
+        ([[-4e-10, 1.0, 0.0], [4e-10, 0.9, 0.19**0.5], [4e-10, 0.9, -(0.19**0.5)]] * 4, CONE),  # a pencil
+        ([[-1.0, 0.0, 0.0]] * 12, CONE),  # repeated
+        ([[0.0, -1.0]] * 2, FLAT),
+        ([[-0.5, 0.75**0.5]] * 2, FLAT),
     ],
-    ids=["wide", "star", "open", "disorder", "pencil", "repeated"],
+    ids=range(8),
 )
-def test_pyramids_that_leave_the_cone_are_not(rows):
+def test_pyramids_that_leave_the_cone_are_not(rows, cone):
     with pytest.raises((Rejected, Undecided)):
-        _check_cone(rows, [0.0] * len(rows), CONE)
-
-
-@pytest.mark.parametrize("rows", [[[0.0, -1.0]] * 2, [[-0.5, 0.75**0.5]] * 2])
-def test_wedges_without_an_apex_are_not(rows):
-    flat = {"name": "wedge", "axis": [1.0, 0.0], "apex_m": [0.0, 0.0], "half_angle_deg": 30.0}
-    with pytest.raises((Rejected, Undecided)):
-        _check_cone(rows, [0.0, 0.0], flat)
+        _check_cone(rows, [0.0] * len(rows), cone)
 
 
 def test_rounding_of_a_normal_never_widens_a_keep_in_set():
-    class Item:
-        name = "room[0]"
-
-        def __init__(self, row, offset):
-            self.normals, self.start = [[-x for x in row]], [[-offset]]
-
-    class Certificate:
-        C = ((1.0, 0.0), (0.0, 1.0))
+    def check(row, offset):
+        item = SimpleNamespace(name="room[0]", normals=[[-x for x in row]], start=[[-offset]])
+        _check_keep_in(SimpleNamespace(C=((1.0, 0.0), (0.0, 1.0))), [item], spec)
 
     spec = {"name": "clearance", "kind": "polytope", "normals": [[0.0, 1.0]], "offsets_m": [-5000.0]}
     with pytest.raises(Rejected):
-        _check_keep_in(Certificate, [Item([5e-10, 1.0], 1e6)], spec)
-    _check_keep_in(Certificate, [Item([0.0, 1.0], -5000.0)], spec)
+        check([5e-10, 1.0], 1e6)
+    check([0.0, 1.0], -5000.0)

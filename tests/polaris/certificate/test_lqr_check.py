@@ -3,28 +3,21 @@
 from itertools import combinations
 from types import SimpleNamespace
 
+import flint
 import numpy as np
 import pytest
 
-pytest.importorskip("flint")
-
-import flint
-from scipy.linalg import solve_continuous_are
-
 from polaris.certificate.kernel.balls import PRECISION, matrix
 from polaris.certificate.kernel.verdict import Rejected, Undecided
-from polaris.certificate.model.lqr import check_gain, check_hurwitz, positive_definite
-from polaris.model.hill import cw_matrix
+from polaris.certificate.model.lqr import check_gain, check_hurwitz
 from polaris.model.system import LinearSystem
 from polaris.synthesis.tracker.lqr import lqr_gain
 
 
 @pytest.fixture(autouse=True)
 def precision():
-    before = flint.ctx.prec
-    flint.ctx.prec = PRECISION
-    yield
-    flint.ctx.prec = before
+    with flint.ctx.workprec(PRECISION):
+        yield
 
 
 def judged(A, B, Q, R, K):
@@ -71,7 +64,7 @@ def all_solutions(A, B, Q, R):
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(12), *(pytest.param(s, marks=pytest.mark.slow) for s in range(12, 200))]
+    "seed", [*range(12), *(pytest.param(s, marks=pytest.mark.slow) for s in range(12, 60))]
 )
 def test_the_package_s_gains_pass_in_any_units_and_others_do_not(seed):
     rng = np.random.default_rng(seed)
@@ -99,55 +92,23 @@ def test_no_other_solution_of_the_riccati_equation_passes(seed):
         assert (judged(A, B, Q, R, K) == "holds") == stable
 
 
-def test_the_anti_stabilising_gain_of_a_spacecraft_is_refused():
-    A, B = cw_matrix(0.0012), np.vstack([np.zeros((3, 3)), np.eye(3) / 10])
-    Q, R = np.diag([0.04] * 3 + [2.5] * 3), np.diag([4e3] * 3)
-    assert judged(A, B, np.diag(Q), np.diag(R), gain(A, B, Q, R)) == "holds"
-    P = -solve_continuous_are(-A, B, Q, R)  # solves the same equation
-    assert np.linalg.norm(A.T @ P + P @ A - P @ B @ np.linalg.solve(R, B.T) @ P + Q) < 1e-6 * np.linalg.norm(
-        P
-    )
-    assert judged(A, B, np.diag(Q), np.diag(R), np.linalg.solve(R, B.T @ P)) == "Rejected"
-
-
 def test_a_stable_plant_may_be_left_alone():
     A, B = -np.eye(2), np.eye(2)
     assert judged(A, B, np.zeros(2), np.ones(2), np.zeros((2, 2))) == "holds"
-    assert (
-        judged(A, B, np.array([0.0, 1.0]), np.ones(2), gain(A, B, np.diag([0.0, 1.0]), np.eye(2))) == "holds"
-    )
+    K = gain(A, B, np.diag([0.0, 1.0]), np.eye(2))
+    assert judged(A, B, np.array([0.0, 1.0]), np.ones(2), K) == "holds"
 
 
 @pytest.mark.parametrize(
     ("Q", "R"),
     [
-        ([1.0, -0.5], [1.0]),
-        ([1.0, 1.0], [-1.0]),
-        ([1.0, 1.0], [0.0]),
-        ([[1.0, 2.0], [2.0, 1.0]], [1.0]),
-        ([1.0], [1.0]),
+        *(([1.0, -0.5], [1.0]), ([1.0, 1.0], [-1.0]), ([1.0, 1.0], [0.0])),
+        *(([[1.0, 2.0], [2.0, 1.0]], [1.0]), ([1.0], [1.0])),
     ],
 )
 def test_weights_that_weigh_nothing_are_refused(Q, R):
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     assert judged(A, B, Q, R, gain(A, B, np.eye(2), np.eye(1))) == "Rejected"
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_hurwitz_and_definite_are_told_from_what_is_not(seed):
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, 6))
-    M = rng.normal(size=(n, n))
-    for shift in (3.0, -3.0, *rng.normal(size=4)):
-        A = M - shift * np.eye(n)
-        try:
-            check_hurwitz(matrix(A.tolist()), "it")
-            stable = True
-        except Rejected:
-            stable = False
-        assert stable == (np.linalg.eigvals(A).real.max() < 0)
-        S = (A + A.T) / 2
-        assert positive_definite(matrix(S.tolist())) == (np.linalg.eigvalsh(S).min() > 0)
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,11 @@ afterwards from what was flown, and must lie in the tubes at every node of every
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 from math import ceil
 
 import numpy as np
 import pytest
-from flint import arb, arb_mat
+from flint import arb_mat
 
 from polaris.certificate.claims.flights import ControllerModel, enclose_step
 from polaris.certificate.files.entries import Law
@@ -26,8 +25,6 @@ from reach.sets.zonotope import Zonotope as Box
 from tests.polaris.synthesis.schedule.test_hand_over import PARTS, H, hold, stated, tracking
 
 Q, K, RUNS = 5, 3, 60  # periods in a step, steps, flights
-TIGHT = 1e-4  # most of a set's width that no flight reaches, where hardly anything disturbs
-SMALL = 1e-3  # least width that counts
 INITIAL = np.array([[0.05, 0.0, 0.01, 0.0], [0.01, 0.04, 0.0, 0.02]]).T  # generators
 
 
@@ -79,23 +76,18 @@ class Scene:
         document = self.document
         return craft_of(document, plant_of(document), matrix(self.s.gain.tolist()))
 
-    def tubes(self, under_way=True):
-        """Loop states at the nodes of all steps, one after another; additions may be under way at first."""
+    def tubes(self):
+        """Loop states at the nodes of all steps, one after another."""
         (safe, nu), (states, inputs) = self.own
         kind = "saturated_affine" if self.clips else "affine"
         law = Law("own", kind, self.gain.tolist(), states[:-1].tolist(), inputs.tolist())
-        craft, left = (
-            self.craft,
-            bool(self.system.timing.carried_impulse) * 2 + bool(self.system.observer) * 4,
-        )
-        box = [x if under_way or i >= len(craft.box) - left else arb(0) for i, x in enumerate(craft.box)]
-        controller = ControllerModel.for_law(law, replace(craft, box=box), self.document)
+        pilot = ControllerModel.for_law(law, self.craft, self.document)
         path = Path.propagate(
-            controller.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
+            pilot.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
         )
-        reached, sets = controller.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
+        reached, sets = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
         for k in range(K):
-            flown = enclose_step(controller, reached, k, path, None, Merging(1000, 4))
+            flown = enclose_step(pilot, reached, k, path, None, Merging(1000, 4))
             sets += [reached, *flown.nodes]
             reached = flown.end
         return [*sets, reached]
@@ -116,8 +108,6 @@ class Scene:
             sets += [tube.states[i] for i in range(Q)]
             reached = tube.end
         return [*sets, reached]
-
-    # -- flying ---------------------------------------------------------------------------------------
 
     def sizes(self):
         """Bounds on disturbances, noise, impulses that are left, and the first error of the estimate."""
@@ -238,18 +228,16 @@ CASES = [
 ]
 
 
-@cache
-def tubes_of(clips, number):
-    made = scene(clips, **CASES[number])
-    return made, made.tubes(), made.synthesised()
-
-
-@pytest.mark.parametrize(
+NUMBERS = pytest.mark.parametrize(
     "number", range(len(CASES)), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate"
 )
+
+
+@NUMBERS
 @pytest.mark.parametrize("clips", [False, True])
 def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
-    made, tubes, others = tubes_of(clips, number)
+    made = scene(clips, **CASES[number])
+    tubes, others = made.tubes(), made.synthesised()
     rng, shares, clipped = np.random.default_rng(number), [], False
     size = np.array([float(x) for x in tubes[Q].size().entries()])
     N = len(size)
@@ -264,20 +252,12 @@ def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
             shares.append(((z @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
     assert max(shares) > 0.6
     assert clipped == clips
-
-
-@pytest.mark.parametrize("number", range(5), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate")
-def test_both_programs_find_the_same_sets_of_a_linear_law(number):
-    """But for generators that are merged, and a true error's distance from the loop's at the start.
-
-    Periods are merged where errors are all there is.
-    """
-    made, tubes, others = tubes_of(False, number)
-    for i, (z, other) in enumerate(zip(tubes, others, strict=True)):
-        size = np.array([float(x) for x in z.widths])[:4]
-        assert np.all(other.half_widths[:4] >= 0.99 * size), i
-        bound = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.state_offset
-        assert np.all(other.half_widths[:4] <= bound), i
+    for z, other in zip(tubes, others, strict=True) if not clips and number < 5 else ():
+        # both programs find the same sets of a linear law, but for generators that are merged
+        widths = np.array([float(x) for x in z.widths])[:4]
+        assert np.all(other.half_widths[:4] >= 0.99 * widths)
+        allowed = (1.1 if other.dim > 4 else 1.4) * widths + 2 * made.s.state_offset
+        assert np.all(other.half_widths[:4] <= allowed)
 
 
 def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
@@ -297,9 +277,7 @@ def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
     assert np.all(once >= boxed) and np.any(once > free * 1.01)
 
 
-@pytest.mark.parametrize(
-    "number", range(len(CASES)), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate"
-)
+@NUMBERS
 def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
     """Any commands within the limits, first as errors with the rest beside them, then in the loop again."""
     made, rng = scene(True, **CASES[number]), np.random.default_rng(number)
@@ -309,9 +287,8 @@ def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
     z = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
     N = z.dim
     rows = np.vstack([np.eye(N), -np.eye(N), rng.normal(size=(60, N)) / np.maximum(z.half_widths, 1e-3)])
-    for k, flying in enumerate(
-        [AnyThrust("any", s.system, path, s), law, AnyThrust("any", s.system, path, s)]
-    ):
+    anything = AnyThrust("any", s.system, path, s)
+    for k, flying in enumerate([anything, law, anything]):
         tube = propagate_states(flying, z, k, safe)
         bounds += [tube.states[i].support(rows) for i in range(Q)]
         z = tube.end
@@ -322,55 +299,3 @@ def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
             assert np.all(state @ rows.T <= bound + 1e-9), i
             reach.append(((state @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
     assert max(reach) > 0.4
-
-
-def attained(made, rows):
-    """Return how far along rows flights come by each node, by the signs of what units do there."""
-    w_max, noise, left, first = made.sizes()
-    N, (m, p), k = Q * K, (made.system.m, made.system.p), len(noise)
-    shapes = [(N, PARTS, p), (2,), (N, k), (N + 1, m), (4,)]
-    sizes = [np.ones(2), np.tile(noise, (N, 1)), np.full((N + 1, m), left), first]
-    count, at, values = sum(map(int, map(np.prod, shapes))) + 1, 0, []
-    for shape in shapes:
-        length = int(np.prod(shape))
-        values.append(np.moveaxis(np.eye(count)[:, at : at + length].reshape(count, *shape), 0, -2))
-        at += length
-    w, b, seen, rest, off = values
-    flown, _ = made.fly(b @ INITIAL.T, w, seen, rest, np.zeros((N, PARTS, count, m)), off)
-    boxes, pushes = np.concatenate([np.ravel(size) for size in sizes]), N * PARTS * p
-    for z in flown:
-        each = (z[:-1] - z[-1]) @ rows.T
-        ways = np.linalg.norm(each[:pushes].reshape(-1, p, len(rows)), axis=1)
-        yield z[-1] @ rows.T + w_max * ways.sum(axis=0) + boxes @ np.abs(each[pushes:])
-
-
-@pytest.mark.parametrize("number", range(5), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate")
-def test_sets_of_a_linear_law_are_reached(number):
-    made = scene(False, w_max=1e-10, **CASES[number])
-    tubes, rng, tight = made.tubes(under_way=False), np.random.default_rng(9), []
-    scale = np.array([float(x) for x in tubes[-1].size().entries()])
-    N = len(scale)
-    rows = np.vstack([np.eye(N), rng.normal(size=(40, N)) / np.maximum(scale, SMALL)])
-    for z, reached in zip(tubes, attained(made, rows), strict=True):
-        bound = np.array([float(x) for x in z.support(matrix(rows.tolist()))])
-        assert np.all(reached <= bound + 1e-9)
-        spread = bound - rows @ np.array([float(x.mid()) for x in z.c.entries()])
-        tight.append(((bound - reached) / np.maximum(spread, SMALL)).max())
-    assert max(tight) < TIGHT
-
-
-def test_a_law_that_flies_true_errors_carries_all_else_beside_them():
-    """Any thrust, from loop states: projections hold those of the loop, and what is carried lies between."""
-    made = scene(True, **CASES[4])
-    law = made.law
-    s, path = law.tracking, law.reference
-    start = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
-    safe = AffineController("safety", s.system, s.gain, path, path, s)
-    tube = propagate_states(AnyThrust("any", s.system, path, s), start, 0, safe)
-    alone = AnyThrust("any", s.system, path, s).propagate(s.true_error(start), 0)
-    assert tube.end.dim == start.dim > 4 and tube.nodes.dim == 4
-    assert np.all(s.state_offset > 0) and np.all(s.state_offset[2:] > 1e-3)
-    np.testing.assert_allclose(tube.nodes.half_widths, alone.nodes.half_widths + s.state_offset, rtol=1e-12)
-    others = safe.idle.powers[-1][4:, 4:] @ start.G[4:]
-    assert np.all(tube.states.half_widths[-1, 4:] >= np.abs(others).sum(axis=1) * (1 - 1e-12))
-    assert propagate_states(safe, start, 0, safe).end.dim == start.dim

@@ -118,9 +118,11 @@ SCENES = {
     "first order, whole period late, estimated": ({"order": 1}, 0.25, 0.25, 0.01),
 }
 
+PROVED = "monitor", "simplex_explicit", "asif_implicit"
+
 
 @pytest.mark.parametrize("setting", SCENES)
-@pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
+@pytest.mark.parametrize("key", PROVED)
 def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
     made, *options = SCENES[setting]
     scene = DecisionGrid.from_schedule(line(**made), *options)
@@ -167,48 +169,6 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
     assert np.abs(leg.zeta[1:, 0] - leg.zeta[:-1, 1]).max() > 0.1
 
 
-def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
-    scene = DecisionGrid.from_schedule(line(order=1, weight=0.5, feedback=0.25), 0.25)
-    recovery = Recovery(scene)
-    o, beyond = len(recovery.intersample), scene.tracking.settling
-    assert 0 < beyond < scene.last
-    tracking, node = scene.tracking, scene.last - 1
-    tightening = tracking.disturbance(recovery.rows)[-1][:o] + recovery.intersample
-    tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
-    tight.grid.clearance.limits.available[0, node, :o] = tightening * 0.999
-    assert recovery.far(0) > 0
-    assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
-
-
-@pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
-def test_a_start_that_is_not_recoverable_is_refused(key):
-    scene = DecisionGrid.from_schedule(line(), 0.25)
-    safety = scene.schedule.safety
-    method = METHODS[key](scene)
-    assert method.claim.kind == "proved"
-    start = Zonotope(safety.start.c, 20 * safety.start.G)
-    object.__setattr__(safety, "start", start)
-    try:
-        with pytest.raises(NotCertified, match="first recoverable set"):
-            METHODS[key](DecisionGrid.from_schedule(scene.schedule, 0.25))
-    finally:
-        object.__setattr__(safety, "start", Zonotope(start.c, start.G / 20))
-
-
-@pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
-    scene = DecisionGrid.from_schedule(line(), 0.25)
-    method = METHODS[key](scene)
-    for runs in (1, 2):
-        method.start(runs)
-        with np.errstate(invalid="ignore"):
-            choice = method.decide(
-                Observation(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
-            )
-        assert (choice.mode == 0).all()
-
-
 @pytest.mark.parametrize(
     ("made", "jump"), [({"order": 1, "weight": 0.5, "feedback": 0.25}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
 )
@@ -230,3 +190,19 @@ def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_le
             behind += left.time >= clearance.planned * scene.tracking.delta
     assert tightest < 0.05  # and it does not throw away much
     assert behind > 5 or not any(jump)
+
+
+@pytest.mark.parametrize("key", PROVED)
+def test_a_start_that_is_not_recoverable_is_refused_and_no_number_flown_by_s(key):
+    scene = DecisionGrid.from_schedule(line(), 0.25)
+    method = METHODS[key](scene)
+    assert method.claim.kind == "proved"
+    for runs, wrong in ((1, np.nan), (2, np.inf), (2, -np.inf)):
+        method.start(runs)
+        seen = Observation(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
+        with np.errstate(invalid="ignore"):
+            assert (method.decide(seen).mode == 0).all()
+    safety = scene.schedule.safety
+    wide = replace(safety, start=Zonotope(safety.start.c, 20 * safety.start.G))
+    with pytest.raises(NotCertified, match="first recoverable set"):
+        METHODS[key](DecisionGrid.from_schedule(replace(scene.schedule, safety=wide), 0.25))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 from typer.testing import CliRunner
 
 from polaris.cli.app import app
@@ -20,127 +21,67 @@ from polaris.runs.run import read_run
 from tests.polaris.rta.scenes import corridor, robot, scene
 from tests.polaris.tiny import TINY, synthesised
 
-BUFFERED = (
-    "simplex_explicit",
-    "simplex_implicit",
-    "asif_explicit",
-    "asif_implicit",
-    "simulation",
-    "reachability",
-)
 FEW = ("safety", "experimental", "schedule", "monitor", "asif_implicit")
 
 
-def flight_of(modes, why, inputs=None):
-    """A flight in which one input is applied per decision; nothing else matters."""
-    modes, why = np.atleast_2d(modes), np.atleast_2d(why)
-    R, N = modes.shape
-    states = np.zeros((R, N + 1, 4))
-    inputs = np.zeros((R, N, 2)) if inputs is None else inputs
-    return Flight(
-        np.arange(N + 1.0),
-        states,
-        inputs,
-        np.abs(inputs).max(axis=2),
-        np.zeros(R),
-        modes,
-        np.zeros(why.shape),
-        why,
-        np.zeros(R),
-        np.ones(why.shape[1]),
-    )
-
-
-def outcome(metrics, deviation, key="one"):
-    return MethodResult(key, key, Claim("none", ""), metrics, deviation, (1e-6, 2e-6), 0.5, {"a": 1})
-
-
 def test_filtered_inputs_count_as_us_only_where_they_are_the_desired_ones():
-    made = scene("robot")
-    who = flown(made, flight_of([[-1, -1, 1, 0]], [[0, 1, 0, 0]]))
-    assert who.tolist() == [[1, -1, 1, 0]]
+    def who(made, modes, why):
+        modes, why = np.array([modes]), np.array([why])
+        N, inputs, zero = modes.shape[1], np.zeros((1, modes.shape[1], 2)), np.zeros(1)
+        states, ones = np.zeros((1, N + 1, 4)), np.ones(why.shape[1])
+        margins = np.zeros(why.shape)
+        more = inputs, inputs.max(axis=2), zero, modes, margins, why, zero, ones
+        return flown(made, Flight(np.arange(N + 1.0), states, *more)).tolist()
 
-
-def test_reasons_belong_to_the_decision_that_is_in_effect():
+    assert who(scene("robot"), [-1, -1, 1, 0], [0, 1, 0, 0]) == [[1, -1, 1, 0]]
     made = scene("robot", period=0.25, latency=0.1)  # five nodes per decision, two of them late
     assert (made.nodes, made.delay) == (5, 2)
-    modes = np.full(10, -1)
-    who = flown(made, flight_of([modes], [[1, 0]]))
-    assert who.tolist() == [[-1] * 7 + [1] * 3]
+    assert who(made, [-1] * 10, [1, 0]) == [[-1] * 7 + [1] * 3]
 
 
-def test_switches_and_shares_by_hand():
+def test_metrics_by_hand():
     made = scene("robot")
-    conditions = Conditions.draw(made, 1, 0)
-    flight = fly(made, METHODS["schedule"](made), conditions)
-    metrics = measure(made, flight, conditions, "schedule")
+    conditions = Conditions.draw(made, 3, 0)
+    flights = {key: fly(made, METHODS[key](made), conditions) for key in FEW}
+    found = {key: measure(made, flight, conditions, key) for key, flight in flights.items()}
+    flight, metrics = flights["schedule"], found["schedule"]
     modes = np.repeat(made.schedule.modes, made.clearance.q)
     assert metrics.experimental_share[0] == pytest.approx(np.mean(modes > 0), abs=1e-12)
     assert metrics.switches[0] == np.count_nonzero(np.diff(modes))
     assert metrics.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * made.h / made.system.mass)
     assert metrics.mean_distance[0] >= metrics.min_distance[0]
-
-
-def test_changes_to_a_filtered_input_and_back_are_switches():
-    made = scene("robot")
-    conditions = Conditions.draw(made, 2, 0)
-    flight = fly(made, METHODS["asif_implicit"](made), conditions)
-    who = flown(made, flight)
+    who = flown(made, flights["asif_implicit"])  # a switch is a change to a filtered input, or back
     assert (who == -1).any() and (who == 1).any()
-    metrics = measure(made, flight, conditions, "filter")
-    assert metrics.switches.tolist() == np.count_nonzero(np.diff(who, axis=1), axis=1).tolist()
-    assert metrics.switches.min() > 0
-
-
-def test_deviation_is_that_from_what_u_wants():
-    made = scene("robot")
-    conditions = Conditions.draw(made, 2, 0)
-    alone = fly(made, METHODS["experimental"](made), conditions)
-    assert np.allclose(alone.deviation, 0, atol=1e-12)
-    safe = fly(made, METHODS["safety"](made), conditions)
+    changes = np.count_nonzero(np.diff(who, axis=1), axis=1)
+    assert found["asif_implicit"].switches.tolist() == changes.tolist() and changes.min() > 0
+    assert np.allclose(flights["experimental"].deviation, 0, atol=1e-12)
+    safe, metrics = flights["safety"], found["safety"]
     wanted = np.stack([made.clipped(1, k, safe.states[:, k]) for k in range(made.last)], axis=1)
     assert safe.deviation == pytest.approx(np.linalg.norm(safe.inputs - wanted, axis=2).mean(axis=1))
+    metrics.min_ttc[:] = [np.inf, 1.0, 2.0]  # of infinite times no difference is made
+    one, other = (
+        MethodResult(key, key, Claim("none", ""), metrics, safe.deviation, (1e-6, 2e-6), 0.5, {"a": 1})
+        for key in ("one", "other")
+    )
+    assert one.summary()["min_ttc_s"] == {"mean": None, "low": None, "high": None, "worst": 1.0}
+    rows = {row["metric"]: row for row in one.against(other)}
+    assert rows["min_ttc_s"]["difference"] is None and rows["min_distance_m"]["difference"] == 0.0
 
 
-def test_paired_differences_are_far_narrower_than_the_spread_of_runs():
-    comparison = compare_methods(robot(), 12, 1, methods=("safety", "schedule"))
+def test_differences_are_paired_and_violations_have_clopper_and_pearsons_interval(monkeypatch):
+    monkeypatch.setattr("polaris.rta.arena.BATCH", 4)  # which are joined
+    comparison = compare_methods(robot(), 10, 1, methods=("safety", "schedule", "experimental"))
     rows = {row["metric"]: row for row in comparison.paired() if row["method"] == "safety"}
-    safety, schedule = (comparison.results[key] for key in ("safety", "schedule"))
+    safety, schedule, alone = (comparison.results[key] for key in ("safety", "schedule", "experimental"))
     differences = safety.columns["delta_v_m_s"] - schedule.columns["delta_v_m_s"]
     row = rows["delta_v_m_s"]
     assert row["difference"] == pytest.approx(differences.mean())
-    from scipy.stats import ttest_1samp
-
     low, high = ttest_1samp(differences, 0.0).confidence_interval(0.95)
-    assert (row["low"], row["high"]) == pytest.approx((low, high))
-
-
-def test_no_difference_is_made_of_infinite_times():
-    made = scene("robot")
-    conditions = Conditions.draw(made, 3, 0)
-    flight = fly(made, METHODS["safety"](made), conditions)
-    metrics = measure(made, flight, conditions, "safety")
-    metrics.min_ttc[:] = [np.inf, 1.0, 2.0]
-    one = outcome(metrics, flight.deviation)
-    summary = one.summary()["min_ttc_s"]
-    assert summary == {"mean": None, "low": None, "high": None, "worst": 1.0}
-    rows = {row["metric"]: row for row in one.against(outcome(metrics, flight.deviation, "other"))}
-    assert rows["min_ttc_s"]["difference"] is None
-    assert rows["min_distance_m"]["difference"] == 0.0
-
-
-def test_violations_come_with_clopper_and_pearsons_interval():
-    comparison = compare_methods(robot(), 10, 0, methods=("safety", "experimental"))
-    safe, alone = (comparison.results[key].summary()["violations"] for key in ("safety", "experimental"))
+    assert (row["low"], row["high"]) == pytest.approx((low, high)) and len(differences) == 10
+    safe, alone = (one.summary()["violations"] for one in (safety, alone))
     assert (safe["mean"], alone["mean"]) == (0, 10)
     assert safe["high"] == pytest.approx(10 * (1 - 0.025**0.1), rel=1e-6)
     assert alone["low"] == pytest.approx(10 * 0.025**0.1, rel=1e-6)
-
-
-def test_batches_make_no_difference_to_what_is_joined(monkeypatch):
-    monkeypatch.setattr("polaris.rta.arena.BATCH", 4)
-    comparison = compare_methods(robot(), 10, 0, methods=("schedule",))
-    assert len(comparison.results["schedule"].metrics.min_distance) == 10
 
 
 @pytest.mark.parametrize(
@@ -170,10 +111,12 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     scenario, schedule = synthesised()
     tuning = {"monitor.reentry": 0.3, "monitor.dwell": 7.0, "asif_explicit.alpha": 0.3,
               "asif_implicit.slope": 0.5, "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
-    tuning |= {f"{key}.buffer": 0.1 for key in BUFFERED}
+    buffered = [key for key, one in METHODS.items() if any(option.name == "buffer" for option in one.options)]
+    tuning |= {f"{key}.buffer": 0.1 for key in buffered}
     keys = {name.split(".")[0] for name in tuning}
     comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
-    table = write_comparison(tmp_path / "one", scenario, comparison).summary
+    table = write_comparison(tmp_path / "one", scenario, comparison, draw=draw_run).summary
+    assert {"paths.png", "tradeoffs.pdf"} <= {path.name for path in (tmp_path / "one" / "figures").iterdir()}
     settings = {
         f"{one['key']}.{name}": value for one in table["methods"] for name, value in one["settings"].items()
     }
@@ -185,15 +128,6 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     for wrong in ({"monitor.alpha": 1.0}, {"nothing": 1.0}, {"schedule.dwell": 2}, {"monitor.dwell": 1.5}):
         with pytest.raises(ScenarioError, match="tuning|dwell"):
             compare_methods(schedule, 1, 0, tuning=wrong)
-
-
-def test_a_scene_that_a_method_does_not_admit_is_told():
-    schedule = corridor()
-    comparison = compare_methods(schedule, 2, 0, methods=("safety", "asif_explicit"))
-    assert set(comparison.results) | set(comparison.refused) == {"safety", "asif_explicit"}
-    far = compare_methods(DecisionGrid.from_schedule(schedule, half_widths=5.0), 2, 0, methods=("monitor",))
-    assert far.results["monitor"].metrics.experimental_share.max() == 0.0  # S throughout, and safe
-    assert not far.results["monitor"].metrics.collided.any()
 
 
 def test_folder_holds_what_was_found(tmp_path):
@@ -211,23 +145,13 @@ def test_folder_holds_what_was_found(tmp_path):
         assert np.array_equal(shown[key].states, comparison.shown[key].states)
     lines = [json.loads(line) for line in (folder.path / "decisions.jsonl").read_text().splitlines()]
     assert len(lines) == len(FEW) * comparison.grid.decisions
-    assert {line["reason"] for line in lines if line["method"] == "monitor"} <= {
-        "U is recoverable",
-        "U is not recoverable",
-        "S keeps control: dwell or re-entry margin",
-    }
-
-
-@pytest.mark.slow
-def test_figures_are_drawn_again_alike(tmp_path):
-    scenario, schedule = synthesised()
-    folder = write_comparison(
-        tmp_path / "one", scenario, compare_methods(schedule, 4, 0, methods=FEW), draw=draw_run
-    )
-    before = {path.name: path.read_bytes() for path in (folder.path / "figures").glob("[!.]*")}
-    draw_run(folder)
-    assert before == {path.name: path.read_bytes() for path in (folder.path / "figures").glob("[!.]*")}
-    assert {"paths.png", "tradeoffs.pdf"} <= set(before)
+    reasons = {line["reason"] for line in lines if line["method"] == "monitor"}
+    kept = "S keeps control: dwell or re-entry margin"
+    assert reasons <= {"U is recoverable", "U is not recoverable", kept}
+    far = DecisionGrid.from_schedule(corridor(), half_widths=5.0)
+    (far,) = compare_methods(far, 2, 0, methods=("monitor",)).results.values()
+    assert far.metrics.experimental_share.max() == 0.0  # S throughout, and safe
+    assert not far.metrics.collided.any()
 
 
 def test_command(tmp_path):

@@ -15,6 +15,12 @@ from tests.sizes import fewer
 TEXT = page.PAGE.read_text(encoding="utf-8")
 TABLES = page.blocks(TEXT)
 SWEEP = page.SWEEP.read_text(encoding="utf-8")
+MONITOR, SCHEDULE = "Polaris online monitor", "Polaris schedule"
+EXPLICIT, IMPLICIT, AHEAD = "Explicit ASIF", "Implicit ASIF", "Look-ahead by simulation"
+SHARE, COST, HITS = "Share of U", "Delta-v m/s", "Violations"
+ROWS = {"monitor": MONITOR, "asif_explicit": EXPLICIT, "asif_implicit": IMPLICIT, "simulation": AHEAD}
+ROWS |= {"simplex_explicit": "Explicit simplex", "simplex_implicit": "Implicit simplex"}
+ROWS |= {"reachability": "Forward reachability of U"}
 NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 
 
@@ -72,90 +78,40 @@ def test_scenes_have_a_row_for_a_value_that_is_better_there():
     for name in page.SCENES:
         for full, values in swept.items():
             best, (key, _, option) = page.own(values, name), full.partition(".")
-            marked = [row for row in rows(TABLES[name]) if f", {option} = " in row and made_by(row) == key]
+            marked = [row for row in rows(TABLES[name]) if row.startswith(f"{ROWS[key]}, {option} = ")]
             assert len(marked) == (best is not None), (name, full, best)
 
 
-def made_by(row):
-    return {
-        "Polaris online monitor": "monitor",
-        "Explicit simplex": "simplex_explicit",
-        "Implicit simplex": "simplex_implicit",
-        "Explicit ASIF": "asif_explicit",
-        "Implicit ASIF": "asif_implicit",
-        "Look-ahead by simulation": "simulation",
-        "Forward reachability of U": "reachability",
-    }[row.split(", ")[0]]
-
-
-MONITOR, SCHEDULE = "Polaris online monitor", "Polaris schedule"
-EXPLICIT, IMPLICIT, AHEAD = "Explicit ASIF", "Implicit ASIF", "Look-ahead by simulation"
-SHARE, COST = "Share of U", "Delta-v m/s"
-SWITCHES, HITS = "Switches", "Violations"
+def ratio(name, one, other, column):
+    return value(name, one, column) / value(name, other, column)
 
 
 def test_the_words_of_the_page_follow_from_its_tables():
+    """Proven methods hit nothing, the monitor is worth flying, and look-ahead needs its buffer."""
     swept, defaults = page.read_sweep(SWEEP)
-
-    def ratio(name, one, other, column):
-        return value(name, one, column) / value(name, other, column)
-
-    # Look-ahead.
-    for row in (AHEAD, "Forward reachability"):
-        assert [value(name, row, HITS) for name in page.SCENES] == [0, 0, 0]
-    ahead = swept["simulation.horizon, buffer"]
-    horizon, _ = defaults["simulation.horizon, buffer"]
-    assert all(
-        cells["robot"].violations == page.RUNS for (far, _), cells in ahead.items() if far == horizon / 2
-    )
-    # The monitor.
+    proving = {one.name for one in METHODS.values() if one.proven}
+    for name, share, switches, spent in (("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)):
+        assert value(name, MONITOR, SHARE) >= share
+        assert value(name, MONITOR, "Switches") <= switches and value(name, MONITOR, COST) <= spent
     for name in page.SCENES:
+        for row in (AHEAD, "Forward reachability", "Implicit simplex"):
+            assert value(name, row, HITS) == 0
         more = value(name, MONITOR, SHARE) - value(name, SCHEDULE, SHARE)
         assert -0.045 < more < -0.035 if name == "static" else 0 < more < 0.03
-    # All that fly S's reference.
+        assert 0.97 < ratio(name, MONITOR, SCHEDULE, COST) < (1.1 if name == "dynamic" else 1.03)
+        assert ratio(name, IMPLICIT, MONITOR, COST) == pytest.approx(1, abs=0.03)
+        assert max(value(name, f"{kind} simplex", SHARE) for kind in ("Explicit", "Implicit")) < 0.35
+        proven = [row for key, row in rows(TABLES[name]).items() if key in proving]
+        assert proven and all(row[HITS] == "0" for row in proven)
     others = [row for row in rows(TABLES["static"]) if not row.startswith(("U alone", EXPLICIT))]
-    assert len(others) > 8
     assert all(ratio("static", row, "S alone", COST) == pytest.approx(1, abs=0.1) for row in others)
-    # Filters.
     for name in ("static", "dynamic"):
         assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
-    for name in page.SCENES:
-        assert ratio(name, IMPLICIT, MONITOR, COST) == pytest.approx(1, abs=0.03)
-    # Simplex.
-    for name in page.SCENES:
-        assert value(name, "Explicit simplex", SHARE) < 0.35 and value(name, "Implicit simplex", SHARE) < 0.35
+    ahead, (horizon, _) = swept["simulation.horizon, buffer"], defaults["simulation.horizon, buffer"]
+    assert all(cells["static"].violations for (_, kept), cells in ahead.items() if not kept)
+    near = [cells["robot"].violations for (far, _), cells in ahead.items() if far == horizon / 2]
     plain = next(iter(swept["simplex_implicit.buffer"].values()))
-    assert page.RUNS / 2 < plain["robot"].violations < page.RUNS
-    proven = {one.name for one in METHODS.values() if one.proven}
-    hits = [row[HITS] for name in page.SCENES for key, row in rows(TABLES[name]).items() if key in proven]
-    assert hits and set(hits) == {"0"}
-
-
-MUST = [("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)]
-
-
-@pytest.mark.parametrize(("name", "share", "switches", "spent"), MUST)
-def test_the_monitor_is_worth_flying(name, share, switches, spent):
-    assert value(name, MONITOR, SHARE) >= share
-    assert value(name, MONITOR, SWITCHES) <= switches and value(name, MONITOR, COST) <= spent
-
-
-def test_the_rule_prefers_safety_then_closeness_then_u():
-    def cell(violations, share, deviation):
-        return {"a": page.Cell(violations, share, 1.0, deviation)}
-
-    values = {1: cell(1, 1.0, 0.1), 2: cell(0, 0.5, 1.0), 3: cell(0, 0.9, 1.01), 4: cell(0, 0.99, 1.2)}
-    assert page.chosen(values) == 3
-
-
-def test_a_sweep_is_read_as_it_was_written():
-    swept, _ = page.read_sweep(SWEEP)
-    assert page.sweep_table(swept) == SWEEP
-    full, values = next(iter(swept.items()))
-    value, cells = next(iter(values.items()))
-    hit = page.Cell(3, 0.5, 12.5, 0.01)
-    again, _ = page.read_sweep(page.sweep_table({full: {value: dict.fromkeys(cells, hit)}}))
-    assert set(map(repr, again[full][value].values())) == {repr(hit)}
+    assert set(near) == {page.RUNS} and page.RUNS / 2 < plain["robot"].violations < page.RUNS
 
 
 def compare(shown, real, tolerance=0.05):
@@ -166,16 +122,6 @@ def compare(shown, real, tolerance=0.05):
         assert re.sub(NUMBER, "", one) == re.sub(NUMBER, "", other)
         for ours, theirs in zip(re.findall(NUMBER, one), re.findall(NUMBER, other), strict=True):
             assert math.isclose(float(ours), float(theirs), rel_tol=tolerance, abs_tol=0.02), (one, other)
-
-
-def test_tables_that_differ_are_found():
-    table = TABLES["robot"]
-    compare(table, table)
-    with pytest.raises(AssertionError):
-        compare(table, table.replace("Explicit ASIF", "Explicit ASIG"))
-    number = re.search(r"\| (\d+\.\d+) ±", table)[1]
-    with pytest.raises(AssertionError):
-        compare(table, table.replace(number, f"{1.2 * float(number) + 0.1:g}", 1))
 
 
 @pytest.mark.slow
@@ -196,7 +142,7 @@ def test_the_sweep_is_flown_again(name, monkeypatch):
         for i, limit in ((i, {"horizon": 0.2, "buffer": 0.2}.get(one.name)) for i, one in enumerate(options)):
             if limit is not None and len(options) > 1:
                 monkeypatch.setitem(page.VALUES, key, [at for at in page.VALUES[key] if at[i] <= limit])
-        one_in = fewer(1, len(page.SCENES))
+        one_in = fewer(1, 2 * len(page.SCENES))
         some = page.VALUES[key][page.SCENES.index(name) % one_in :: one_in]
         monkeypatch.setitem(page.VALUES, key, some)
     again = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)

@@ -1,5 +1,6 @@
 """Run-time methods in flights with a fault that is isolated late, at every instant, and U at its worst."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 
@@ -94,7 +95,7 @@ def test_a_fault_at_any_instant_is_survived_under_the_monitor(told):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5000, fewer(5024, 5010)))
+@pytest.mark.parametrize("seed", range(5000, fewer(5024, 5006)))
 def test_random_scenes_survive_faults_under_every_method_that_promises_it(seed):
     if (schedule := made(seed, seed % 3 == 0)) is None:
         pytest.skip("no schedule is found")
@@ -114,18 +115,17 @@ def test_random_scenes_survive_faults_under_every_method_that_promises_it(seed):
                 assert np.all(~(metrics.max_thrust_ratio_safety > 1)), key
 
 
-def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
+def test_a_law_that_late_faults_make_worthless_is_not_trusted():
     """While a late fault acts on decisions that last, a declared law may answer anything: say so."""
     schedule = tiny(WEAK)
     h = schedule.safety.tracking.flow.h
-    assert Monitor(DecisionGrid.from_schedule(schedule), "declared").trust == "declared"
-    for period, latency in ((h, h), (2 * h, 0.0)):
+    for period, latency, trusted in ((h, 0.0, True), (h, h, False), (2 * h, 0.0, False)):
         grid = DecisionGrid.from_schedule(schedule, period, latency)
-        with pytest.raises(ScenarioError, match="trust.*thrust_limits.*isolated late"):
+        refused = pytest.raises(ScenarioError, match="trust.*thrust_limits.*isolated late")
+        with nullcontext() if trusted else refused:
             Monitor(grid, "declared")
-        assert Monitor(grid).trust == "thrust_limits"
-        refused = compare_methods(grid, 2, methods=["monitor", PROVEN[1]]).refused
-        assert list(refused) == [PROVEN[1]] and "trust" in refused[PROVEN[1]]
+    refused = compare_methods(grid, 2, methods=["monitor", PROVEN[1]]).refused
+    assert list(refused) == [PROVEN[1]] and "trust" in refused[PROVEN[1]]
 
 
 def test_comparisons_fly_a_fault_in_every_second_run():

@@ -7,11 +7,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from polaris.cli.app import app
 from polaris.model.errors import NotCertified, PolarisError
-from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
@@ -63,12 +60,10 @@ def members(schedule):
 @pytest.mark.parametrize("runs", [1, 6])
 def test_u_takes_over_from_s_with_room_to_spare_alone(runs):
     made = scene("robot")
-    drawn, met = Conditions.draw(made, 6, 2), []
+    drawn, met, flights = Conditions.draw(made, 6, 2), [], {}
     conditions = drawn if runs > 1 else drawn.only(0)
-    flights = {}
     for reentry in (0.0, 0.1):
-        monitor = Monitor(made, reentry=reentry)
-        flight = fly(made, monitor, conditions)
+        flight = fly(made, Monitor(made, reentry=reentry), conditions)
         modes = flight.modes[:, :: made.nodes]
         returns = (modes[:, :-1] == 0) & (modes[:, 1:] > 0)
         met.append(flight.margins[:, 1:][returns].min(initial=1.0))
@@ -77,8 +72,7 @@ def test_u_takes_over_from_s_with_room_to_spare_alone(runs):
         assert flight.margins[:, 1:][staying].min() < 0.1  # no more is asked of a U that flies
         assert ((flight.why == 2) == ((modes == 0) & (flight.margins >= 0))).all()
         assert reentry or not (flight.why == 2).any()
-    assert met[0] < 0.1 <= met[1]
-    assert flights[0.1] < flights[0.0]
+    assert met[0] < 0.1 <= met[1] and flights[0.1] < flights[0.0]
 
 
 def test_hand_over_at_any_decision_is_covered():
@@ -99,14 +93,11 @@ def test_every_reference_of_the_library_keeps_the_promise():
 def test_the_reference_that_is_worth_most_is_flown():
     schedule = choice()
     made = list(members(schedule))
-    choices = [[one.modes, *((mode,) for mode in one.modes)] for one in made]
+    choices = [[one.modes, *((mode,) for mode in one.modes)] for one in made]  # all controllers, or one alone
 
     def worths_of(priced):
-        """Of every reference, with all controllers or with one alone, whatever is worth more."""
-        return [
-            max(one.objective(priced, modes) for modes in each)
-            for one, each in zip(made, choices, strict=True)
-        ]
+        pairs = zip(made, choices, strict=True)
+        return [max(one.objective(priced, modes) for modes in each) for one, each in pairs]
 
     usual = Monitor.on(DecisionGrid.from_schedule(schedule))
     objectives = worths_of(schedule.objective)
@@ -118,9 +109,10 @@ def test_the_reference_that_is_worth_most_is_flown():
         assert best.objective(priced.objective) == max(spent)
         own = best.grid.schedule is not priced
         assert own == any(best.grid.schedule is one for one in schedule.library)
-        assert own == ("a safe reference of its own" in best.claim.reach)
-        assert own == (np.argmax(spent) > 0)
+        assert own == ("a safe reference of its own" in best.claim.reach) == (np.argmax(spent) > 0)
         kept(best)
+    alone = Monitor.on(DecisionGrid.from_schedule(corridor()))
+    assert alone.grid.schedule is corridor() and not corridor().library
 
 
 def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
@@ -142,18 +134,6 @@ def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
         assert 1 in fly(best.grid, best, conditions).modes
 
 
-def test_comparisons_fly_it_and_scenes_without_a_library_their_own():
-    schedule = choice()
-    lavish = replace(schedule, objective=lambda shares, delta_v, switches: delta_v)
-    flown = [
-        compare_methods(one, 4, 0, methods=("monitor",)).results["monitor"] for one in (schedule, lavish)
-    ]
-    assert flown[1].metrics.delta_v.mean() > flown[0].metrics.delta_v.mean()
-    assert not flown[1].metrics.collided.any()
-    alone = Monitor.on(DecisionGrid.from_schedule(corridor()))
-    assert alone.grid.schedule is corridor() and not corridor().library
-
-
 def test_a_reference_on_which_no_proof_starts_is_not_flown():
     schedule = choice()
     theta = schedule.safety.problem.initial_set
@@ -169,30 +149,17 @@ def test_a_reference_on_which_no_proof_starts_is_not_flown():
         Monitor.on(DecisionGrid.from_schedule(replace(broken, library=tuple(wide[1:]))))
 
 
-def test_a_method_that_does_not_exist_is_refused_before_the_synthesis(monkeypatch):
-    def never(*_, **__):
-        raise AssertionError("synthesised all the same")
-
-    monkeypatch.setattr("polaris.synthesis.schedule.synthesize.synthesize", never)
-    for wrong in (["--methods", "nonsense"], ["--tune", "monitor.gain=2"]):
-        failed = CliRunner().invoke(app, ["compare", "robot", *wrong])
-        assert failed.exit_code == 2 and "must be one of" in failed.output, failed.output
-
-
-NOT_FLOWN = (0, 14, 15, 16, 18)
-"""Random scenes without a schedule, without U, or too long."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(fewer(24, 12)))
+@pytest.mark.parametrize("seed", range(fewer(24, 8)))
 def test_random_scenes_keep_the_promise_along_every_reference(seed, tmp_path):
+    unflown = (0, 14, 15, 16, 18)  # without a schedule, without U, or too long
     try:
         _, schedule = synthesised(seed, tmp_path)
     except PolarisError as error:
-        assert seed in NOT_FLOWN, error
+        assert seed in unflown, error
         pytest.skip("refused")
     if len(schedule.controllers) < 2 or DecisionGrid.from_schedule(schedule).decisions > 2500:
-        assert seed in NOT_FLOWN
+        assert seed in unflown
         pytest.skip("no U, or too long")
     for monitor in members(schedule):
         kept(monitor, 6, seed)

@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.rta.online.decision_log import DecisionLog, read_log
-from polaris.rta.online.runtime import OnlineMonitor, replay_log
+from polaris.rta.online.runtime import OnlineMonitor
 from polaris.rta.online.runtime_options import OnlineDecision, RuntimeOptions
 from tests.polaris.rta import streams
 from tests.polaris.rta.streams import HALF, fly_streams, inside_unsafe, plans, recovery_tightening, robot
@@ -30,21 +29,6 @@ def flown(latency):
     }
     options = {"second_clock": range(0, runs, 2), "applied": flattered.union(range(0, runs, 3))}
     return monitor, operators, *fly_streams(monitor, operators, deciders, 7, **options)
-
-
-def test_there_are_enough_streams_and_both_controllers_fly():
-    assert sum(len(flown(latency)[1]) for latency in LATENCIES) >= 100
-    for latency in LATENCIES:
-        _, operators, steps, _ = flown(latency)
-        assert {type(operator) for mine in operators for operator in mine} == set(streams.OPERATORS)
-        share = np.mean([step.answer.mode > 0 for run in steps for step in run])
-        assert 0.3 < share < 0.9
-
-
-@pytest.mark.parametrize("latency", LATENCIES)
-def test_no_stream_leads_into_an_unsafe_set(latency):
-    monitor, _, _, states = flown(latency)
-    assert not inside_unsafe(monitor.grid, states).any()
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
@@ -81,25 +65,20 @@ def test_every_answer_has_a_reason_and_every_fault_its_family(latency):
             families = {fault.family for fault in answer.faults}
             if latency and any(isinstance(operator, streams.Jitter) for operator in mine):
                 wanted.discard("clock")  # what the latency allows for is no fault
-            if wanted and answer.k >= 0:
+            if wanted:
+                wanted = wanted if answer.k >= 0 else {"clock"}  # nothing else can be judged then
                 assert families & wanted, (step.k, [type(o).__name__ for o in mine], answer)
                 explained.update(families & wanted)
-            elif wanted:
-                assert "clock" in families  # nothing else can be judged then
-                explained["clock"] += 1
-    assert min(explained[family] for family in ("measurement", "estimate", "clock")) > 20
-
-
-@pytest.mark.parametrize("latency", LATENCIES)
-def test_lies_that_grow_are_found(latency):
-    _, operators, steps, _ = flown(latency)
-    for (first, *others), run in zip(operators, steps, strict=True):
-        if isinstance(first, (streams.Drifting, streams.Flattering)) and not others:
-            hit = [s for s in run if first.first <= s.k < first.last and s.answer.faults]
-            assert any(fault.family == "estimate" for s in hit for fault in s.answer.faults)
-        if isinstance(first, streams.Frozen) and not others:
+        first, *others = mine
+        if others:
+            continue
+        if isinstance(first, (streams.Drifting, streams.Flattering)):  # lies that grow are found
+            hit = [s.answer.faults for s in run if first.first <= s.k < first.last]
+            assert any(fault.family == "estimate" for faults in hit for fault in faults)
+        if isinstance(first, streams.Frozen):
             texts = {s.answer.reason for s in run if first.first < s.k < first.last}
             assert texts == {"measurement: frozen: the same state as before with a new stamp"}
+    assert min(explained[family] for family in ("measurement", "estimate", "clock")) > 20
 
 
 def test_without_the_checks_the_same_streams_do_harm():
@@ -130,15 +109,9 @@ def test_without_the_checks_the_same_streams_do_harm():
     assert inside_unsafe(scene, states).any()
 
 
-def test_a_replayed_log_gives_the_same_decisions(tmp_path):
-    monitor = robot()
-    scene = monitor.grid
-    operators = plans(3, scene.decisions, scene.system.n)[::8]
-    logs = [DecisionLog(tmp_path / f"{run}.jsonl", flush_every=50) for run in range(len(operators))]
-    deciders = [OnlineMonitor(monitor, PATIENT, log).step for log in logs]
-    options = {"second_clock": range(0, len(logs), 2), "applied": range(0, len(logs), 3)}
-    steps, _ = fly_streams(monitor, operators, deciders, 8, **options)
-    for run, log in enumerate(logs):
-        log.close()
-        again = replay_log(read_log(tmp_path / f"{run}.jsonl"), monitor, PATIENT)
-        assert [repr(answer) for answer in again] == [repr(step.answer) for step in steps[run]]
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_no_stream_leads_into_an_unsafe_set_and_both_controllers_fly(latency):
+    monitor, operators, steps, states = flown(latency)
+    assert not inside_unsafe(monitor.grid, states).any() and len(operators) > 50
+    assert {type(operator) for mine in operators for operator in mine} == set(streams.OPERATORS)
+    assert 0.3 < np.mean([step.answer.mode > 0 for run in steps for step in run]) < 0.9

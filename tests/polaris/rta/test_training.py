@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
 
 from benchmarks.policies import write_onnx  # noqa: E402
-from benchmarks.training import commanded, folded, speed, train, unpacked  # noqa: E402
+from benchmarks.training import folded, speed, train  # noqa: E402
 from polaris.certificate.checker import verify_document  # noqa: E402
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible  # noqa: E402
 from polaris.rta.arena import compare_methods  # noqa: E402
@@ -63,9 +63,6 @@ def inspected():
     return load_scenario("inspection", INSPECTED)
 
 
-# -- what gymnasium asks ----------------------------------------------------------------------------
-
-
 MADE = {
     "sampled": lambda: SwitchingEnv(
         sampled(), half_widths=0.005, inputs=("state", "time", "reference_input")
@@ -88,16 +85,17 @@ def test_environments_pass_the_check_of_the_library(name, shielded):
 @pytest.mark.parametrize("name", sorted(bundled_files()))
 def test_every_bundled_scenario_passes_it_or_is_refused(name):
     scenario = load_scenario(name)
+    kind = {"schedule": SwitchingEnv}.get(scenario.kind, InspectionEnv)
     if scenario.kind not in ("schedule", "inspection") or name == "infeasible":
         with pytest.raises((ScenarioError, SynthesisInfeasible)):
-            (SwitchingEnv if scenario.kind == "schedule" else InspectionEnv)(scenario)
+            kind(scenario)
         return
     if name == "cubesat":  # late faults beside an observer: no run-time method flies it
         with pytest.raises(ScenarioError, match="must be isolated at once with navigation.measurement"):
             SwitchingEnv(scheduled(name)[1])
         return
-    env = InspectionEnv(scenario) if scenario.kind == "inspection" else SwitchingEnv(scheduled(name)[1])
-    for keys in ({"intervened"}, {"intervened", "proven" if scenario.kind == "inspection" else "margin"}):
+    env = InspectionEnv(scenario) if kind is InspectionEnv else SwitchingEnv(scheduled(name)[1])
+    for keys in ({"intervened"}, {"intervened", "proven" if kind is InspectionEnv else "margin"}):
         check_env(env.unwrapped, skip_render_check=True)
         env.reset(seed=1)
         assert keys <= env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4].keys()
@@ -142,23 +140,30 @@ def test_an_episode_begins_with_reset():
     Shield(env)  # whatever was flown without it need not be recoverable
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(2))
+    env = Shield(Autoreset(SwitchingEnv(sampled())), penalty=2.0)
+    env.reset(seed=0)
+    over = False
+    while not over:
+        _, _, over, ended, _ = env.step(np.zeros(2))
+        over |= ended
+    assert env.step(np.zeros(2))[1:3] == (0.0, False), "a step that only begins anew costs nothing"
 
 
-def test_what_does_not_fit_is_told():
-    for make, field in (
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
         (lambda: SwitchingEnv(inspected()), "scenario"),
         (lambda: InspectionEnv(load_scenario(TINY)), "scenario"),
         (lambda: SwitchingEnv(sampled(), inputs=("error", "error")), "inputs"),
         (lambda: SwitchingEnv(sampled(), inputs=("sun",)), "inputs"),
         (lambda: SwitchingEnv(sampled(), input_scale=np.ones(3)), "input_scale"),
         (lambda: SwitchingEnv(DecisionGrid.from_schedule(sampled(), 0.5, 0.25)), "latency"),
-    ):
-        with pytest.raises(ScenarioError) as raised:
-            make()
-        assert raised.value.field == field
-
-
-# -- what a policy reads and is paid for ----------------------------------------------------------------
+    ],
+)
+def test_what_does_not_fit_is_told(make, field):
+    with pytest.raises(ScenarioError) as raised:
+        make()
+    assert raised.value.field == field
 
 
 def test_observations_are_what_a_network_reads_in_flight():
@@ -198,9 +203,6 @@ def test_reward_pays_for_being_near_and_for_idle_thrusters():
     assert objective([10, 10])[1] == busy
 
 
-# -- the shield ---------------------------------------------------------------------------------------
-
-
 def towards(flights):
     """Full thrust towards the nearest facet, of shape (R, m): bang-bang into what is near."""
     grid, k = flights.grid, flights.k
@@ -229,7 +231,7 @@ def recoverable(flights):
     return worst
 
 
-def attacked(scene, steps, seed, policies=("towards", "random", "still"), **given):
+def attacked(scene, steps, seed, **given):
     """Episodes under adversaries, shielded: collisions, interventions, periods, and the least room."""
     runs = 16
     env = VectorShield(SwitchingVectorEnv(scene, runs, **given))
@@ -240,10 +242,8 @@ def attacked(scene, steps, seed, policies=("towards", "random", "still"), **give
     for i in range(-(-steps // runs)):
         if i % 7 == 0:
             drawn = rng.choice([-1.0, 1.0], (runs, env.single_action_space.shape[0]))
-        choice = np.arange(runs) % len(policies)
-        options = {"towards": towards(flights), "random": drawn, "still": 0 * drawn}
-        given_ = [policy(flights) if callable(policy) else options[policy] for policy in policies]
-        action = np.stack(given_)[choice, np.arange(runs)]
+        choice = np.arange(runs) % 3
+        action = np.stack([towards(flights), drawn, 0 * drawn])[choice, np.arange(runs)]
         action = np.where(rng.random(runs)[:, None] < 0.02, np.nan, action)
         *_, over, _, info = env.step(action)
         collided += int(over.sum())
@@ -252,33 +252,6 @@ def attacked(scene, steps, seed, policies=("towards", "random", "still"), **give
         if "half_widths" not in given:
             worst = max(worst, recoverable(flights))
     return collided, intervened, periods, worst
-
-
-def unshielded(scene, steps, **given):
-    """Collisions of the same bang-bang without the shield."""
-    env = SwitchingVectorEnv(scene, 16, **given)
-    env.reset(seed=0)
-    return sum(int(env.step(towards(env.flights))[2].sum()) for _ in range(-(-steps // 16)))
-
-
-@cache
-def colliding():
-    """A network that has learned to collide: it is paid for what it hits."""
-
-    class Reckless(SwitchingVectorEnv):
-        def step(self, actions):
-            seen, reward, over, ended, info = super().step(actions)
-            return seen, -np.minimum(info["distance_m"], 3.0) / 48 + over, over, ended, info
-
-    env = Reckless(sampled(), 32)
-    mean, collisions = train(env, 12)
-    dims = [4, 16, 16, 2]
-
-    def policy(flights):
-        P = [np.repeat(part, flights.runs, axis=0) for part in unpacked(mean[None], dims)]
-        return commanded(P, flights.observe())
-
-    return policy, collisions
 
 
 SCENES = {
@@ -294,39 +267,22 @@ SCENES = {
 )
 def test_adversaries_do_not_get_through(name):
     make, given = SCENES[name]
-    policy, learned = colliding()
-    assert learned > 20, "without the shield it hits something in most episodes"
-    policies = ("towards", "random", policy) if name in ("sampled", "estimated") else ("towards", "random")
-    collided, intervened, periods, worst = attacked(make(), 2000, 1, policies, **given)
+    collided, intervened, periods, worst = attacked(make(), 2000, 1, **given)
     assert collided == 0 and worst <= 1 + 1e-9
     assert 0.05 * periods < intervened < 0.98 * periods
-    assert unshielded(make(), 2000, **given) > 3
+    env = SwitchingVectorEnv(make(), 16, **given)  # the same bang-bang without the shield
+    env.reset(seed=0)
+    assert sum(int(env.step(towards(env.flights))[2].sum()) for _ in range(125)) > 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["static", "robot", "dynamic", "hold_point", "sampled"])
-def test_many_shielded_periods_without_a_violation(name):
-    """4,000 of each of five scenes; 10^5 in all in a campaign."""
-    scene = sampled() if name == "sampled" else scheduled(name)[1]
-    policies = ("towards", "random", colliding()[0]) if name == "sampled" else ("towards", "random")
-    collided, intervened, periods, worst = attacked(scene, fewer(22_000, 4_400), 2, policies)
-    assert periods >= fewer(20_000, 4_000) and collided == 0 and worst <= 1 + 1e-9
-    assert intervened > 0
-    assert unshielded(scene, 16 * DecisionGrid.from_schedule(scene).decisions) > 0
-
-
-UNCERTIFIED = (20, 24, 27, 29, 30, 33, 35, 37, 39)
-"""Random scenes that no monitor holds from the start."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20, fewer(40, 32)))
+@pytest.mark.parametrize("seed", range(20, fewer(40, 26)))
 def test_random_scenes_are_held_too(seed, tmp_path):
     try:
         _, schedule = random_schedule(seed, tmp_path)
         collided, _, _, worst = attacked(schedule, 600, seed)
     except PolarisError as error:
-        assert seed in UNCERTIFIED, error
+        assert seed in (20, 24, 27, 29, 30, 33, 35, 37, 39), error  # no monitor holds them from the start
         pytest.skip(str(error))
     assert collided == 0 and worst <= 1 + 1e-9
 
@@ -346,11 +302,10 @@ def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
         Shield(base, trust="declared")  # a policy obeys no declared law
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_an_input_that_is_no_number_is_none(wrong):
+def test_an_input_that_is_no_number_is_none(wrong=np.nan):
     """S flies, and nothing thrusts where there is no S; the limits are those of any that is too large."""
     env = SwitchingVectorEnv(sampled(), num_envs=3)
-    asked = np.ones((3, 2)) * [[wrong, 0.0], [1e300, 1.0], [1.0, 1.0]]
+    asked = np.ones((3, 2)) * [[wrong, np.inf], [1e300, 1.0], [1.0, 1.0]]
     env.reset(seed=0)
     spent = env.step(asked)[4]["delta_v_m_s"]
     assert spent[0] == 0.0 and spent[1] == spent[2] > 0
@@ -359,16 +314,6 @@ def test_an_input_that_is_no_number_is_none(wrong):
     while env.step(np.zeros((3, 2)))[4]["intervened"].any():
         pass
     assert env.step(asked)[4]["intervened"].tolist() == [True, False, False]
-
-
-def test_a_step_that_only_begins_anew_costs_nothing():
-    env = Shield(Autoreset(SwitchingEnv(sampled())), penalty=2.0)
-    env.reset(seed=0)
-    over = False
-    while not over:
-        _, _, over, ended, _ = env.step(np.zeros(2))
-        over |= ended
-    assert env.step(np.zeros(2))[1:3] == (0.0, False)
 
 
 def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
@@ -390,26 +335,6 @@ def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
     assert all(results[key].claim.kind == "proved" for key in ("schedule", "monitor"))
     assert not any(results[key].metrics.collided.any() for key in ("schedule", "monitor"))
     assert results["schedule"].metrics.experimental_share.mean() == pytest.approx(schedule.share())
-
-
-def test_inspection_is_kept_by_an_assured_filter():
-    ends = {}
-    for shielded in (True, False):
-        env = InspectionEnv(inspected())
-        env = Shield(env, penalty=0.5) if shielded else env
-        env.reset(seed=0)
-        rows = []
-        for _ in range(60):
-            inward = -np.sign(env.unwrapped.many.flights.x[0, :, :3]).ravel()
-            _, reward, over, ended, info = env.step(inward.astype(np.float32))
-            rows.append((over, info["intervened"], info["proven"], info["least"]))
-            assert not shielded or reward <= 1 / 60 - 0.5 * info["intervened"]
-            if over or ended:
-                break
-        ends[shielded] = np.array(rows, dtype=float)
-    assert not ends[True][:, 0].any() and ends[True][:, 2].all() and (ends[True][:, 3] >= 0).all()
-    assert 0 < ends[True][:, 1].sum() < len(ends[True]) == 60
-    assert ends[False][-1, 0] and ends[False][-1, 3] < 0
 
 
 @pytest.mark.parametrize("proven", [True, False])

@@ -33,8 +33,6 @@ PLANE = LinearSystem(
 )
 BALL, BOX = BallObstacle("ball", [0, 0], 1.0), BoxObstacle("box", [10, 0], [1, 2])
 
-# -- distance -------------------------------------------------------------------------------------
-
 
 def test_distances_and_the_closest_approach_of_every_run():
     t = np.array([0.0, 1, 2])
@@ -46,30 +44,26 @@ def test_distances_and_the_closest_approach_of_every_run():
     np.testing.assert_allclose(best.distance, [1, -0.5])
     np.testing.assert_allclose(best.time, [2, 1])
     np.testing.assert_array_equal(best.obstacle, [1, 0])
-
-
-def test_no_obstacles_and_one_sample():
-    p = np.zeros((4, 1, 2))
-    none = closest(signed_distances([], [0.0], p), [0.0])
-    assert np.all(none.distance == np.inf)
-    assert np.all(none.obstacle == -1)
-    assert np.all(np.isnan(none.time))
-    assert ray_ttc([], [0.0], p, p).shape == (0, 4, 1)
+    none, still = closest(signed_distances([], [0.0], p[:, :1]), [0.0]), np.zeros((4, 1, 2))
+    assert np.all(none.distance == np.inf) and np.all(none.obstacle == -1) and np.all(np.isnan(none.time))
+    assert ray_ttc([], [0.0], still, still).shape == (0, 4, 1)
     assert drift_ttc([], PLANE, 0.0, np.zeros((4, 4)), 10.0).shape == (0, 4)
-    one = closest(signed_distances([BALL], [0.0], p), [0.0])
-    np.testing.assert_allclose(one.distance, -1)
 
 
-# -- time to collision ----------------------------------------------------------------------------
-
-
-def test_ray_ttc_is_vectorised_over_runs_and_times():
-    t = np.linspace(0, 1, 3)
-    p = np.array([[[-5.0, 0]] * 3, [[5.0, 0]] * 3])
-    v = np.array([[[1.0, 0], [2, 0], [0, 0]], [[1.0, 0], [-1, 0], [0, 1]]])
-    times = ray_ttc([BALL, BOX], t, p, v)
-    np.testing.assert_allclose(times[0], [[4, 2, np.inf], [np.inf, 4, np.inf]])
-    np.testing.assert_allclose(times[1], [[14, 7, np.inf], [4, np.inf, np.inf]])
+def test_what_rtaeval_gets_wrong():
+    """Every coordinate counts, times have a sign, polytopes have times of their own, penetration is kept."""
+    ball, box = BallObstacle("b", [0, 0, 0], 2.0), BoxObstacle("b", [0, 0, 0], [2, 2, 2])
+    assert [signed_distances([one], 0.0, [10.0, 0, 0])[0] for one in (ball, box)] == pytest.approx([8, 8])
+    v = [[1.0, 0], [0, 5], [0, 0]]
+    assert np.all(ray_ttc([BallObstacle("b", [-10, 0], 1.0)], 0.0, np.zeros((3, 2)), v) == np.inf)
+    wall = PolytopeObstacle("w", [[-1.0, 0]], [-20], unbounded=True)
+    np.testing.assert_allclose(ray_ttc([BALL, wall], 0.0, [-5, 0], [1, 0]), [4, 25])
+    space = LinearSystem(np.kron([[0, 1], [0, 0]], np.eye(3)), CW.B, CW.D, CW.u_max)
+    agent = SatelliteObstacle("agent", [0, 0, 12, 0, 0, -1], np.zeros(6), 2.0)
+    assert signed_distances([agent], 0.0, [0.0, 0, 0], space)[0] == pytest.approx(10)
+    assert ray_ttc([agent], 0.0, [0, 0, 0], [0, 0, 1], space)[0] == pytest.approx(5)
+    assert mode_shares([0.0, 1, 2], [UNKNOWN, UNKNOWN]) == {UNKNOWN: 1.0}
+    assert signed_distances([BALL], 0.0, [0.25, 0])[0] == pytest.approx(-0.75)
 
 
 def test_drift_in_straight_lines_equals_the_ray():
@@ -86,6 +80,9 @@ def test_drift_in_straight_lines_equals_the_ray():
     drift = drift_ttc(obstacles, PLANE, t, x, 20.0)
     assert np.isfinite(ray[ray < 20]).sum() > 40
     np.testing.assert_allclose(drift, np.where(ray <= 20, ray, np.inf), rtol=1e-6, atol=1e-6)
+    true = {"sat": np.array([[11.0, 0, -1, 0], [11, 0, 1, 0], [0.5, 0, 0, 0]])}  # where it really is
+    times = drift_ttc([sat], PLANE, 0.0, np.zeros((3, 4)), 50.0, states=true)[0]
+    np.testing.assert_allclose(times, [10.3, np.inf, 0])
 
 
 @settings(max_examples=10, deadline=None)
@@ -126,85 +123,6 @@ def test_drift_ttc_sees_a_pass_far_shorter_than_its_grid():
     assert times[1] == np.inf
 
 
-def test_drift_ttc_uses_true_states_of_other_satellites():
-    sat = SatelliteObstacle("sat", [1000, 0, 0, 0], np.zeros(4), 1.0)
-    x = np.zeros((3, 4))
-    true = np.array([[11.0, 0, -1, 0], [11, 0, 1, 0], [0.5, 0, 0, 0]])
-    times = drift_ttc([sat], PLANE, 0.0, x, 50.0, states={"sat": true})[0]
-    np.testing.assert_allclose(times, [10, np.inf, 0])
-    np.testing.assert_allclose(
-        signed_distances([sat], 0.0, x[:, :2], PLANE, {"sat": true})[0], [10, 10, -0.5]
-    )
-
-
-# -- modes and fuel -------------------------------------------------------------------------------
-
-
-def test_shares_are_weighted_by_time():
-    shares = mode_shares([0.0, 1, 4, 10], [0, 1, 0])
-    assert shares[0] == pytest.approx(0.7)
-    assert shares[1] == pytest.approx(0.3)
-    runs = mode_shares([0.0, 1, 4], [[0, 1, 1], [2, UNKNOWN, 0]])  # the last sample holds for no time
-    assert set(runs) == {UNKNOWN, 0, 1, 2}
-    np.testing.assert_allclose(runs[1], [0.75, 0])
-    np.testing.assert_allclose(runs[UNKNOWN], [0, 0.75])
-    np.testing.assert_allclose(sum(runs.values()), 1)
-    assert mode_shares([0.0], [1])[1] == 1.0
-
-
-def test_switches_are_counted_inside_the_run_only():
-    np.testing.assert_array_equal(count_switches([[0, 0, 0], [0, 1, 1], [1, 0, 1], [2, 1, 0]]), [0, 1, 2, 2])
-    u = UNKNOWN
-    np.testing.assert_array_equal(
-        count_switches([[u, u, u, u], [u, 1, u, 1], [1, u, 0, u], [u, u, 0, 1]]), [0, 0, 1, 1]
-    )
-    assert count_switches([0]) == 0
-    # two rows stamped t = 0: the first held for no time
-    assert count_switches([1, 0, 0], [0.0, 0, 1]) == 0
-    assert count_switches([1, 0, 0]) == 1
-
-
-# -- RTAEval's defects ----------------------------------------------------------------------------
-
-
-def test_rtaeval_1_no_coordinate_is_dropped():
-    assert signed_distances([BallObstacle("b", [0, 0, 0], 2.0)], 0.0, [10.0, 0, 0])[0] == pytest.approx(8)
-    assert signed_distances([BoxObstacle("b", [0, 0, 0], [2, 2, 2])], 0.0, [10.0, 0, 0])[0] == pytest.approx(
-        8
-    )
-
-
-def test_rtaeval_2_ttc_has_a_sign():
-    v = [[1.0, 0], [0, 5], [0, 0]]
-    times = ray_ttc([BallObstacle("b", [-10, 0], 1.0)], 0.0, np.zeros((3, 2)), v)
-    assert np.all(times == np.inf)
-
-
-def test_rtaeval_3_polytopes_have_a_ttc_of_their_own():
-    wall = PolytopeObstacle("w", [[-1.0, 0]], [-20], unbounded=True)
-    np.testing.assert_allclose(ray_ttc([BALL, wall], 0.0, [-5, 0], [1, 0]), [4, 25])
-
-
-def test_rtaeval_4_and_5_agents_meet_head_on():
-    space = LinearSystem(np.kron([[0, 1], [0, 0]], np.eye(3)), CW.B, CW.D, CW.u_max)
-    agent = SatelliteObstacle("agent", [0, 0, 12, 0, 0, -1], np.zeros(6), 2.0)
-    assert signed_distances([agent], 0.0, [0.0, 0, 0], space)[0] == pytest.approx(10)
-    assert ray_ttc([agent], 0.0, [0, 0, 0], [0, 0, 1], space)[0] == pytest.approx(5)
-
-
-def test_rtaeval_6_starting_in_safety_is_no_switch():
-    assert count_switches([0, 0, 0]) == 0
-    assert mode_shares([0.0, 1, 2], [UNKNOWN, UNKNOWN])[UNKNOWN] == 1.0
-    assert 0 not in mode_shares([0.0, 1, 2], [UNKNOWN, UNKNOWN])
-
-
-def test_rtaeval_7_penetration_is_kept():
-    assert signed_distances([BALL], 0.0, [0.25, 0])[0] == pytest.approx(-0.75)
-
-
-# -- refusals -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("call", "field"),
     [
@@ -227,9 +145,16 @@ def test_bad_input_is_refused(call, field):
     assert caught.value.field == field
 
 
-def test_rays_of_one_time_against_many_positions():
-    ball = BallObstacle("ball", [0.0, 0.0], 1.0)
-    p = np.random.default_rng(0).uniform(2, 9, (3, 5000, 2))
-    v = -p / 10
-    t = np.zeros((1, 5000))
-    assert np.array_equal(ray_ttc([ball], t, p, v), ray_ttc([ball], np.zeros((3, 5000)), p, v))
+def test_shares_are_weighted_by_time_and_switches_counted_inside_the_run_only():
+    assert mode_shares([0.0, 1, 4, 10], [0, 1, 0]) == pytest.approx({0: 0.7, 1: 0.3})
+    runs = mode_shares([0.0, 1, 4], [[0, 1, 1], [2, UNKNOWN, 0]])  # the last sample holds for no time
+    assert set(runs) == {UNKNOWN, 0, 1, 2}
+    np.testing.assert_allclose(runs[1], [0.75, 0])
+    np.testing.assert_allclose(runs[UNKNOWN], [0, 0.75])
+    assert mode_shares([0.0], [1])[1] == 1.0
+    np.testing.assert_array_equal(count_switches([[0, 0, 0], [0, 1, 1], [1, 0, 1], [2, 1, 0]]), [0, 1, 2, 2])
+    u = UNKNOWN
+    known = [[u, u, u, u], [u, 1, u, 1], [1, u, 0, u], [u, u, 0, 1]]
+    np.testing.assert_array_equal(count_switches(known), [0, 0, 1, 1])
+    assert count_switches([1, 0, 0], [0.0, 0, 1]) == 0, "of two rows stamped t = 0 the first held for no time"
+    assert count_switches([1, 0, 0]) == 1 and count_switches([0]) == 0

@@ -12,7 +12,7 @@ from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.orbit.environment import MU, Environment
+from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
 from polaris.simulation.orbit.model_error import justify, model_error, sample_residual
 from polaris.simulation.orbit.region import Region, visited
@@ -20,7 +20,7 @@ from polaris.simulation.orbit.residual import residual_bound, two_digits
 from polaris.simulation.orbit.truth import declared, fly_true, runge_kutta
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
-from tests.kept import CHOSEN, printed
+from tests.kept import CHOSEN, printed, quick
 
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
@@ -44,9 +44,6 @@ def drift_true(env, target, x, ballistic, h, nodes):
     for _ in range(nodes):
         path.append(runge_kutta(rate, path[-1], h, rate(path[-1])))
     return np.stack(path, axis=1)[..., :6]
-
-
-# -- the exact equations ----------------------------------------------------------------------------
 
 
 def inertial(env, target, x):
@@ -82,37 +79,15 @@ def test_relative_motion_is_that_of_two_craft_in_inertial_space(env):
     assert np.allclose(mine[3:], axes @ (v2 - v) - np.cross(omega, axes @ (p2 - p)), atol=1e-8)
 
 
-def test_rate_of_the_rotation_is_its_derivative():
-    target = near_circular(FULL, np.array(0.7), np.radians(51.6))
-    _, omega_rate, rate = frame_rates(FULL, target)
-    step = 1e-2 * rate
-    difference = (frame_rates(FULL, target + step)[0] - frame_rates(FULL, target - step)[0]) / 2e-2
-    assert np.allclose(difference, omega_rate, rtol=1e-5, atol=1e-16)
-
-
-def test_near_circular_orbits_ripple_as_little_as_j2_lets_them():
-    env = replace(FULL, density=0.0)
-    orbit = near_circular(env, np.linspace(0, 6, 7), np.radians(51.6))
-    for start in orbit:
-        solved = solve_ivp(lambda t, y: frame_rates(env, y)[2], (0, 5400), start, rtol=1e-10, max_step=30)
-        assert np.ptp(solved.y[0]) < 2.1 * 1037 + 50  # twice the ripple, and what is of second order in J2
-        assert abs(np.mean(solved.y[2] / solved.y[0] ** 2) / ETA - 1) < 5e-5
-
-
 def test_without_j2_drag_and_distance_the_linear_model_is_left():
     schedule = printed("static", CHOSEN)[1]
     far = fly_true(schedule, BARE, 2, initial="center", substeps=1)
     linear = simulate(schedule, 2, initial="center", disturbance="none", substeps=1)
     assert np.abs(far.runs.states - linear.states)[..., :3].max() < 0.5
-    target = near_circular(BARE, np.zeros(5), 0.0)
-    for size, limit in ((1.0, 1.2e-12), (10.0, 1.2e-10), (100.0, 1.2e-8)):
-        x = np.concatenate([np.random.default_rng(1).normal(size=(5, 3)), np.zeros((5, 3))], axis=1)
-        x[:, :3] *= size / np.linalg.norm(x[:, :3], axis=1, keepdims=True)
-        left_out = np.linalg.norm(relative_rate(BARE, target, x, 0.0)[2], axis=1)
-        assert left_out.max() <= 3 * MU * size**2 / (BARE.radius - size) ** 4 + 5e-15 < limit
+    with pytest.raises(ScenarioError, match="half-way"):  # to the centre of the Earth
+        residual_bound(FULL, 0.0, 4e6, 0.0)
+    assert [two_digits(v) for v in (0.0, 2.61e-5, 2.6e-5, 0.0999)] == [0.0, 2.7e-5, 2.6e-5, 0.1]
 
-
-# -- the bound ----------------------------------------------------------------------------------------
 
 ALONE = {
     "curvature": (BARE, 0.9),
@@ -145,35 +120,6 @@ def test_bound_holds_whatever_the_region():
         assert sample_residual(env, region, 2000, rng) <= residual_bound(env, *region.extent).total.max()
 
 
-def test_bound_of_j2_covers_its_gradient_at_every_latitude():
-    """Finite differences of the field, worst over directions, against the closed form."""
-    rng = np.random.default_rng(0)
-    step = rng.normal(size=(400, 3))
-    step *= 50 / np.linalg.norm(step, axis=1, keepdims=True)
-    at = np.array([6.5e6, 0, 0])
-    for limit in np.radians([0.0, 20.0, 51.7, 90.0]):
-        env = replace(FULL, inclination_max=limit, radius_deviation=FULL.radius - 6.5e6)
-        bound = float(residual_bound(env, 0.0, 50.0, 0.0).oblateness) / 50
-        largest = 0.0
-        for latitude in np.linspace(0, limit, 20):
-            pole = np.array([np.sin(latitude), np.cos(latitude), 0])
-            change = (env.oblate(at + step, pole) - env.oblate(at - step, pole)) / 100
-            largest = max(largest, float(np.linalg.norm(change, axis=1).max()))
-        assert 0.95 * bound < largest <= bound
-
-
-def test_a_region_that_reaches_into_the_earth_is_refused():
-    with pytest.raises(ScenarioError, match="half-way"):
-        residual_bound(FULL, 0.0, 4e6, 0.0)
-
-
-def test_two_digits_round_up():
-    assert [two_digits(v) for v in (0.0, 2.61e-5, 2.6e-5, 0.0999)] == [0.0, 2.7e-5, 2.6e-5, 0.1]
-
-
-# -- the bundled scenarios --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in (*SPACECRAFT[1:], "cubesat"))]
 )
@@ -187,26 +133,27 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
 
 
 @pytest.mark.parametrize(
-    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
-    scenario, schedule = printed(name, *[CHOSEN] * (name in SPACECRAFT[:2]))
+    scenario, schedule = printed(name, *quick(name))
     env, w_max = Environment.from_scenario(scenario), schedule.safety.problem.system.w_max
-    flown = fly_true(schedule, env, 40, substeps=1)
+    region = visited(schedule)
+    flown = fly_true(schedule, env, 40, tail=True, substeps=1)
     metrics = flown.runs.metrics()
     assert flown.within.all()
     # The targets flown are nearly circular; of what is declared 405 km up most is for orbits that are not.
     assert (0.2 if name in SPACECRAFT[:2] else 0.05) * w_max < flown.residual.max() < w_max
     assert not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1
-    fine = fly_true(schedule, env, 40, substeps=2).runs.states
+    fine = fly_true(schedule, env, 40, tail=True, substeps=2).runs.states
     assert np.abs(flown.runs.states - fine)[..., :3].max() < 1e-3, "the integration has converged"
-    # The tubes of the linear model contain the nonlinear motion.
-    q = schedule.safety.clearance.q
-    for k, step in enumerate(schedule.steps):
-        nodes = step.tube.nodes
-        e = flown.runs.states[:, k * q : (k + 1) * q + 1] - schedule.safety.clearance.nodes[k]
-        assert np.all(np.abs(e - nodes.c) <= nodes.half_widths * (1 + 1e-9) + 1e-3)
+    assert farthest(schedule, flown, 1e-3) <= 1 + 1e-9, "the tubes contain the nonlinear motion"
+    K, q = schedule.safety.problem.K, schedule.safety.clearance.q
+    x = flown.runs.states[:, :-1].reshape(40, -1, q, 6)
+    boxes = np.r_[0:K, len(region.start) - (x.shape[1] - K) : len(region.start)]
+    assert np.all(x >= region.lower[boxes][None, :, None] - 1e-6)
+    assert np.all(x <= region.upper[boxes][None, :, None] + 1e-6)
 
 
 ERRORS = (
@@ -217,13 +164,13 @@ ERRORS = (
 )
 
 
-def farthest(schedule, flown):
+def farthest(schedule, flown, allowance=0.0):
     """Largest error of any run at a node, as a share of what the tube of that step allows."""
     q, shares = schedule.safety.clearance.q, []
     for k, step in enumerate(schedule.steps):
         nodes, e = step.tube.nodes, flown.runs.states[:, k * q : (k + 1) * q + 1]
         e = e - schedule.safety.clearance.nodes[k]
-        shares.append(np.max(np.abs(e - nodes.c) / nodes.half_widths))
+        shares.append(np.max((np.abs(e - nodes.c) - allowance) / nodes.half_widths))
     return max(shares)
 
 
@@ -241,19 +188,6 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     for name in ("estimate_error", "thrusters"):
         object.__setattr__(plain.safety.problem.system, name, getattr(system, name))
     assert farthest(plain, fly_true(plain, env, 8, substeps=1)) > 1.1
-
-
-@pytest.mark.slow
-def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
-    scenario, schedule = printed("static", CHOSEN)
-    region = visited(schedule)
-    flown = fly_true(schedule, Environment.from_scenario(scenario), 20, tail=True, substeps=1)
-    K, q = schedule.safety.problem.K, schedule.safety.clearance.q
-    assert flown.within.all()
-    x = flown.runs.states[:, :-1].reshape(20, -1, q, 6)
-    boxes = np.r_[0:K, len(region.start) - (x.shape[1] - K) : len(region.start)]
-    assert np.all(x >= region.lower[boxes][None, :, None] - 1e-6)
-    assert np.all(x <= region.upper[boxes][None, :, None] + 1e-6)
 
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
@@ -274,16 +208,8 @@ def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is
 def test_a_target_outside_what_is_declared_is_noticed():
     orbit = near_circular(FULL, np.linspace(0, 6, 5), np.radians(51.0))[:, None]
     assert declared(FULL, orbit).all()
-    for off in (
-        {"radius_deviation": 100.0},
-        {"radial_rate": 0.1},
-        {"inclination_max": 0.5},
-        {"rate_deviation": 1e-6},
-    ):
-        assert not declared(replace(FULL, **off), orbit).all()
-
-
-# -- the command ----------------------------------------------------------------------------------------
+    less = {"radius_deviation": 100.0, "radial_rate": 0.1, "inclination_max": 0.5, "rate_deviation": 1e-6}
+    assert not any(declared(replace(FULL, **{key: value}), orbit).all() for key, value in less.items())
 
 
 def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
@@ -299,9 +225,6 @@ def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
     file.write_text(thin.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file)])
     assert done.exit_code == 5 and "TOO SMALL" in done.stdout
-
-
-def test_command_needs_to_know_the_orbit():
     done = CliRunner().invoke(app, ["model-error", "robot"])
     assert done.exit_code == 2 and "orbit" in done.stderr
     with pytest.raises(ScenarioError, match="Hill"):
@@ -309,7 +232,6 @@ def test_command_needs_to_know_the_orbit():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SPACECRAFT)
-def test_a_bound_that_covers_its_own_model_error_is_found(name):
-    error = justify(load_scenario(name))
+def test_a_bound_that_covers_its_own_model_error_is_found():
+    error = justify(load_scenario("static"))
     assert error.covered and error.declared <= 3e-5

@@ -14,7 +14,6 @@ from polaris.certificate.checker import verify
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.runs.files.arrays import read_flights
-from polaris.runs.read_schedule import read_schedule
 from polaris.scenario.scenario import load_scenario
 from polaris.scenario.schedule import ScheduleScenario
 from polaris.simulation.orbit.environment import MU, Environment
@@ -41,26 +40,16 @@ from polaris.simulation.orbit.oem import (
 from polaris.simulation.orbit.region import Region
 from polaris.simulation.orbit.residual import residual_bound
 from polaris.simulation.orbit.start import start_set
-from polaris.simulation.orbit.truth import declared, fly_true
+from polaris.simulation.orbit.truth import declared
 
 DATA = Path(__file__).parents[1] / "data" / "client"
 """Ephemerides of two craft 400 m apart, 590 km up, e = 0.0042, and a scenario that reads them."""
 
-AIR = {
-    "density_kg_m3": 3e-13,
-    "scale_height_m": 6e4,
-    "ballistic_coefficient_m2_kg": 1e-2,
-    "ballistic_difference_max_m2_kg": 1e-2,
-}
-ELEMENTS = {
-    "epoch": "2026-01-31T12:00:00",
-    "semi_major_axis_m": 6965.6e3,
-    "eccentricity": 0.0042,
-    "inclination_deg": 98.2,
-    "ascending_node_deg": 40.0,
-    "perigee_deg": 120.0,
-    "true_anomaly_deg": 20.0,
-}
+AIR = {"density_kg_m3": 3e-13, "scale_height_m": 6e4}
+AIR |= {"ballistic_coefficient_m2_kg": 1e-2, "ballistic_difference_max_m2_kg": 1e-2}
+ELEMENTS = {"epoch": "2026-01-31T12:00:00", "semi_major_axis_m": 6965.6e3, "eccentricity": 0.0042}
+ELEMENTS |= {"inclination_deg": 98.2, "ascending_node_deg": 40.0}
+ELEMENTS |= {"perigee_deg": 120.0, "true_anomaly_deg": 20.0}
 LINES = [  # of the space station, from the paper that revisits SGP4
     "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927",
     "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537",
@@ -77,28 +66,20 @@ def document(orbit, folder=None, **system):
 
 
 def random_orbit(rng):
-    """Elements of a random low orbit, above the ground at perigee."""
+    """Elements of a random low orbit, above the ground at perigee, as numbers and as a table."""
     e = rng.choice([0.0, 10 ** rng.uniform(-4, -1.1)])
     a = rng.uniform(6.75e6, 9e6) / (1 - e)
-    return a, e, np.arccos(rng.uniform(-1, 1)), *rng.uniform(0, 2 * np.pi, 3)
-
-
-def numbers(a, e, *angles):
-    """Elements as a table."""
+    angles = [np.arccos(rng.uniform(-1, 1)), *rng.uniform(0, 2 * np.pi, 3)]
     names = ["inclination_deg", "ascending_node_deg", "perigee_deg", "true_anomaly_deg"]
     table = {"epoch": "2026-031T12:00:00.5", "semi_major_axis_m": a, "eccentricity": e}
-    return table | dict(zip(names, np.degrees(angles).tolist(), strict=True))
-
-
-# -- the bound of eccentricity ----------------------------------------------------------------------
+    return (a, e, *angles), table | dict(zip(names, np.degrees(angles).tolist(), strict=True))
 
 
 def test_the_bound_of_ellipses_holds_on_random_ones_and_not_with_a_quarter_of_it():
     rng = np.random.default_rng(0)
     for _ in range(40):
-        upper = np.append(10.0 ** rng.uniform(0, 3.5, 3), 10.0 ** rng.uniform(-3, 1) * np.array([1, 1, 0.1]))[
-            None
-        ]
+        speeds = 10.0 ** rng.uniform(-3, 1) * np.array([1, 1, 0.1])
+        upper = np.append(10.0 ** rng.uniform(0, 3.5, 3), speeds)[None]
         region = Region(("box",), np.zeros(1), -upper, upper)
         env = Environment(10 ** rng.uniform(-4, -2.93), j2=False, eccentricity=10 ** rng.uniform(-4, -1))
         sampled = sample_residual(env, region, 3000, rng)
@@ -107,67 +88,24 @@ def test_the_bound_of_ellipses_holds_on_random_ones_and_not_with_a_quarter_of_it
         assert sampled > residual_bound(less, *region.extent).eccentricity.max()
 
 
-def test_residual_on_an_ellipse_is_that_of_two_craft_in_inertial_space():
-    """The acceleration between two Kepler orbits, by differences, against the Clohessy-Wiltshire one."""
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        e = rng.uniform(1e-3, 0.1)
-        env = Environment(1.05e-3, j2=False, eccentricity=e)
-        target = state_of_elements(env.radius, e, *rng.uniform(0, 3, 4))
-        x = rng.uniform(-1, 1, 6) * [300, 300, 300, 0.5, 0.5, 0.5]
-        times = np.array([0.0, 5.0, 10.0])
-        chaser = from_hill(target, x, j2=False)
-        bare = replace(env, density=0.0)
-        flown = to_hill(propagate(bare, target, times), propagate(bare, chaser, times), j2=False)
-        rate, middle = (flown[2, 3:] - flown[0, 3:]) / 10, flown[1]
-        n = env.mean_motion
-        linear = [3 * n**2 * middle[0] + 2 * n * middle[4], -2 * n * middle[3], -(n**2) * middle[2]]
-        size = np.abs(middle[0]), np.linalg.norm(middle[:3]), np.linalg.norm(middle[3:])
-        off = np.linalg.norm(rate - linear)
-        assert off <= residual_bound(env, *size).total * (1 + 1e-3) + 1e-9
-        assert off > residual_bound(replace(env, eccentricity=0.0), *size).total
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_targets_stay_on_the_ellipses_that_follow_from_their_elements(seed):
     """For six revolutions, three times as long as what was looked at; J2 turns the perigee meanwhile."""
-    a, e, *angles = random_orbit(np.random.default_rng(seed))
-    made = document({"elements": numbers(a, e, *angles)})
-    env = Environment.from_scenario(made)
-    assert env.mean_motion == pytest.approx(np.sqrt(MU / a**3), rel=5e-3)
-    states = propagate(
-        env, state_of_elements(a, e, *angles), np.linspace(0, 12 * np.pi / env.mean_motion, 900)
-    )
+    elements, table = random_orbit(np.random.default_rng(seed))
+    env = Environment.from_scenario(document({"elements": table}))
+    assert env.mean_motion == pytest.approx(np.sqrt(MU / elements[0] ** 3), rel=5e-3)
+    first = state_of_elements(*elements)
+    assert np.allclose(state_of_elements(*elements_of_state(first)), first, rtol=1e-8, atol=1e-3)
+    states = propagate(env, first, np.linspace(0, 12 * np.pi / env.mean_motion, 900))
     axes, omega = hill_axes(states)
     R = np.linalg.norm(states[:, :3], axis=1)
-    target = np.column_stack(
-        [R, np.sum(states[:, :3] * states[:, 3:], axis=1) / R, R**2 * omega[:, 2], axes @ AXIS]
-    )
+    rate = np.sum(states[:, :3] * states[:, 3:], axis=1) / R
+    target = np.column_stack([R, rate, R**2 * omega[:, 2], axes @ AXIS])
     assert np.allclose(frame_rates(env, target)[0], omega, rtol=1e-9)
     upright = target.copy()
     upright[:, 5] = np.abs(upright[:, 5])
     assert declared(env, upright[None])[0]
     assert not declared(replace(env, eccentricity=max(env.eccentricity - 1.5e-3, 0.0)), upright[None])[0]
-
-
-# -- frames and elements ----------------------------------------------------------------------------
-
-
-def test_velocities_in_hills_frame_are_rates_of_positions_in_it():
-    env = Environment(1.05e-3)
-    target = state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5)
-    x = np.array([120.0, 350.0, -400.0, 0.2, -0.3, 0.1])
-    times = np.array([0.0, 1.0, 2.0])
-    flown = to_hill(propagate(env, target, times), propagate(env, from_hill(target, x), times))
-    assert np.allclose(flown[0], x, atol=1e-8)
-    assert np.allclose((flown[2, :3] - flown[0, :3]) / 2, flown[1, 3:], atol=1e-6)
-
-
-def test_elements_there_and_back():
-    rng = np.random.default_rng(2)
-    for _ in range(50):
-        state = state_of_elements(*random_orbit(rng))
-        assert np.allclose(state_of_elements(*elements_of_state(state)), state, rtol=1e-8, atol=1e-3)
 
 
 def test_elements_agree_with_sgp4s_own():
@@ -183,21 +121,6 @@ def test_elements_agree_with_sgp4s_own():
 
 
 @pytest.mark.parametrize(
-    ("orbit", "rule"),
-    [
-        ({"two_line_elements": LINES[::-1]}, "line 1 must have 69 characters"),
-        ({"two_line_elements": [LINES[0][:-1] + "3", LINES[1]]}, "checksum"),
-        ({"two_line_elements": LINES, "epoch": "2009-01-01T00:00:00"}, "within 14 days"),
-        ({"two_line_elements": LINES, "epoch": "2008-13-01T00:00:00"}, "date and a time that exist"),
-    ],
-)
-def test_bad_two_line_elements_end_in_one_sentence(orbit, rule):
-    pytest.importorskip("sgp4")
-    with pytest.raises(ScenarioError, match=rule):
-        document(orbit)
-
-
-@pytest.mark.parametrize(
     ("orbit", "system", "rule"),
     [
         ({}, {}, "mean_motion_rad_s.*is required"),
@@ -207,16 +130,18 @@ def test_bad_two_line_elements_end_in_one_sentence(orbit, rule):
         ({"elements": ELEMENTS | {"eccentricity": 0.15}}, {}, "perigee above the Earth"),
         ({"elements": ELEMENTS | {"eccentricity": 0.15, "semi_major_axis_m": 8.5e6}}, {}, "at most 0.1"),
         ({"elements": ELEMENTS}, {"mean_motion_rad_s": 0.0015}, "must be that of the orbit, near 0.00108"),
-        (
-            {"ephemeris": "target.oem", "epoch": "2026-02-01T12:00:00"},
-            {},
-            "must lie in the target's ephemeris",
-        ),
+        ({"ephemeris": "target.oem", "epoch": "2026-02-01T12:00:00"}, {}, "must lie in the target's eph"),
         ({"ephemeris": "target.oem", "epoch": "2026-01-31T12:30:00"}, {}, "must cover the scenario's 1800 s"),
         ({"ephemeris": "nothing.oem"}, {}, "there is no such file"),
+        ({"two_line_elements": LINES[::-1]}, {}, "line 1 must have 69 characters"),
+        ({"two_line_elements": [LINES[0][:-1] + "3", LINES[1]]}, {}, "checksum"),
+        ({"two_line_elements": LINES, "epoch": "2009-01-01T00:00:00"}, {}, "within 14 days"),
+        ({"two_line_elements": LINES, "epoch": "2008-13-01T00:00:00"}, {}, "date and a time that exist"),
     ],
 )
 def test_bad_orbits_end_in_one_sentence(orbit, system, rule):
+    if "two_line_elements" in orbit:
+        pytest.importorskip("sgp4")
     with pytest.raises(ScenarioError, match=rule):
         document(orbit, DATA, **system)
 
@@ -234,9 +159,6 @@ def test_what_followed_is_noted_and_does_not_follow_again():
     assert not own.derived and own.model.orbit.eccentricity_max == 0.02
 
 
-# -- ephemerides ------------------------------------------------------------------------------------
-
-
 def written(path, track, epoch="2026-01-31T12:00:00"):
     """Write one track."""
     path.write_text("\n".join(oem_lines(track, parse_epoch(epoch), "EME2000", "UTC")) + "\n")
@@ -244,21 +166,18 @@ def written(path, track, epoch="2026-01-31T12:00:00"):
 
 
 def test_what_is_written_is_read_and_interpolated(tmp_path):
-    env = Environment(1.05e-3)
+    env, start = Environment(1.05e-3), state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5)
     times = np.arange(0.0, 7200.1, 60.0)
-    states = propagate(env, state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5), times)
+    states = propagate(env, start, times)
     read = read_oem(written(tmp_path / "a.oem", Track("a", times[::5], states[::5])))
     again = read.states_at([read.epochs[0] + round(t) * SECOND for t in times])
     assert np.abs(again - states)[:, :3].max() < 1e-3 and np.abs(again - states)[:, 3:].max() < 1e-6
     with pytest.raises(ScenarioError, match="covers 2026-01-31T12:00:00"):
         read.states_at([read.epochs[-1] + 1])
-
-
-def test_epochs_are_whole_nanoseconds():
-    assert (
-        parse_epoch("2000-01-01T00:00:00") == 0
-        and parse_epoch("2026-031T12:00:00.5Z") % SECOND == SECOND // 2
-    )
+    some = [0, 1, 2, 30, 31]
+    read = read_oem(written(tmp_path / "b.oem", Track("b", times[some], states[some])))
+    with pytest.raises(ScenarioError, match="gap: states about it are 1680 s apart"):
+        read.states_at([read.epochs[0] + 900 * SECOND])
     for text in ("2026-01-31T12:00:00.000001", "1999-12-31T23:59:59.999999999"):
         assert epoch_text(parse_epoch(text)) == text
 
@@ -275,11 +194,9 @@ CHANGES = {
     "no number": (r"4413\.\d+", "4413,8", "could not convert"),
     "too few": (r"4413\.\d+ ", "", "must have 6 or 9 numbers, has 5"),
     "leap second": ("12:05:00 ", "12:05:60 ", "leap seconds are not read"),
-    "negative variance": ("0 0 1.0e-6", "0 0 -1.0e-6", "positive semidefinite"),
     "correlation above one": ("0 1.0e-6", "2.0e-6 1.0e-6", "positive semidefinite"),
     "cut covariance": ("0 0 0 0 0 9.0e-12\n", "", "must have 6 numbers, has 1"),
     "cut file": (r"(?s)2026-01-31T12:05.*", "", "ends too early"),
-    "no message": (r"^CCSDS_OEM_VERS.*\n", "", "must begin with CCSDS_OEM_VERS"),
     "other message": ("CCSDS_OEM_VERS", "CCSDS_OPM_VERS", "must begin with CCSDS_OEM_VERS"),
     "date with a space": (
         r"(2026-01-31)T(\d\d:05:00 )",
@@ -310,40 +227,20 @@ def test_bad_ephemerides_end_in_one_sentence(tmp_path, change):
         ("= UTC", "= TAI", "another time_system"),
         (r"(?s)COVARIANCE_START.*", "", "must have a covariance at the time 0 of the scenario; it has none"),
         ("COV_REF_FRAME = RTN", "COV_REF_FRAME = TNW", "must have covariances in EME2000 or one of RTN"),
+        (
+            r"(?m)(00 \S+ \S+ \S+) (\S+) (\S+) (\S+)$",
+            r"\1 -\2 -\3 -\4",
+            r"initial_set\.center.* m/s'; must be at most",
+        ),
     ],
 )
 def test_two_ephemerides_that_do_not_fit_end_in_one_sentence(tmp_path, pattern, put, rule):
     for name in ("target.oem", "client.toml"):
         (tmp_path / name).write_text((DATA / name).read_text())
-    (tmp_path / "chaser.oem").write_text(re.sub(pattern, put, (DATA / "chaser.oem").read_text()))
+    changed = re.sub(pattern, put, (DATA / "chaser.oem").read_text()).replace(" --", " ")
+    (tmp_path / "chaser.oem").write_text("\ufeff" + changed)  # a mark of the byte order is read over
     with pytest.raises(ScenarioError, match=rule):
         load_scenario(tmp_path / "client.toml")
-
-
-def test_a_chaser_that_flies_the_other_way_round_is_refused(tmp_path):
-    for name in ("target.oem", "client.toml"):
-        (tmp_path / name).write_text((DATA / name).read_text())
-    back = re.sub(
-        r"(00 \S+ \S+ \S+) (\S+) (\S+) (\S+)$", _reversed, (DATA / "chaser.oem").read_text(), flags=re.M
-    )
-    (tmp_path / "chaser.oem").write_text("\ufeff" + back)  # a mark of the byte order is read over
-    with pytest.raises(ScenarioError, match=r"initial_set\.center.* m/s'; must be at most"):
-        load_scenario(tmp_path / "client.toml")
-
-
-def _reversed(row):
-    return " ".join([row[1], *(f"{-float(row[i]):.9f}" for i in (2, 3, 4))])
-
-
-def test_a_gap_is_not_interpolated_across(tmp_path):
-    times = np.array([0.0, 60.0, 120.0, 1800.0, 1860.0])
-    states = propagate(Environment(1e-3), state_of_elements(7e6, 0.01, 1.0, 2.0, 3.0, 0.5), times)
-    read = read_oem(written(tmp_path / "a.oem", Track("a", times, states)))
-    with pytest.raises(ScenarioError, match="gap: states about it are 1680 s apart"):
-        read.states_at([read.epochs[0] + 900 * SECOND])
-
-
-# -- start sets -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("frame", ["RTN", "EME2000", "rotating"])
@@ -376,17 +273,6 @@ def test_start_sets_hold_every_error_within_sigma(frame):
     assert np.linalg.norm(inside, axis=0).max() > 0.8
 
 
-def test_whose_velocities_a_covariance_is_about_makes_a_difference():
-    target, chaser = (read_oem(DATA / name) for name in ("target.oem", "chaser.oem"))
-    epoch = target.epochs[0]
-    still, turning = (start_set(target, chaser, epoch, 3.0, rotating)[1] for rotating in (False, True))
-    assert np.allclose(turning @ turning.T, 9 * chaser.covariances[epoch][1], rtol=1e-4, atol=2e-6)
-    assert abs((still @ still.T)[4, 0]) > 2 * abs((turning @ turning.T)[4, 0])
-
-
-# -- from two files to a proof, and out again -------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
     """Run folder of the scenario that two ephemerides make, with aborts to an own orbit, exported."""
@@ -394,13 +280,10 @@ def client(tmp_path_factory):
     abort = '{kind="elliptical_nmt", inner_semi_minor_m=150.0, outer_semi_minor_m=260.0}'
     changes = "recoverable.recourse=none", "simulation.runs=3", f"abort={{orbit={abort}, within_s=5400.0}}"
     words = [word for change in changes for word in ("--set", change)]
-    done = CliRunner().invoke(
-        app, ["run", str(DATA / "client.toml"), "--no-figures", "--out", str(out), *words]
-    )
+    words = ["run", str(DATA / "client.toml"), "--no-figures", "--out", str(out), *words]
+    done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.stderr
-    assert (
-        "note: assumption: the start set covers 3 sigma" in done.stderr and "safe for all time" in done.stdout
-    )
+    assert "note: assumption: the start set covers 3 sigma" in done.stderr
     assert "Model error: the linear model neglects at most" in done.stdout and "MORE THAN" not in done.stdout
     done = CliRunner().invoke(app, ["export", "oem", str(out)])
     assert done.exit_code == 0 and str(out / "oem" / "reference.oem") in done.stdout
@@ -420,24 +303,39 @@ def test_the_run_covers_its_model_error_and_verifies(client):
     assert done.exit_code == 2 and "keys of [orbit] only" in done.stderr
 
 
+def test_exports_give_the_run_back_to_a_reader_nobody_here_wrote(client):
+    pytest.importorskip("ccsds_ndm")
+    target = of_ccsds_ndm(client / "oem" / "target.oem")
+    flown = read_flights(client / "trajectories.npz")
+    tracks = {f"{key}-{label.replace(' ', '-')}": x for key, one in flown.items()
+              for label, x in zip(one.labels, one.states, strict=True)}  # fmt: skip
+    for name in ("polaris-nominal", "safety-nominal", "polaris-run-0"):
+        file = client / "oem" / f"{name}.oem"
+        read, own = of_ccsds_ndm(file), read_oem(file)
+        assert np.abs(np.array(list(read.values())) - own.states).max() < 1e-6
+        back = to_hill(np.array([target[epoch] for epoch in read]), own.states)
+        assert len(back) == len(tracks[name])
+        off = np.abs(back - tracks[name])
+        assert off[:, :3].max() < 1e-3 and off[:, 3:].max() < 1e-6
+
+
 FORGED_ERRORS = {
     "declared": lambda error: error.update(declared_m_s2=error["declared_m_s2"] * 1.01),
     "covered": lambda error: error.update(covered=False),
     "bound": lambda error: error.update(bound_m_s2=error["bound_m_s2"] / 2),
     "parts": lambda error: error["parts_m_s2"].update(eccentricity=1.0),
-    "unit": lambda error: error.update(bound_mm_s2=1.0),
+    "left out": lambda error: error.clear(),
 }
 
 
-@pytest.mark.parametrize("name", [*FORGED_ERRORS, "left out"])
+@pytest.mark.parametrize("name", FORGED_ERRORS)
 def test_a_forged_model_error_is_refused(client, name, tmp_path):
     """A run states its model error; what contradicts scenario or certificate is refused, as is none."""
     forged = shutil.copytree(client, tmp_path / "forged")
     summary = json.loads((forged / "summary.json").read_text())
-    if name == "left out":
+    FORGED_ERRORS[name](summary["model_error"])
+    if not summary["model_error"]:
         del summary["model_error"]
-    else:
-        FORGED_ERRORS[name](summary["model_error"])
     (forged / "summary.json").write_text(json.dumps(summary))
     verdict = verify(forged)
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "summary"), verdict.text()
@@ -449,42 +347,21 @@ def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
     del data["system"]["disturbance_max_m_s2"], data["system"]["mean_motion_rad_s"]
     data["orbit"] = AIR | source
     made = ScheduleScenario.from_dict(data, "here")
-    declared, needed = made.system().w_max, float(error_within(made, 420.0).total)
-    assert needed <= declared <= 1.1 * needed and "within_m" not in made.to_dict()["orbit"]
-    assert any(f"{declared:g} m/s^2 covers the model error within 420 m" in line for line in made.derived)
-    numbers_alone = made.to_dict()
-    del numbers_alone["system"]["disturbance_max_m_s2"], numbers_alone["orbit"]["elements"]
-    numbers_alone["orbit"]["within_m"] = 420.0
-    assert ScheduleScenario.from_dict(numbers_alone, "here").system().w_max == declared
+    w_max, least = made.system().w_max, float(error_within(made, 420.0).total)
+    assert least <= w_max <= 1.1 * least and "within_m" not in made.to_dict()["orbit"]
+    assert any(f"{w_max:g} m/s^2 covers the model error within 420 m" in line for line in made.derived)
     assert document(source, disturbance_max_m_s2=1e-6).system().w_max == 1e-6
-    numbers_alone["horizon"] = {"duration_s": 60.0, "step_s": 2.0}
-    numbers_alone["orbit"]["within_m"] = 420.0
-    short = ScheduleScenario.from_dict(numbers_alone, "here")  # a flight that covers it in a minute is faster
-    assert short.system().w_max >= float(
-        residual_bound(Environment.from_scenario(short), 420.0, 420.0, 14.0).total
-    )
-    del numbers_alone["system"]["mean_motion_rad_s"]
+    alone = made.to_dict()
+    del alone["system"]["disturbance_max_m_s2"], alone["orbit"]["elements"]
+    alone["orbit"]["within_m"] = 420.0
+    assert ScheduleScenario.from_dict(alone, "here").system().w_max == w_max
+    alone["horizon"] = {"duration_s": 60.0, "step_s": 2.0}
+    short = ScheduleScenario.from_dict(alone, "here")  # a flight that covers it in a minute is faster
+    bound = residual_bound(Environment.from_scenario(short), 420.0, 420.0, 14.0)
+    assert short.system().w_max >= float(bound.total)
+    del alone["system"]["mean_motion_rad_s"]
     with pytest.raises(ScenarioError, match=r"orbit\.within_m"):
-        ScheduleScenario.from_dict(numbers_alone, "here")
-
-
-@pytest.mark.slow
-def test_flights_about_a_target_on_an_ellipse_stay_within_the_bound(client):
-    schedule, scenario = read_schedule(client), load_scenario(client / "scenario.toml")
-    env, w_max = Environment.from_scenario(scenario), schedule.safety.problem.system.w_max
-    flown = fly_true(schedule, replace(env, radius_deviation=5e3, rate_deviation=2e-3), 12, substeps=1)
-    assert flown.within.all() and flown.residual.max() < w_max
-    assert not flown.runs.metrics().collided.any()
-    bare = replace(env, j2=False, density=0.0)
-    about = [
-        fly_true(schedule, replace(bare, eccentricity=e), 12, substeps=1) for e in (env.eccentricity, 0.0)
-    ]
-    assert about[0].residual.max() > 10 * about[1].residual.max()
-
-
-def of_ours(path):
-    read = read_oem(path)
-    return dict(zip(map(str, read.epochs), read.states, strict=True))
+        ScheduleScenario.from_dict(alone, "here")
 
 
 def of_ccsds_ndm(path):
@@ -495,64 +372,18 @@ def of_ccsds_ndm(path):
     return {x.epoch: np.array([float(getattr(x, name).value) for name in names]) * 1e3 for x in states}
 
 
-def of_beyond(path):
-    from beyond.config import config
-    from beyond.io.ccsds import loads
-
-    config.update({"eop": {"missing_policy": "pass"}})
-    return {str(x.date): np.array(x.copy(form="cartesian")) for x in loads(path.read_text())}
-
-
-READERS = {"polaris": of_ours, "ccsds_ndm": of_ccsds_ndm, "beyond": of_beyond}
-
-
-@pytest.mark.parametrize("reader", READERS)
-def test_exports_give_the_run_back_to_readers_nobody_here_wrote(client, reader):
-    pytest.importorskip(reader)
-    target = READERS[reader](client / "oem" / "target.oem")
-    flown = read_flights(client / "trajectories.npz")
-    tracks = {f"{key}-{label.replace(' ', '-')}": x for key, one in flown.items()
-              for label, x in zip(one.labels, one.states, strict=True)}  # fmt: skip
-    for name in ("polaris-nominal", "safety-nominal", "polaris-run-0"):
-        read = READERS[reader](client / "oem" / f"{name}.oem")
-        back = to_hill(np.array([target[epoch] for epoch in read]), np.array(list(read.values())))
-        assert len(back) == len(tracks[name])
-        off = np.abs(back - tracks[name])
-        assert off[:, :3].max() < 1e-3 and off[:, 3:].max() < 1e-6
-
-
 def test_exported_targets_move_as_the_model_error_has_them(client):
     """Between nodes Hermite's cubic of the file is within a millimetre; the target is that of the source."""
     source, out = read_oem(DATA / "target.oem"), read_oem(client / "oem" / "target.oem")
     assert out.epochs[0] == source.epochs[0]
     shared = [epoch for epoch in source.epochs if epoch in set(out.epochs)]
-    assert len(shared) > 5
-    assert (
-        np.abs(out.states_at(shared) - source.states_at(shared))[:, :3].max() < 0.1
-    )  # the air of the file's maker aside
+    off = np.abs(out.states_at(shared) - source.states_at(shared))[:, :3]
+    assert len(shared) > 5 and off.max() < 0.1  # the air of the file's maker aside
     reference = read_oem(client / "oem" / "reference.oem")
     rows = np.loadtxt(client / "reference.csv", delimiter=",", skiprows=1, usecols=range(7), max_rows=60)
     epochs = [reference.epochs[0] + round(t) * SECOND for t in rows[:, 0]]
-    assert (
-        np.abs(to_hill(out.states_at(epochs), reference.states_at(epochs)) - rows[:, 1:])[:, :3].max() < 1e-3
-    )
-
-
-def test_what_a_reader_writes_is_read(client, tmp_path):
-    ndm = pytest.importorskip("ccsds_ndm.ndm_io")
-    path, io = client / "oem" / "reference.oem", ndm.NdmIo()
-    io.to_file(io.from_path(path), ndm.NDMFileFormats.KVN, tmp_path / "again.oem")
-    first, again = read_oem(path), read_oem(tmp_path / "again.oem")
-    assert first.epochs == again.epochs and np.abs(first.states - again.states).max() < 1e-6
-
-
-def test_export_needs_elements():
-    done = CliRunner().invoke(app, ["export", "oem", "nowhere"])
-    assert done.exit_code == 2 and "nowhere" in done.stderr
-
-
-def test_branches_of_aborts_are_exported_and_begin_on_the_reference(client):
-    reference = read_oem(client / "oem" / "reference.oem")
+    back = to_hill(out.states_at(epochs), reference.states_at(epochs))
+    assert np.abs(back - rows[:, 1:])[:, :3].max() < 1e-3
     branches = [read_oem(path) for path in client.glob("oem/branch-*.oem")]
     assert branches
     for branch in branches:

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from polaris.runs.campaign import batch
 from tests.polaris.runs.campaign.scene import fly
 
 
@@ -16,3 +17,16 @@ def flown(tmp_path_factory):
 def copied(flown, tmp_path):
     """Its folder once more, for tests that damage it."""
     return shutil.copytree(flown.path, tmp_path / "c")
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """Case and batch of the parts flown from here on."""
+    parts, real = [], batch.fly_batch
+
+    def fly_batch(task):
+        parts.append((task.case, task.batch))
+        return real(task)
+
+    monkeypatch.setattr("polaris.runs.campaign.drive.fly_batch", fly_batch)
+    return parts

@@ -1,13 +1,11 @@
 """The scene of these tests, campaigns flown on it, and their tables to the bit."""
 
-import os
-import signal
 import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from polaris.runs.campaign import CampaignPlan, ScheduleRuns, batch, local, make_cases, run_campaign
+from polaris.runs.campaign import CampaignPlan, ScheduleRuns, local, make_cases, run_campaign
 
 TINY = str(Path(__file__).parents[3] / "polaris" / "data" / "tiny.toml")
 GRID = {"planner.extra_margin_m": [0.3, 0.4]}
@@ -52,12 +50,3 @@ def await_parts(out, count, process=None):
     while len(list((out / "runs").glob("case-*.parquet"))) < count:
         assert time.monotonic() < until and (process is None or process.poll() is None)
         time.sleep(0.005)
-
-
-def suicidal(task, real=batch.fly_batch):
-    """Kills its process in the middle of the batch that a file names, once."""
-    flag = Path(os.environ["POLARIS_TEST_FLAG"])
-    if flag.exists() and flag.read_text(encoding="utf-8") == f"{task.case} {task.batch}":
-        flag.unlink()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return real(task)

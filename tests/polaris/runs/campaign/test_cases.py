@@ -37,15 +37,10 @@ def test_values_of_a_grid_are_those_of_set():
     }
 
 
-@pytest.mark.parametrize(
-    ("grid", "word"),
-    [("system.input_max", "key=value"), ("=1", "key=value"), ("system.input_max=", "key=value")],
-)
-def test_malformed_grids_are_refused(grid, word):
-    with pytest.raises(ScenarioError, match=word):
-        parse_grid([grid])
-    with pytest.raises(ScenarioError, match="must be given once"):
-        parse_grid(["a=1", "a=2"])
+@pytest.mark.parametrize("grid", [["system.input_max"], ["=1"], ["system.input_max="], ["a=1", "a=2"]])
+def test_malformed_grids_are_refused(grid):
+    with pytest.raises(ScenarioError, match="key=value|must be given once"):
+        parse_grid(grid)
 
 
 @pytest.mark.parametrize(
@@ -53,12 +48,10 @@ def test_malformed_grids_are_refused(grid, word):
     [
         (([TINY], {"system.input_max": [1.0, 1.0]}), "each once"),
         (([TINY], {"system.input_max": []}), "at least one value"),
-        (([TINY], {"system.input_max": [-1.0]}), "input_max"),
         (([TINY], {"system.colour": ["red"]}), "colour"),
         (([TINY], {"system.input_max": [1.0]}, ["system.input_max=2"]), "left out of --set"),
         (([TINY, TINY],), "different cases"),
         (([],), "different cases"),
-        ((["nope"],), "nope"),
     ],
 )
 def test_cases_that_make_no_sense_are_refused(arguments, word):
@@ -75,7 +68,6 @@ def test_cases_that_make_no_sense_are_refused(arguments, word):
         ({"modes": ()}, "--mode"),
         ({"modes": ("polaris", "polaris")}, "--mode"),
         ({"modes": ("autopilot",)}, "must be one of polaris, safety, experimental, experimental_2, "),
-        ({"modes": ("experimental_1",)}, "--mode"),
         ({"modes": ("experimental_2",)}, "must be one of polaris, safety, experimental for tiny"),
         ({"initial": "anywhere"}, "--initial"),
         ({"disturbance": "storm"}, "--disturbance"),
@@ -83,47 +75,32 @@ def test_cases_that_make_no_sense_are_refused(arguments, word):
     ],
 )
 def test_plans_that_make_no_sense_are_refused(changed, word):
-    changed = dict(changed)
+    kinds = {name: changed[name] for name in ("modes", "initial", "disturbance") if name in changed}
+    more = {name: value for name, value in changed.items() if name not in kinds}
     with pytest.raises(ScenarioError, match=word):
-        kind = {name: changed.pop(name) for name in ("modes", "initial", "disturbance") if name in changed}
-        CampaignPlan(**({"cases": cases(), "runs": 5} | changed), kind=ScheduleRuns(**kind))
+        CampaignPlan(**({"cases": cases(), "runs": 5} | more), kind=ScheduleRuns(**kinds))
 
 
 def test_seeds_hang_on_the_campaign_the_case_and_the_batch_alone():
-    plan = CampaignPlan(cases(), 100, 3, 10)
-    seeds = [seed for task in plan.tasks() for seed in batch_seeds(task)]
-    assert len(set(seeds)) == 2 * 20 and all(0 <= seed < 2**63 for seed in seeds)
-    alone = CampaignPlan(cases()[1:], 40, 3, 10)
-    assert [batch_seeds(task) for task in alone.tasks()] == [
-        batch_seeds(plan.task(1, batch)) for batch in range(4)
-    ]
-    other = CampaignPlan(cases()[1:], 40, 4, 10)
-    assert batch_seeds(other.task(0, 0)) != batch_seeds(alone.task(0, 0))
-
-
-def test_tasks_cover_the_runs_once():
     plan = CampaignPlan(cases(), 22, batch=5)
     assert [(task.case, task.batch, task.runs) for task in plan.tasks()] == [
         (case, batch, runs) for case in (0, 1) for batch, runs in enumerate([5, 5, 5, 5, 2])
     ]
+    plan = CampaignPlan(cases(), 100, 3, 10)
+    seeds = [seed for task in plan.tasks() for seed in batch_seeds(task)]
+    assert len(set(seeds)) == 2 * 20 and all(0 <= seed < 2**63 for seed in seeds)
+    alone = CampaignPlan(cases()[1:], 40, 3, 10)
+    assert [batch_seeds(task) for task in alone.tasks()] == [batch_seeds(plan.task(1, i)) for i in range(4)]
+    other = CampaignPlan(cases()[1:], 40, 4, 10)
+    assert batch_seeds(other.task(0, 0)) != batch_seeds(alone.task(0, 0))
 
 
 def test_digest_hangs_on_all_but_the_number_of_runs():
     plan = CampaignPlan(cases(), 22)
     assert CampaignPlan(cases(), 1000).digest == plan.digest == CampaignPlan.from_data(plan.data()).digest
-    others = [
-        CampaignPlan(cases()[:1], 22),
-        *(
-            CampaignPlan(cases(), 22, **changed)
-            for changed in (
-                {"seed": 1},
-                {"batch": 3},
-                {"kind": ScheduleRuns(("safety",))},
-                {"kind": ScheduleRuns(initial="random")},
-                {"kind": ScheduleRuns(disturbance="none")},
-            )
-        ),
-    ]
+    kinds = ScheduleRuns(("safety",)), ScheduleRuns(initial="random"), ScheduleRuns(disturbance="none")
+    changes = {"seed": 1}, {"batch": 3}, *({"kind": kind} for kind in kinds)
+    others = [CampaignPlan(cases()[:1], 22), *(CampaignPlan(cases(), 22, **changed) for changed in changes)]
     assert len({plan.digest, *(other.digest for other in others)}) == 7
 
 
@@ -143,18 +120,13 @@ def test_interval_of_a_probability_is_that_of_clopper_and_pearson(runs, data):
         assert high == 1
 
 
-def test_interval_of_a_mean_covers_as_often_as_it_says():
-    rng = np.random.default_rng(0)
-    covered = 0
-    for _ in range(2000):
-        _, low, high = mean_interval(rng.normal(3.0, 2.0, 8))
-        covered += low <= 3.0 <= high
-    assert 0.935 < covered / 2000 < 0.965
-    assert mean_interval(np.array([2.0])) == (2.0, None, None)
-
-
 def test_no_confidence_bound_is_impossible():
     rng = np.random.default_rng(1)
+    covered = sum(
+        low <= 3 <= high for _, low, high in (mean_interval(rng.normal(3, 2, 8)) for _ in range(2000))
+    )
+    assert 0.935 < covered / 2000 < 0.965
+    assert mean_interval(np.array([2.0])) == (2.0, None, None)
     for name, (least, largest) in POSSIBLE.items():
         for scale in (1e-3, 0.5, 1.0):
             values = np.minimum(scale * rng.uniform(size=3) ** 4, largest)

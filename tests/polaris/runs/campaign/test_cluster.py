@@ -1,18 +1,18 @@
 """Campaigns on a real Dask scheduler with two worker processes, one of which is killed."""
 
-import logging
 import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.runs.campaign import cluster, workers
+from polaris.runs.campaign import cluster
 from tests.polaris.runs.campaign.scene import await_parts, fly, table
 
 distributed = pytest.importorskip("distributed")
@@ -47,53 +47,6 @@ def nodes():
             process.wait()
 
 
-def test_a_scheduler_in_this_process_gives_the_same_table(flown, tmp_path):
-    options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as here,
-        cluster(here.scheduler_address) as crew,
-    ):
-        assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
-
-
-@pytest.mark.slow
-def test_a_worker_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(flown, nodes, tmp_path):
-    address, (_, _, victim) = nodes
-    out = tmp_path / "c"
-
-    def kill():
-        await_parts(out, 1)
-        victim.send_signal(signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    with cluster(address) as crew:
-        fly(out, crew)
-    killer.join()
-    assert victim.wait() == -signal.SIGKILL
-    assert table(out) == table(flown.path)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_dies_is_told_and_parts_are_kept(flown, nodes, tmp_path, capfd):
-    address, (scheduler, *_) = nodes
-    out = tmp_path / "c"
-
-    def kill():
-        await_parts(out, 1)
-        scheduler.send_signal(signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    pattern = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
-    with pytest.raises(PolarisError, match=pattern), cluster(address) as crew:
-        fly(out, crew)
-    killer.join()
-    assert capfd.readouterr() == ("", "")  # no traceback of Dask's
-    assert table(out).items() < table(flown.path).items()
-    assert table(fly(out).path) == table(flown.path)
-
-
 def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.runs.campaign.workers.DESERTED", 1.5)
     monkeypatch.setattr("polaris.runs.campaign.workers.TICK", 0.2)
@@ -108,16 +61,6 @@ def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path
             assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
 
 
-def test_what_dask_logs_of_lost_connections_stays_off_the_terminal(caplog):
-    levels = [logging.getLogger(name).level for name in ("distributed.client", "tornado.application")]
-    with workers._unlogged():
-        for name in ("distributed.client", "distributed.core", "tornado.application", "asyncio"):
-            logging.getLogger(name).error("Traceback", exc_info=OSError("refused"))
-        logging.getLogger("mine").error("still heard")
-    assert [record.name for record in caplog.records] == ["mine"]
-    assert levels == [logging.getLogger(name).level for name in ("distributed.client", "tornado.application")]
-
-
 def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
     monkeypatch.setattr("polaris.runs.campaign.workers.PATIENCE", 0.2)
     with socket.socket() as free:
@@ -130,10 +73,28 @@ def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
             pass
 
 
-def test_without_distributed_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with (
-        pytest.raises(ScenarioError, match=r"distributed: pip install 'polaris-rta\[campaign\]'"),
-        cluster("tcp://127.0.0.1:8786"),
-    ):
-        pass
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["worker", "scheduler"])
+def test_what_is_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(
+    flown, nodes, tmp_path, victim, capfd
+):
+    address, (scheduler, _, worker) = nodes
+    out, killed = tmp_path / "c", worker if victim == "worker" else scheduler
+
+    def kill():
+        await_parts(out, 1)
+        killed.send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    pattern = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
+    told = nullcontext() if victim == "worker" else pytest.raises(PolarisError, match=pattern)
+    with told, cluster(address) as crew:
+        fly(out, crew)
+    killer.join()
+    assert killed.wait() == -signal.SIGKILL
+    if victim == "scheduler":
+        assert capfd.readouterr() == ("", "")  # no traceback of Dask's
+        assert table(out).items() < table(flown.path).items()
+        fly(out)
+    assert table(out) == table(flown.path)
