@@ -41,10 +41,7 @@ FIRST = (
 
 
 def pytest_collection_finish():
-    """Freeze the objects that exist before the first test, and collect garbage seldom.
-
-    With Python's own thresholds a synthesis spends a fifth of its time on collections.
-    """
+    """Freeze the objects that exist before the first test, and collect garbage seldom."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 20, 20)

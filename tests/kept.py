@@ -22,7 +22,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 try:
     import fcntl
-except ImportError:  # where files cannot be locked, two workers may make the same thing, each for itself
+except ImportError:  # without locks two workers may make the same thing, each for itself
     fcntl = None
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,10 +79,7 @@ def alone(path):
 
 
 def kept(name, make):
-    """Return the result of `make`, or what it returned under this name to the first caller.
-
-    A safety that the wall clock had a part in is not kept: a slow moment must not leave it to quick ones.
-    """
+    """Return the result of `make`, or what it returned under this name to the first caller."""
     short = name if len(name) < 150 else name[:80] + hashlib.sha256(name.encode()).hexdigest()
     file = folder() / (re.sub(r"[^\w=.-]", "_", short) + ".pickle")
     with alone(file.with_suffix(".lock")):
@@ -90,7 +87,7 @@ def kept(name, make):
             return pickle.loads(file.read_bytes())
         result = make()
         made = result[1] if isinstance(result, tuple) else result
-        if not getattr(made, "safety", made).cut_by_clock:
+        if not getattr(made, "safety", made).cut_by_clock:  # a slow moment is not left to quick ones
             beside = file.with_suffix(f".{os.getpid()}")
             beside.write_bytes(pickle.dumps(result))
             beside.replace(file)

@@ -42,88 +42,94 @@ def forged(forger, change):
 
 def changes(forger):
     """Yield (label, function of a folder) of all that is forged."""
-    for group in (_choices, _profile, _branches, _ways, _drifts, _claims):
+    for group in (_choices, _feedback_bound, _branches, _ways, _drifts, _claims):
         yield from group(Folder(forger))
+
+
+def _on(*path, to):
+    """Change of a folder: what lies at a path in its certificate becomes what `to` makes of it."""
+
+    def change(folder):
+        place = folder.certificate
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = to(place[path[-1]])
+
+    return change
+
+
+def _exchanged(i, j):
+    def exchange(rows):
+        rows = list(rows)
+        rows[i], rows[j] = rows[j], rows[i]
+        return rows
+
+    return exchange
 
 
 def _choices(honest):
     data, K = honest.certificate, honest.certificate["sampling"]["steps"]
+    inputs = data["reference"]["inputs"]
     for k in range(K):
-        yield f"another mode in step {k}", lambda f, k=k: _swap(f.certificate["modes"], k)
+        yield f"another mode in step {k}", _on("modes", k, to=lambda mode: 1 - mode)
     for k in range(K - 1):
-        inputs = data["reference"]["inputs"]
         if inputs[k] != inputs[k + 1]:
-            yield (
-                f"inputs of steps {k} and {k + 1} exchanged",
-                lambda f, k=k: _exchange(f.certificate["reference"]["inputs"], k, k + 1),
-            )
+            swap = _on("reference", "inputs", to=_exchanged(k, k + 1))
+            yield f"inputs of steps {k} and {k + 1} exchanged", swap
     for cell, chosen in enumerate(data["facets"]):
         for o, facet in enumerate(chosen):
             other = opposite(plain(data["unsafe_sets"][o]["normals"]), facet)
-            yield (
-                f"facet {o} of cell {cell}",
-                lambda f, at=(cell, o), to=other: _put(f.certificate["facets"], at, to),
-            )
-    yield "gains exchanged", lambda f: _exchange_keys(f.certificate["controllers"], 0, 1, "gain")
+            yield f"facet {o} of cell {cell}", _on("facets", cell, o, to=lambda _, other=other: other)
+    gains = [law["gain"] for law in data["controllers"][1::-1]]
+    laws = [law | {"gain": gain} for law, gain in zip(data["controllers"], gains, strict=False)]
+    yield "gains exchanged", _on("controllers", to=lambda old: laws + old[2:])
     for horizon in {"infinite", "one_period", "none"} - {data["horizon"]}:
-        yield f"horizon {horizon}", lambda f, to=horizon: f.certificate.update(horizon=to)
+        yield f"horizon {horizon}", _on("horizon", to=lambda _, to=horizon: to)
 
 
-def _profile(honest):
-    feedback_bound = honest.certificate["feedback_bound"]
+BOUND = {
+    "without its begin": lambda rows: rows[-1:],
+    "that ends in nothing": lambda rows: [*rows[:-1], scaled(rows[-1], 1e-3)],
+    "that grows": lambda rows: rows[::-1],
+}
+
+
+def _feedback_bound(honest):
     for factor in (0.05, 0.3, 0.6):
-        yield (
-            f"profile times {factor}",
-            lambda f, by=factor: f.certificate.update(
-                feedback_bound=[scaled(row, by) for row in feedback_bound]
-            ),
-        )
-    low = feedback_bound[-1]
-    yield "profile without its begin", lambda f: f.certificate.update(feedback_bound=[low])
-    yield (
-        "profile that ends in nothing",
-        lambda f: f.certificate.update(feedback_bound=[*feedback_bound[:-1], scaled(low, 1e-3)]),
-    )
-    yield "profile that grows", lambda f: f.certificate.update(feedback_bound=feedback_bound[::-1])
+        less = _on("feedback_bound", to=lambda rows, by=factor: scaled(rows, by))
+        yield f"feedback bound times {factor}", less
+    for label, to in BOUND.items():
+        yield f"feedback bound {label}", _on("feedback_bound", to=to)
+
+
+BRANCH = {
+    "inputs of branch {}": ("inputs", lambda rows: scaled(rows, 0.9)),
+    "inputs of branch {} turned": ("inputs", lambda rows: rows[::-1]),
+    "facets of branch {}": ("facets", lambda rows: [[(x + 2) % 4 for x in r] for r in rows]),
+    "branch {} leaves later": ("step", lambda step: step + 1),
+    "tolerance of branch {}": ("tolerance", lambda x: scaled(x, 2.0)),
+    "nothing tolerated of branch {}": ("tolerance", lambda x: scaled(x, 1e-3)),
+    "branch {} for ever": ("horizon", lambda _: "infinite"),
+}
 
 
 def _branches(honest):
     branches = honest.certificate["powered"]["branches"]
     for place, branch in enumerate(branches):
-
-        def change(key, to, place=place):
-            def changed(folder):
-                own = folder.certificate["powered"]["branches"][place]
-                own[key] = to(own[key])
-
-            return changed
-
-        yield f"inputs of branch {place}", change("inputs", lambda rows: [scaled(u, 0.9) for u in rows])
-        yield f"inputs of branch {place} turned", change("inputs", lambda rows: rows[::-1])
-        yield (
-            f"facets of branch {place}",
-            change("facets", lambda rows: [[(x + 2) % 4 for x in r] for r in rows]),
-        )
-        yield f"branch {place} leaves later", change("step", lambda step: step + 1)
-        yield f"tolerance of branch {place}", change("tolerance", lambda x: scaled(x, 2.0))
-        yield f"nothing tolerated of branch {place}", change("tolerance", lambda x: scaled(x, 1e-3))
-        yield f"branch {place} for ever", change("horizon", lambda _: "infinite")
+        for label, (key, to) in BRANCH.items():
+            yield label.format(place), _on("powered", "branches", place, key, to=to)
         for i in range(len(branch["tail"])):
-            yield (
-                f"tail of branch {place}, state {i}",
-                change("tail", lambda x, i=i: [hexed(plain(v) + 0.2 * (i == j)) for j, v in enumerate(x)]),
-            )
+            moved = _on("powered", "branches", place, "tail", i, to=lambda x: hexed(plain(x) + 0.2))
+            yield f"tail of branch {place}, state {i}", moved
     if len(branches) > 1:
-        yield "branches exchanged", lambda f: f.certificate["powered"]["branches"].reverse()
+        yield "branches exchanged", _on("powered", "branches", to=lambda rows: rows[::-1])
 
 
 def _ways(honest):
     for k, way in enumerate(honest.certificate["powered"]["steps"]):
         if way is not None:
-            yield (
-                f"abort in step {k} is cheaper",
-                lambda f, k=k: _less(f.told["powered_abort"]["steps"][k], "delta_v_m_s", 0.6),
-            )
+            label = f"abort in step {k} is cheaper"
+            yield label, lambda f, k=k: _less(f.told["powered_abort"]["steps"][k], "delta_v_m_s", 0.6)
             yield f"abort in step {k} arrives sooner", lambda f, k=k: _sooner(f, k)
 
 
@@ -134,25 +140,14 @@ def _sooner(folder, k):
 
 def _drifts(honest):
     for k, parts in enumerate(honest.certificate["drift"]["steps"]):
-        if parts is None:
-            continue
-
-        def change(key, to, k=k):
-            def changed(folder):
-                own = folder.certificate["drift"]["steps"][k][0]
-                own[key] = to(own[key])
-
-            return changed
-
-        yield f"departures of step {k} smaller", change("axes", lambda rows: [scaled(x, 0.4) for x in rows])
-        yield (
-            f"departures of step {k} elsewhere",
-            change("center", lambda x: [hexed(plain(x[0]) + 1.0), *x[1:]]),
-        )
-    yield (
-        "a shorter drift",
-        lambda f: f.certificate["drift"].update(horizon=scaled(f.certificate["drift"]["horizon"], 0.5)),
-    )
+        if parts is not None:
+            at = ("drift", "steps", k, 0)
+            yield f"departures of step {k} smaller", _on(*at, "axes", to=lambda rows: scaled(rows, 0.4))
+            yield (
+                f"departures of step {k} elsewhere",
+                _on(*at, "center", 0, to=lambda x: hexed(plain(x) + 1.0)),
+            )
+    yield "a shorter drift", _on("drift", "horizon", to=lambda x: scaled(x, 0.5))
     yield "a drift further away", lambda f: _less(f.told["abort"], "least_m", 1.5)
 
 
@@ -171,22 +166,6 @@ def _bolder(step):
     """Nearly all of the room is left; the checker derives a margin at both ends of a step, not within it."""
     step["margin"] = 0.999
     step["tightening"] = (1 - step["margin"]) * step["clearance"]
-
-
-def _swap(modes, k):
-    modes[k] = 1 - modes[k]
-
-
-def _exchange(rows, i, j):
-    rows[i], rows[j] = rows[j], rows[i]
-
-
-def _exchange_keys(tables, i, j, key):
-    tables[i][key], tables[j][key] = tables[j][key], tables[i][key]
-
-
-def _put(rows, at, to):
-    rows[at[0]][at[1]] = to
 
 
 def _less(table, key, factor):

@@ -38,29 +38,14 @@ def held(A: Array, B: Array, t: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Attack:
-    """Attack on every run.
+    """Attack on every run."""
 
-    Attributes
-    ----------
-    x0 : ndarray, shape (R, n)
-    w : ndarray, shape (N, R, p)
-        Disturbance held over each step.
-    free : ndarray, shape (N, R, m)
-        Inputs of controllers that may do anything.
-    way : ndarray, shape (N, R, n)
-        In which direction the state counts for what is aimed at; zero after that.
-    eta : ndarray, shape (N, R, n), or 0
-        Error of the estimates that the laws act on.
-    off : ndarray, shape (N, R, m), or 0
-        Errors of the thrusters, as shares of the largest that the command allows.
-    """
-
-    x0: Array
-    w: Array
-    free: Array
-    way: Array
-    eta: Any = 0.0
-    off: Any = 0.0
+    x0: Array  # (R, n)
+    w: Array  # disturbance held over each step, (N, R, p)
+    free: Array  # inputs of controllers that may do anything, (N, R, m)
+    way: Array  # in which direction the state counts for what is aimed at; zero after that, (N, R, n)
+    eta: Any = 0.0  # error of the estimates that the laws act on, (N, R, n)
+    off: Any = 0.0  # errors of the thrusters, as shares of the largest that the command allows, (N, R, m)
 
 
 Who = Callable[[int, Array], NDArray[np.int_]]
@@ -68,14 +53,7 @@ Who = Callable[[int, Array], NDArray[np.int_]]
 
 
 class Loop:
-    """One schedule on a fine grid of time.
-
-    Parameters
-    ----------
-    schedule : Schedule
-    parts : int
-        Steps of integration per node of the schedule's own grid.
-    """
+    """One schedule on a fine grid of time."""
 
     def __init__(self, schedule: Schedule, parts: int = 0) -> None:
         self.schedule, safety = schedule, schedule.safety
@@ -144,8 +122,6 @@ class Loop:
             out[:, i + 1] = out[:, i] @ carried.T + nu @ pushed.T
         return out
 
-    # -- flying -----------------------------------------------------------------------------------------
-
     def command(self, number: int, k: int, step: int, x: Array) -> Array:
         """Command of a law before clipping."""
         if number == 0:
@@ -172,12 +148,8 @@ class Loop:
         for i in range(self.N):
             k, j = divmod(i, self.per)
             modes[i] = flying = who(i, x)
-            parts = [
-                (number, slice(None) if mine.all() else mine)
-                for number in range(len(self.schedule.controllers))
-                if (mine := flying == number).any()
-            ]
-
+            masks = [(number, flying == number) for number in range(len(self.schedule.controllers))]
+            parts = [(number, slice(None) if mine.all() else mine) for number, mine in masks if mine.any()]
             raw, wrong = np.empty((R, m)), eta[i]
             if sees is not None:
                 if j % self.parts == 0:
@@ -206,8 +178,6 @@ class Loop:
         """The schedule, until S takes over at a step of each run's own."""
         return lambda i, _: np.where(i < over, self.modes[i // self.per], 0)
 
-    # -- the worst case ---------------------------------------------------------------------------------
-
     @cached_property
     def _adjoint(self) -> tuple[Array, Array, Array]:
         """Transition over a step, and what w and u held over it add."""
@@ -215,11 +185,7 @@ class Loop:
         return *held(A, D, self.dt), held(A, B, self.dt)[1]
 
     def worst(
-        self,
-        rows: Array,
-        targets: NDArray[np.int_],
-        modes: NDArray[np.integer[Any]],
-        clipped: NDArray[np.bool_] | None = None,
+        self, rows: Array, targets: NDArray[np.int_], modes: NDArray[Any], clipped: Array | None = None
     ) -> Attack:
         """Return what takes runs furthest along a row at an instant (step), with modes and clips as flown."""
         R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
@@ -260,13 +226,8 @@ class Loop:
         theta = self.schedule.safety.problem.initial_set
         return Attack(theta.c + np.where(lam @ theta.G < 0, -1.0, 1.0) @ theta.G.T, w, free, kept, eta, off)
 
-    # -- judging ----------------------------------------------------------------------------------------
-
     def judge(self, flown: Flown, over: NDArray[np.int_], printed: Array) -> Outcome:
-        """Least margins of runs, and the least share of the room left once S has taken over for good.
-
-        `over` is when it did, `printed` the margin told for the step of the schedule in which it did.
-        """
+        """Least margins of runs, and the least share of the room left once S has taken over for good."""
         states = flown.states
         R, o, m, system = states.shape[1], len(self.unsafe), self.system.m, self.system
         left = np.full((R, o), np.inf)
@@ -304,11 +265,7 @@ class Loop:
 
 
 class Computer:
-    """Flight computer of many runs: measurements, observer, and predictions over a delay.
-
-    Before the first measurement that counts estimates are off by what the attack says; those of an observer
-    by what is left of the error of its first one, the model holding before the start.
-    """
+    """Flight computer of many runs: measurements, observer, and predictions over a delay."""
 
     def __init__(self, loop: Loop, states: Array, eta: Array, w: Array) -> None:
         self.loop, self.states, self.eta, self.w = loop, states, eta, w
@@ -387,41 +344,21 @@ class Computer:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """Runs.
+    """Runs."""
 
-    Attributes
-    ----------
-    states : ndarray, shape (N + 1, R, n)
-    clipped : ndarray of bool, shape (N, R, m)
-        Whose command the thrusters clipped over each step.
-    modes : ndarray of int, shape (N, R)
-    wrong : ndarray, shape (N, R, n)
-        What laws took the state to be off by, noise of the same period apart.
-    """
-
-    states: Array
-    clipped: NDArray[np.bool_]
-    modes: NDArray[np.int8]
-    wrong: Array
+    states: Array  # (N + 1, R, n)
+    clipped: NDArray[np.bool_]  # whose command the thrusters clipped over each step, (N, R, m)
+    modes: NDArray[np.int8]  # (N, R)
+    wrong: Array  # what laws took the state to be off by, noise of the same period apart, (N, R, n)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Margins of runs.
+    """Margins of runs."""
 
-    Attributes
-    ----------
-    left : ndarray, shape (R, o)
-        Least distance to the nearest facet of every unsafe set [m].
-    thrust : ndarray, shape (R, m)
-        Least thrust left while S flies, as a share of the limit.
-    share, printed : ndarray, shape (R,)
-        Least share of the room left after S took over, and the printed one.
-    """
-
-    left: Array
-    thrust: Array
-    share: Array
+    left: Array  # least distance to the nearest facet of every unsafe set [m], (R, o)
+    thrust: Array  # least thrust left while S flies, as a share of the limit, (R, m)
+    share: Array  # least share of the room left after S took over, (R,)
     printed: Array
 
 
@@ -435,31 +372,15 @@ def _least(share: Array, taken: NDArray[np.bool_]) -> Array:
     return least
 
 
-# -- one schedule, attacked -----------------------------------------------------------------------------
-
-
 @dataclass(eq=False)
 class Attacked:
-    """Result of attacks on one schedule.
-
-    Attributes
-    ----------
-    runs : int
-    left : ndarray, shape (o,)
-        Least distance to every unsafe set [m].
-    thrust : float
-        Least thrust left while S flies, as a share of the limit.
-    over : float
-        Most by which a printed share exceeds the one flown.
-    tight : float
-        Largest need flown over need claimed, both as shares of the room.
-    """
+    """Result of attacks on one schedule."""
 
     runs: int
-    left: Array
-    thrust: float
-    over: float
-    tight: float
+    left: Array  # least distance to every unsafe set [m], (o,)
+    thrust: float  # least thrust left while S flies, as a share of the limit
+    over: float  # most by which a printed share exceeds the one flown
+    tight: float  # largest need flown over need claimed, both as shares of the room
 
 
 def attack(schedule: Schedule, runs: int, seed: int, rounds: int = 3, parts: int = 0) -> Attacked:
@@ -532,14 +453,8 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
     return over, printed, rows, targets
 
 
-# -- what is claimed of the goal ------------------------------------------------------------------------
-
-
 def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
-    """Largest shares of what is claimed of the arrival (distance, drift, velocity change) in worst cases.
-
-    Aimed at is every row of the goal, as docs/theory.md weighs it, and the row that drifts.
-    """
+    """Largest shares of what is claimed of the arrival (distance, drift, velocity change) in worst cases."""
     loop, claim, problem = Loop(schedule, 8), schedule.arrival, schedule.safety.problem
     if claim.by is None:
         return {}
@@ -569,9 +484,8 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
         shares["delta_v"] = _spent(loop, flown, at) / claim.delta_v
         if len(drifts):
             assert claim.drift is not None
-            shares["drift"] = (
-                6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max()) / (claim.drift + 60 * error)
-            )
+            far = 6 * np.pi * float(np.abs(x @ np.transpose(drifts)).max())
+            shares["drift"] = far / (claim.drift + 60 * error)
         peak = {key: max(value, peak.get(key, 0.0)) for key, value in shares.items()}
     return peak
 
@@ -591,20 +505,8 @@ def _spent(loop: Loop, flown: Flown, end: int) -> float:
     return float(total.max()) / loop.system.mass
 
 
-# -- the online monitor ---------------------------------------------------------------------------------
-
-
 class Watched:
-    """Who flies under an online monitor that is told the state with the worst error it declares.
-
-    Parameters
-    ----------
-    loop : Loop
-        Of the monitor's own fine schedule; controllers that it does not trust may do anything.
-    monitor : polaris.rta.methods.monitor.Monitor
-    way : ndarray, shape (N, R, n)
-        The state told is off by the whole error, against this direction.
-    """
+    """Who flies under an online monitor that is told the state with the worst error it declares."""
 
     def __init__(self, loop: Loop, monitor: Any, way: Array) -> None:
         self.loop, self.monitor, self.grid, self.way = loop, monitor, monitor.grid, way

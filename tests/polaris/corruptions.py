@@ -3,6 +3,7 @@
 import copy
 import math
 from contextlib import suppress
+from functools import partial
 
 from polaris.certificate.assumptions import Assumptions
 from polaris.certificate.files.document import digest
@@ -24,13 +25,17 @@ def scaled(value, factor):
     return (float.fromhex(value) * factor).hex()
 
 
+negated, tenth, tenfold, larger, thousandth = (
+    partial(scaled, factor=x) for x in (-1.0, 0.1, 10.0, 1.01, 1e-3)
+)
+
+
 def restate(data):
     """The assumptions that the format prescribes for changed data: whoever forges it can write them too."""
     sampling, offsets = data["sampling"], [item["offsets"] for item in data["unsafe_sets"]]
-    until = last_instant(
-        data["horizon"], sampling["steps"], len(data["facets"]), float.fromhex(sampling["step"])
-    )
-    period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
+    step = float.fromhex(sampling["step"])
+    until = last_instant(data["horizon"], sampling["steps"], len(data["facets"]), step)
+    period = step / sampling["nodes_per_step"]
     data["assumptions"] = Assumptions(
         float.fromhex(data["system"]["disturbance_max"]),
         period,
@@ -78,11 +83,8 @@ def inner(corrupt):
     for k in range(1, cells + 1):
         for i in (0, 3):
             if float.fromhex(data["reference"]["states"][k][i]):
-                yield (
-                    f"sign of state {i} at step {k}",
-                    change("reference", "states", k, i, to=negated),
-                    REFERENCE,
-                )
+                turned_over = change("reference", "states", k, i, to=negated)
+                yield f"sign of state {i} at step {k}", turned_over, REFERENCE
     for k in range(K):
         moved = change("reference", "inputs", k, 0, to=lambda u: hexed(plain(u) + 1e-3))
         yield f"input {k} off by a thousandth", moved, REFERENCE
@@ -106,11 +108,8 @@ def inner(corrupt):
     for name in ("states", "inputs"):
         yield f"{name} shifted by a step", change("reference", name, to=shifted), REFERENCE
         yield f"{name} in kilometres", change("reference", name, to=thousandth), REFERENCE
-    yield (
-        "facets shifted",
-        change("facets", to=lambda x: [[1 - f if f < 2 else f for f in r] for r in x]),
-        SEPARATION,
-    )
+    exchanged = change("facets", to=lambda x: [[1 - f if f < 2 else f for f in r] for r in x])
+    yield "facets shifted", exchanged, SEPARATION
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
     yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"assumptions"}
     yield "U in every step", change("modes", to=lambda x: [1] * len(x)), FLIGHT
@@ -165,11 +164,8 @@ def against_files(corrupt):
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}
         yield f"name of {mode}", change("controllers", mode, "name", to="other"), {"controllers"}
-    yield (
-        "own reference",
-        change("controllers", 1, "reference_inputs", 3, 0, to=(0.01).hex()),
-        {"controllers"},
-    )
+    moved = change("controllers", 1, "reference_inputs", 3, 0, to=(0.01).hex())
+    yield "own reference", moved, {"controllers"}
     yield "unclipped", change("controllers", 1, "kind", to="affine"), {"controllers"}
     yield "kind of sets", change("recoverable", to="ball"), {"recoverable_sets"}
     yield "other scenario", change("scenario", "name", to="other"), {"system"}
@@ -180,15 +176,10 @@ def against_files(corrupt):
         yield f"obstacle {o} turned", change("unsafe_sets", o, "normals", to=turned), {"unsafe_sets"}
         yield f"obstacle {o} a keep-in set", change("unsafe_sets", o, "keep_in", to=True), {"unsafe_sets"}
         yield f"a facet of {o} dropped", without_facet(change, o, len(item["normals"]) - 1), {"unsafe_sets"}
-        yield (
-            f"obstacle {o} shifted by a step",
-            change("unsafe_sets", o, "offsets", to=later),
-            {"unsafe_sets"},
-        )
+        yield f"obstacle {o} a step later", change("unsafe_sets", o, "offsets", to=later), {"unsafe_sets"}
         for cell in range(0, corrupt.cells, 3):
-            smaller = change(
-                "unsafe_sets", o, "offsets", cell, 0, to=lambda b: [hexed(x - 1e-3) for x in plain(b)]
-            )
+            at = ("unsafe_sets", o, "offsets", cell, 0)
+            smaller = change(*at, to=lambda b: [hexed(x - 1e-3) for x in plain(b)])
             yield f"obstacle {o} smaller in cell {cell}", smaller, {"unsafe_sets"}
 
 
@@ -199,11 +190,8 @@ def malformed(corrupt):
         if key in ("digest", "schema_version", "format"):
             continue
         for value in (None, [], "x", 7):
-            yield (
-                f"{key} is {value!r}",
-                change(key, to=value),
-                {"format", "guarantee", "assumptions", "artefacts"},
-            )
+            claims = {"format", "guarantee", "assumptions", "artefacts"}
+            yield f"{key} is {value!r}", change(key, to=value), claims
     yield "format", change("format", to="other"), {"format"}
     for text in ("nan", "inf", "1g", "", None, 1.0, True):
         yield f"a number is {text!r}", change("system", "A", 0, 0, to=text), {"format"}
@@ -228,30 +216,6 @@ FLIGHT = {"separation", "controllers", "recoverable"}
 SEPARATION = {"separation", "recoverable"}
 
 
-def negated(value):
-    return scaled(value, -1.0)
-
-
-def halved(value):
-    return scaled(value, 0.5)
-
-
-def tenth(value):
-    return scaled(value, 0.1)
-
-
-def tenfold(value):
-    return scaled(value, 10.0)
-
-
-def larger(value):
-    return scaled(value, 1.01)
-
-
-def thousandth(value):
-    return scaled(value, 1e-3)
-
-
 def shifted(rows):
     return [*rows[1:], rows[0]]
 
@@ -259,11 +223,9 @@ def shifted(rows):
 def later(offsets):
     """Return the offsets of the next cell, moved towards the set's inside where nothing else would change."""
     moved = shifted(offsets)
-    return (
-        moved
-        if moved != offsets
-        else [[hexed([x - 0.1 for x in plain(b)]) for b in pair] for pair in offsets]
-    )
+    if moved != offsets:
+        return moved
+    return [[hexed([x - 0.1 for x in plain(b)]) for b in pair] for pair in offsets]
 
 
 def turned(rows):

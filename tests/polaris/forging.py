@@ -105,9 +105,6 @@ def written(name, data):
     return write_toml(data) if name.endswith(".toml") else json.dumps(data)
 
 
-# -- several files that agree on the same lie -------------------------------------------------------
-
-
 SETS = {"margins", "separation", "recoverable", "goal"}
 """Claims that fail of a run whose sets leave something out: what is left of a room, or what there is."""
 
@@ -198,9 +195,6 @@ class Lie:
         return np.array(given["reference_states"]), np.array(given["reference_inputs"])
 
 
-# -- one place at a time ----------------------------------------------------------------------------
-
-
 def places(data, at=()):
     """Every place of a tree, containers included."""
     yield at, data
@@ -221,9 +215,8 @@ def chosen(data, rng, few):
         groups[pattern(at)].append((at, value))
     for items in groups.values():
         if len(items) > few:
-            items = (
-                [rng.choice(items)] if few < 3 else [items[0], *rng.sample(items[1:-1], few - 2), items[-1]]
-            )
+            ends = [] if few < 3 else [items[0], items[-1]]
+            items = [*ends, *rng.sample(items[1:-1], few - 2)] if ends else [rng.choice(items)]
         yield from items
 
 
@@ -259,51 +252,34 @@ def _hexadecimal(value):
 
 def forgeries(data, at, value, share):
     """(what was done, new value) for one place; numbers move by a share of themselves, both ways."""
+    number = float.fromhex(value) if _hexadecimal(value) else value
+    if isinstance(number, float):
+        step = share * abs(number) or share * around(data, at)
+        moved = {"up": number + step, "down": number - step}
     if isinstance(value, bool):
-        yield "negated", not value
-        yield "as text", str(value)
+        made = {"negated": not value, "as text": str(value)}
     elif _hexadecimal(value):
-        x = float.fromhex(value)
-        step = share * abs(x) or share * around(data, at)
-        yield "up", (x + step).hex()
-        yield "down", (x - step).hex()
-        yield "a number", x
-        yield "nan", "nan"
-        yield "null", None
+        made = {what: x.hex() for what, x in moved.items()} | {"a number": number, "nan": "nan", "null": None}
     elif isinstance(value, int):
-        yield "up", value + 1
-        yield "down", value - 1
-        yield "as text", str(value)
-        yield "true", True
-        yield "a half more", value + 0.5
+        made = {"up": value + 1, "down": value - 1, "as text": str(value), "true": True}
+        made["a half more"] = value + 0.5
     elif isinstance(value, float):
-        step = share * abs(value) or share * around(data, at)
-        yield "up", value + step
-        yield "down", value - step
-        yield "as text", repr(value)
-        yield "true", True
+        made = moved | {"as text": repr(value), "true": True}
     elif isinstance(value, str):
-        yield "another text", f"{value}-other"
-        yield "no text", ""
-        yield "a number", 1
+        made = {"another text": f"{value}-other", "no text": "", "a number": 1}
     elif value is None:
-        yield "a number", 1.0
-        yield "no text", ""
+        made = {"a number": 1.0, "no text": ""}
     elif isinstance(value, list):
-        yield "a number", 1
+        made = {"a number": 1}
         if value:
-            yield "emptied", []
-            yield "last dropped", value[:-1]
-            yield "first dropped", value[1:]
-            yield "last repeated", [*value, value[-1]]
+            made |= {"emptied": [], "last dropped": value[:-1], "first dropped": value[1:]}
+            made["last repeated"] = [*value, value[-1]]
         if value != value[::-1]:
-            yield "reversed", value[::-1]
-            yield "rotated", [*value[1:], value[0]]
+            made |= {"reversed": value[::-1], "rotated": [*value[1:], value[0]]}
     else:
-        for key in value:
-            yield f"without {key}", {k: v for k, v in value.items() if k != key}
-        yield "an unknown key", value | {"unknown_key": 1}
-        yield "a list", []
+        made = {f"without {key}": {k: v for k, v in value.items() if k != key} for key in value}
+        made |= {"an unknown key": value | {"unknown_key": 1}, "a list": []}
+    yield from made.items()
 
 
 def one_at_a_time(forger, seed, few, share, names=(*TREES, *TABLES)):
@@ -340,10 +316,7 @@ def _cells(value, share):
 
 
 def twice(forger, name):
-    """(label, files): every key of every table of a JSON file given twice, the second time as it was.
-
-    A reader that keeps the last sees the honest file, one that keeps the first something else.
-    """
+    """(label, files): every key of every table of a JSON file given twice, the second time as it was."""
     data = forger.tree(name)
     mark = "\x01"
     for at, value in places(data):

@@ -28,35 +28,22 @@ def leg(name, start, goal, duration=14.0, half_widths=WIDE, **more):
     """The table of a leg."""
     box = {"kind": "box", "center": start, "half_widths": half_widths}
     stop = {"kind": "stationary", "state": goal}
-    return {
-        "name": name,
-        "initial_set": box,
-        "goal": stop,
-        "horizon": {"duration_s": duration, "step_s": 1.0},
-        **more,
-    }
+    time = {"duration_s": duration, "step_s": 1.0}
+    return {"name": name, "initial_set": box, "goal": stop, "horizon": time, **more}
 
 
 def tour(moving=False, **more):
     """A mission of three legs."""
     a, b, c = PLACES
-    legs = [
-        leg("out", [0.0, 0.0, 0.0, 0.0], a, half_widths=[0.05, 0.05, 0.01, 0.01], **more),
-        leg("across", a, b, **more),
-        leg("home", b, c, **more),
-    ]
-    return shared(moving) | {"legs": legs}
+    out = leg("out", [0.0, 0.0, 0.0, 0.0], a, half_widths=[0.05, 0.05, 0.01, 0.01], **more)
+    return shared(moving) | {"legs": [out, leg("across", a, b, **more), leg("home", b, c, **more)]}
 
 
 def random_tour(seed):
     """A mission of random places, weights and noise, in which each leg has its own."""
     rng, document = np.random.default_rng(seed), tour()
-    places = [
-        [0.0, 0.0],
-        *rng.uniform([6.0, 4.0], [9.0, 7.0], (1, 2)),
-        *rng.uniform([-1.0, 5.0], [2.0, 8.0], (1, 2)),
-    ]
-    places.append(rng.uniform([6.0, -1.0], [9.0, 0.5]))
+    boxes = (([6.0, 4.0], [9.0, 7.0]), ([-1.0, 5.0], [2.0, 8.0]), ([6.0, -1.0], [9.0, 0.5]))
+    places = [[0.0, 0.0], *(rng.uniform(*ends) for ends in boxes)]
     for each, start, goal in zip(document["legs"], places[:-1], places[1:], strict=True):
         each["initial_set"]["center"] = [*map(float, start), 0.0, 0.0]
         each["goal"]["state"] = [*map(float, goal), 0.0, 0.0]
@@ -73,26 +60,18 @@ def orbiting():
     place, wide = [0.0, -2 * b, 0.0, -n * b, 0.0, 0.0], [3.0, 3.0, 3.0, 0.005, 0.005, 0.005]
     orbit = {"kind": "box", "center": place, "half_widths": [0.0] * 6, "tolerance_m": 5.0}
     time = {"duration_s": 2400.0, "step_s": 120.0}
+    craft = {"kind": "clohessy_wiltshire", "mean_motion_rad_s": n, "mass_kg": 10.0, "thrust_max_N": 0.1}
+    soft = {"kind": "saturated_affine", "name": "soft", "Q": [0.001] * 3 + [50.0] * 3, "R": [4e3] * 3}
     table = shared() | {
-        "system": {
-            "kind": "clohessy_wiltshire",
-            "mean_motion_rad_s": n,
-            "mass_kg": 10.0,
-            "thrust_max_N": 0.1,
-            "disturbance_max_m_s2": 1e-6,
-        },
+        "system": craft | {"disturbance_max_m_s2": 1e-6},
         "feedback": {"period_s": 24.0},
         "tracking": {"Q": [0.01] * 3 + [100.0] * 3, "R": [4e3] * 3},
         "planner": {"objective": "fuel"},
         "obstacles": [{"kind": "ball", "name": "target", "center_m": [0.0] * 3, "radius_m": 8.0}],
-        "experimental": [
-            {"kind": "saturated_affine", "name": "soft", "Q": [0.001] * 3 + [50.0] * 3, "R": [4e3] * 3}
-        ],
+        "experimental": [soft],
     }
-    legs = [
-        leg("approach", hold, hold, half_widths=[1.0] * 3 + [0.002] * 3),
-        leg("back", place, hold, half_widths=wide),
-    ]
+    legs = [leg("approach", hold, hold, half_widths=[1.0] * 3 + [0.002] * 3)]
+    legs.append(leg("back", place, hold, half_widths=wide))
     legs[0]["goal"] = orbit
     return table | {"name": "orbiting", "legs": [each | {"horizon": time} for each in legs]}
 

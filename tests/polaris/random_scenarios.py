@@ -3,14 +3,10 @@
 They cover every kind of plant, set, goal, controller and rule, and are skewed towards scenes that are proved
 and in which U flies a part of the time. Scenes are made in units near 1 and then stated in other units of
 length, time and thrust: what happens in them is the same.
-
-Print one with ``python -m tests.polaris.random_scenarios 7``; with a folder as well, run and check it.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,38 +21,19 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Plant:
-    """Controlled craft, in units near 1.
-
-    Attributes
-    ----------
-    name : str
-    A, B, D : ndarray
-    C : ndarray or None
-        None if the position is the first d states.
-    d : int
-        Coordinates of the position.
-    order : int
-        Derivatives of the position among the states: 1, 2 or 3.
-    still : ndarray, shape (n, d)
-        State at rest per position.
-    rests : bool
-        Whether every position, at rest, keeps itself.
-    weights : ndarray, shape (n,)
-        Diagonal of S's state weight.
-    limit : ndarray, shape (m,)
-    """
+    """Controlled craft, in units near 1."""
 
     name: str
     A: np.ndarray
     B: np.ndarray
     D: np.ndarray
-    C: np.ndarray | None
-    still: np.ndarray
-    d: int
-    order: int
-    rests: bool
-    weights: np.ndarray
-    limit: np.ndarray
+    C: np.ndarray | None  # None if the position is the first d states
+    still: np.ndarray  # state at rest per position, (n, d)
+    d: int  # coordinates of the position
+    order: int  # derivatives of the position among the states: 1, 2 or 3
+    rests: bool  # True if every position, at rest, keeps itself
+    weights: np.ndarray  # diagonal of S's state weight, (n,)
+    limit: np.ndarray  # (m,)
 
     def at(self, position: np.ndarray) -> np.ndarray:
         """The state at rest at a position."""
@@ -67,11 +44,7 @@ def random_scenario(seed: int) -> str:
     """Text of a random scenario file."""
     rng = np.random.default_rng(seed)
     make = _spacecraft if rng.random() < 0.25 else _plane
-    document = make(rng, f"random-{seed}")
-    return write_toml(document)
-
-
-# -- linear plants ----------------------------------------------------------------------------------
+    return write_toml(make(rng, f"random-{seed}"))
 
 
 def _plane(rng: Random, name: str) -> Table:
@@ -86,15 +59,11 @@ def _plane(rng: Random, name: str) -> Table:
     step = float(rng.choice([0.4, 0.5, 0.625, 0.8])) * slow
     steps = int(np.ceil(rng.uniform(11, 16) * slow / step))
     sampled = bool(rng.random() < 0.5)
-    document = _head(name, rng)
-    document["system"] = {
-        "kind": "linear",
-        "A": plant.A,
-        "B": plant.B,
-        "D": plant.D,
-        "input_max": plant.limit if m > 1 or rng.random() < 0.5 else float(plant.limit[0]),
-        "disturbance_max": float(rng.choice([0.0, 0.005, 0.01, 0.02, 0.04])),
-    }
+    document = _head(name)
+    system = {"kind": "linear", "A": plant.A, "B": plant.B, "D": plant.D}
+    system["input_max"] = plant.limit if m > 1 or rng.random() < 0.5 else float(plant.limit[0])
+    system["disturbance_max"] = float(rng.choice([0.0, 0.005, 0.01, 0.02, 0.04]))
+    document["system"] = system
     if plant.C is not None:
         document["system"]["C"] = plant.C
     elif plant.order != 2 or rng.random() < 0.5:
@@ -116,7 +85,7 @@ def _plane(rng: Random, name: str) -> Table:
         document["goal"] = {"kind": "box", "center": plant.at(aim), "half_widths": half}
         if plant.C is not None:
             document["goal"]["half_widths"] = np.full(n, 0.4)
-    _scene(rng, document, plant, start, way, steps * step)
+    _scene(rng, document, plant, start, way)
     document["experimental"] = _controllers(rng, plant, document, aim)
     _rules(rng, document, 0.3 + rng.random())
     document["planner"]["thrust_reserve"] = float(rng.uniform(0.2, 0.6))
@@ -133,9 +102,8 @@ def _plant(rng: Random) -> Plant:
         A = rng.uniform(-0.1, 0.15) * eye + rng.uniform(-0.05, 0.05, (d, d)) if rng.random() < 0.7 else zero
         B = eye + 0.2 * rng.uniform(-1, 1, (d, d))
         D = eye if rng.random() < 0.5 else rng.uniform(-1, 1, (d, 1))
-        return Plant(
-            kind, A, B, D, None, eye, d, 1, not A.any(), np.full(d, rng.uniform(0.5, 2)), 1.3 * limit
-        )
+        weights = np.full(d, rng.uniform(0.5, 2))
+        return Plant(kind, A, B, D, None, eye, d, 1, not A.any(), weights, 1.3 * limit)
     stiff = float(rng.choice([0.0, 0.0, 0.02, -0.03, -0.06])) * eye  # negative: unstable
     drag = float(rng.choice([0.0, 0.0, 0.1, -0.05])) * eye
     if rng.random() < 0.2 and d > 1:
@@ -158,9 +126,8 @@ def _plant(rng: Random) -> Plant:
         late = np.vstack([np.zeros((2 * d, m)), np.eye(m) / tau])
         D = np.vstack([D, np.zeros((m, D.shape[1]))])
         still = np.eye(n)[:, :d]
-        return Plant(
-            kind, grown, late, D, None, still, d, 3, rests, np.r_[weights, np.full(m, 0.1)], 1.5 * limit
-        )
+        weights = np.r_[weights, np.full(m, 0.1)]
+        return Plant(kind, grown, late, D, None, still, d, 3, rests, weights, 1.5 * limit)
     if kind == "oblique":  # states that are no positions: C is a matrix
         T = np.eye(2 * d) + 0.2 * rng.uniform(-1, 1, (2 * d, 2 * d))
         back = np.linalg.inv(T)
@@ -200,9 +167,7 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
     return entries
 
 
-def _scene(
-    rng: Random, document: Table, plant: Plant, start: np.ndarray, way: np.ndarray, duration: float
-) -> None:
+def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, way: np.ndarray) -> None:
     """Obstacles beside and on the way, keep-in sets around it."""
     d, length = plant.d, float(np.linalg.norm(way))
     ahead = way / length
@@ -248,21 +213,15 @@ def _scene(
             entry["thrust_accel_max_m_s2"] = float(rng.choice([0.0, 0.002]))
             entry["facets"] = 6 if d == 3 else 8
         if kind in ("box", "ball", "polytope", "wall") and rng.random() < 0.35:
-            entry["velocity_m_s"] = (aside if d > 1 else np.sign(center - start - way / 2)) * rng.uniform(
-                0.01, 0.06
-            )
+            off_way = aside if d > 1 else np.sign(center - start - way / 2)
+            entry["velocity_m_s"] = off_way * rng.uniform(0.01, 0.06)
         obstacles.append(entry)
     keep_in: list[Table] = []
     if rng.random() < 0.35:
         middle = start + way / 2
         if d > 1 and rng.random() < 0.5:
-            entry = {
-                "kind": "cone",
-                "name": "beam",
-                "apex_m": start - 4 * ahead,
-                "axis": ahead * rng.uniform(0.5, 3),
-                "half_angle_deg": float(rng.uniform(25, 40)),
-            }
+            entry = {"kind": "cone", "name": "beam", "apex_m": start - 4 * ahead}
+            entry |= {"axis": ahead * rng.uniform(0.5, 3), "half_angle_deg": float(rng.uniform(25, 40))}
             if d == 3:
                 entry["facets"] = int(rng.integers(4, 9))
             if rng.random() < 0.5:
@@ -279,23 +238,17 @@ def _scene(
     document["obstacles"], document["keep_in"] = obstacles, keep_in
 
 
-# -- spacecraft -------------------------------------------------------------------------------------
-
-
 def _spacecraft(rng: Random, name: str) -> Table:
     """A scene in Hill's frame: towards the target, past something."""
     eta, mass = float(rng.uniform(0.0009, 0.0014)), float(rng.choice([1.0, 10.0, 350.0]))
     size = float(rng.uniform(80, 250))
     pace = float(rng.uniform(900, 1800))
     push = float(rng.uniform(12, 25)) * size / pace**2
-    document = _head(name, rng)
-    document["system"] = {
-        "kind": "clohessy_wiltshire",
-        "mean_motion_rad_s": eta,
-        "mass_kg": mass,
-        "thrust_max_N": push * mass if rng.random() < 0.6 else push * mass * rng.uniform(0.8, 1.2, 3),
-        "disturbance_max_m_s2": push * float(rng.choice([0.0, 0.002, 0.005])),
-    }
+    document = _head(name)
+    system: Table = {"kind": "clohessy_wiltshire", "mean_motion_rad_s": eta, "mass_kg": mass}
+    system["thrust_max_N"] = push * mass if rng.random() < 0.6 else push * mass * rng.uniform(0.8, 1.2, 3)
+    system["disturbance_max_m_s2"] = push * float(rng.choice([0.0, 0.002, 0.005]))
+    document["system"] = system
     start = np.array([0.0, size, 0.0, eta * size / 2 * float(rng.integers(2)), 0.0, 0.0])
     extent = np.r_[np.full(3, 0.006 * size), np.full(3, 0.02 * size / pace)]
     document["initial_set"] = _initial_set(rng, start, extent, 3, True)
@@ -310,20 +263,15 @@ def _spacecraft(rng: Random, name: str) -> Table:
     weights = np.r_[np.full(3, near), np.full(3, near / rate**2)]
     document["tracking"] = {"Q": weights, "R": np.full(3, soft), **_norm(rng, 6)}
     goal = str(rng.choice(["elliptical_nmt", "elliptical_nmt", "linear_nmt", "stationary", "box"]))
-    document["goal"] = {
-        "elliptical_nmt": {
-            "inner_semi_minor_m": 0.1 * size,
-            "outer_semi_minor_m": 0.2 * size,
-            "sides": int(rng.choice([8, 16])),
-        },
+    inner, sides = {"inner_semi_minor_m": 0.1 * size}, {"sides": int(rng.choice([8, 16]))}
+    half = [0.05 * size] * 3 + [0.05 * size / pace] * 2 + [float("inf")]
+    parameters = {
+        "elliptical_nmt": inner | {"outer_semi_minor_m": 0.2 * size} | sides,
         "linear_nmt": {"amplitude_max_m": 0.1 * size, "along_track_m": -0.2 * size},
         "stationary": {"state": [0.0, 0.3 * size, 0.0, 0.0, 0.0, 0.0]},
-        "box": {
-            "center": [0.2 * size, 0.2 * size, 0.0, 0.0, 0.0, 0.0],
-            "half_widths": [0.05 * size] * 3 + [0.05 * size / pace] * 2 + [float("inf")],
-        },
-    }[goal]
-    document["goal"] = {"kind": goal, **document["goal"]}
+        "box": {"center": [0.2 * size, 0.2 * size, 0.0, 0.0, 0.0, 0.0], "half_widths": half},
+    }
+    document["goal"] = {"kind": goal, **parameters[goal]}
     if goal == "elliptical_nmt" and rng.random() < 0.5:
         document["goal"]["cross_track_max_m"] = 0.05 * size
     reach, at = 0.07 * size, size * np.array([rng.uniform(0.1, 0.3), rng.uniform(0.5, 0.65), 0.0])
@@ -366,10 +314,7 @@ def _spacecraft(rng: Random, name: str) -> Table:
     return _plain(document)
 
 
-# -- parts of both ----------------------------------------------------------------------------------
-
-
-def _head(name: str, rng: Random) -> Table:
+def _head(name: str) -> Table:
     return {"schema_version": 1, "name": name, "title": f"Random scene {name}"}
 
 
@@ -416,12 +361,9 @@ def _rules(rng: Random, document: Table, margin: float) -> None:
     """Recoverable sets, planner, schedule, simulation."""
     kind = str(rng.choice(["polytope"] * 4 + ["ball"] * 2))
     document["recoverable"] = {"kind": kind}
-    document["planner"] = {
-        "objective": str(rng.choice(["margin_then_fuel", "margin_then_fuel", "fuel", "distance"])),
-        "extra_margin_m": float(margin) if rng.random() < 0.85 else 0.0,
-        "gap": 0.02,
-        "time_limit_s": 30.0,
-    }
+    objective = str(rng.choice(["margin_then_fuel", "margin_then_fuel", "fuel", "distance"]))
+    planner = {"objective": objective, "extra_margin_m": float(margin) if rng.random() < 0.85 else 0.0}
+    document["planner"] = planner | {"gap": 0.02, "time_limit_s": 30.0}
     rules: Table = {"strategy": str(rng.choice(["greedy", "greedy", "look_ahead"]))}
     if rng.random() < 0.4:
         rules["min_dwell_steps"] = int(rng.integers(2, 5))
@@ -437,19 +379,11 @@ def _restated(rng: Random, document: Table, plant: Plant) -> Table:
         return document
     length, time, thrust = (float(rng.choice(x)) for x in ([0.3, 1, 1e3, 1e6], [1, 1, 30.0], [1, 1e-3, 1e4]))
     time = max(time, length / 1000)  # nothing moves faster than 100 m/s
-    document = _of_length_and_time(document, plant, length, time, thrust)
-    return document
-
-
-def _of_length_and_time(document: Table, plant: Plant, length: float, time: float, thrust: float) -> Table:
     n, d = len(plant.A), plant.d
+    state = np.full(n, length)
     if plant.C is None and plant.order > 1:
-        state = np.full(n, length)
         state[d : 2 * d] = length / time
-        if plant.order == 3:
-            state[2 * d :] = length / time**2
-    else:
-        state = np.full(n, length)
+        state[2 * d :] = length / time**2
     back = 1 / state
     system = document["system"]
     system["A"] = plant.A * np.outer(state, back) / time
@@ -498,9 +432,7 @@ def _of_length_and_time(document: Table, plant: Plant, length: float, time: floa
 def _plain(value: Any) -> Any:
     """Return data without numpy."""
     if isinstance(value, dict):
-        return {
-            key: _plain(item) for key, item in value.items() if key == "schema_version" or item is not None
-        }
+        return {key: _plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, (list, tuple)):
@@ -508,17 +440,8 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-# -- running ----------------------------------------------------------------------------------------
-
-
 def synthesised(seed: int, folder: Path, *assignments: str) -> tuple[Any, Any]:
-    """(scenario, schedule) of a random scene, read from a file that is written into a folder, and changed.
-
-    Raises
-    ------
-    PolarisError
-        If the scene is refused, which it may be.
-    """
+    """(scenario, schedule) of a random scene, read from a file that is written into a folder, and changed."""
     from polaris.scenario.scenario import load_scenario
     from polaris.synthesis.schedule.synthesize import synthesize
     from tests.kept import kept
@@ -539,18 +462,3 @@ def written(seed: int, folder: Path) -> Path:
     path = folder / f"random-{seed}.toml"
     path.write_text(random_scenario(seed), encoding="utf-8")
     return run(path, folder / f"random-{seed}").path
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Print a scene, or run and check it."""
-    seed = int(arguments[0])
-    if len(arguments) == 1:
-        print(random_scenario(seed))
-        return
-    from polaris.certificate.checker import verify
-
-    print(verify(written(seed, Path(arguments[1]))).text())
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
