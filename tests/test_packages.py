@@ -30,12 +30,7 @@ def test_a_requirement_has_both_ends_and_its_pin_lies_between(one):
     operators = sorted(bound.operator for bound in one.specifier)
     assert operators in (["<", ">="], ["=="]), one
     assert operators == ["=="] or one.specifier.contains(PINS[canonicalize_name(one.name)])
-
-
-def test_one_package_has_one_range():
-    ranges = {}
-    for one in NEEDED:
-        assert ranges.setdefault(one.name, one.specifier) == one.specifier
+    assert all(other.specifier == one.specifier for other in NEEDED if other.name == one.name)
 
 
 @pytest.fixture
@@ -65,14 +60,7 @@ def test_an_untested_version_is_refused_before_anything_runs(install, version):
 
 @pytest.mark.parametrize(
     ("package", "extra"),
-    [
-        ("onnx", "networks"),
-        ("pyarrow", "campaign"),
-        ("gurobipy", "gurobi"),
-        ("gymnasium", "gym"),
-        ("numba", "fast"),
-        ("sgp4", "orbits"),
-    ],
+    [("onnx", "networks"), ("pyarrow", "campaign"), ("gurobipy", "gurobi"), ("numba", "fast")],
 )
 def test_an_optional_package_is_missing_or_untested(install, monkeypatch, package, extra):
     monkeypatch.setitem(sys.modules, package, None)
@@ -86,29 +74,7 @@ def test_an_optional_package_is_missing_or_untested(install, monkeypatch, packag
 def test_an_untested_numba_compiles_nothing(install, monkeypatch):
     monkeypatch.setattr(packages, "find_spec", lambda name: name)
     install("numba", "0.0.1")
-    assert (
-        not compiled.is_enabled()
-        and compiled.compiled(test_one_package_has_one_range) is test_one_package_has_one_range
-    )
-
-
-def test_an_installed_copy_reads_its_metadata(monkeypatch):
-    """As a wheel has it, beside which no project file lies."""
-    checkout = packages.project()
-    parts = [("Requires-Dist", one) for one in checkout["dependencies"]]
-    for name, needed in EXTRAS.items():
-        parts += [("Provides-Extra", name)] + [
-            ("Requires-Dist", f'{one}; extra == "{name}"') for one in needed
-        ]
-
-    class About(dict):
-        def get_all(self, key):
-            return [value for name, value in parts if name == key]
-
-    monkeypatch.setattr(metadata, "metadata", lambda name: About(Version=checkout["version"]))
-    monkeypatch.setattr(packages, "DISTRIBUTION", "another project than that of the file")
-    project = packages.project.__wrapped__()
-    assert project == {key: checkout[key] for key in project} and len(project) == 3
+    assert not compiled.is_enabled() and compiled.compiled(len) is len
 
 
 SOLVES = """
@@ -138,12 +104,8 @@ def test_solvers_print_nothing(first):
 
 def test_a_closed_standard_output_stays_closed(tmp_path):
     """And what is written to a file opened since is not lost."""
-    code = f"import os; os.close(1); from polaris.planning.lp import silent_highspy as get; get()\n{FILE}"
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "f")], cwd=ROOT, capture_output=True, text=True
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "mine" in (tmp_path / "f").read_text()
-
-
-FILE = "import sys; f = open(sys.argv[1], 'w'); f.write('mine'); f.close()"
+    code = "import os, sys; os.close(1); from polaris.planning.lp import silent_highspy as get; get()\n"
+    code += "f = open(sys.argv[1], 'w'); f.write('mine'); f.close()"
+    command = [sys.executable, "-c", code, str(tmp_path / "f")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr, (tmp_path / "f").read_text()) == (0, "", "mine")

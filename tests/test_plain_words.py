@@ -19,10 +19,7 @@ FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 
 def unclear(source):
-    """Return the lines and texts of docstrings with such an opener and of locals with such a name.
-
-    Parameters are locals if the function's name is private, or if it has none.
-    """
+    """Return the lines and texts of docstrings with such an opener and of locals with such a name."""
     texts, seen = set(), [(ast.parse(source), False)]
     while seen:
         node, inside = seen.pop()
@@ -62,33 +59,3 @@ def test_a_room_has_no_unclear_words(room):
         for line, text in unclear(path.read_text(encoding="utf-8"))
     ]
     assert not texts, "say what it is:\n" + "\n".join(texts)
-
-
-def test_openers_and_locals_are_seen():
-    source = '''
-"""How a thing is done."""
-found: int
-class Search:
-    """What is sought."""
-    most: float
-    def __init__(self, told):
-        """The same, begun."""
-        self.found = told
-def limit(most, told=2):
-    """Return the limit, whatever found is."""
-    def nested(found): ...
-    return max((lambda most: most)(1) for found in told)
-def _limit(*found, **told):
-    """Wherever it ends."""
-    with open("x") as most, open("y") as mostly: ...
-'''
-    words = ["How a thing is done.", "What is sought.", "told", "The same, begun."]
-    assert [text for _, text in unclear(source)] == [
-        *words,
-        "found",
-        "found",
-        "most",
-        "found",
-        "told",
-        "most",
-    ]

@@ -48,8 +48,7 @@ def compare(stored: Row, today: Row) -> list[Difference]:
     """Return all differences between two rows of one scene.
 
     Where U flies more than it did, its schedule is another one: smaller margins, wider tubes and a later goal
-    are then no fault, as long as everything proven stays proven. A scene that is another one is no fault by
-    itself, but may be the reason for others.
+    are then no fault, as long as everything proven stays proven.
     """
     kinds = [("scene", OTHER)] if stored["scene"] != today.get("scene") else []
     kinds += _ranked("exit_code", EXITS, stored, today)

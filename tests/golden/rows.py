@@ -24,11 +24,7 @@ TABLE = Path(__file__).with_name("table.json")
 
 
 def make_row(scene: Scene) -> tuple[Row, str]:
-    """Return the row of a scene, and the message if it has no schedule or is not verified.
-
-    The row holds the digest of the scene, the exit code of ``polaris run``, the verdict of ``polaris verify``
-    on its folder, and what `proven` returns.
-    """
+    """Return the row of a scene, and the message if it has no schedule or is not verified."""
     row: Row = {"name": scene.name}
     with TemporaryDirectory() as folder:
         try:

@@ -38,17 +38,7 @@ ERRORS = "+errors"
 
 @dataclass(frozen=True)
 class Scene:
-    """Scenario of one row.
-
-    Attributes
-    ----------
-    name : str
-        Name of the bundled scenario or of the random scene; it ends in `ERRORS` if errors are declared.
-    text : callable
-        Returns the text of the scenario file.
-    carried : bool
-        True if declared errors carry the rest of an impulse to the next period, False if they drop it.
-    """
+    """Scenario of one row."""
 
     name: str
     text: Callable[[], str]
@@ -78,10 +68,8 @@ class Scene:
 def errors(scenario: ScheduleScenario) -> dict[str, Any]:
     """Return overrides with errors that are in proportion to a scenario which declares none.
 
-    Estimates are off by 3 % of the initial set, commands are late by one period, thrust is wrong by 1 %, the
-    mass by 0.5 % and, in Hill's frame, the direction by 0.5 degrees. An impulse bit is 1 % of what full
-    thrust makes in a period. Recoverable sets are polytopes, because balls seldom hold so much. Periods are
-    longer where a step has many, because the cost of a check grows faster than their number.
+    Recoverable sets are polytopes, because balls seldom hold so much. Periods are longer where a step has
+    many, because the cost of a check grows faster than their number.
     """
     problem, system = scenario.problem(), scenario.system()
     period = problem.period or problem.delta / PARTS

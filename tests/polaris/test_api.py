@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import polaris
-from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from polaris.model.scene.obstacles import BallObstacle, BoxObstacle
+from polaris.model.errors import ScenarioError
+from polaris.model.scene.obstacles import BallObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, StationaryPoint
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -52,100 +52,42 @@ def test_state_space_of_python_control():
         LinearSystem.from_statespace(sampled, [1.0, 1.0], C=np.eye(4)[:2])
 
 
-def test_units_do_not_matter():
-    """A scene in millimetres gives the same margins as in metres, and nearly the same plan and schedule.
-
-    Nearly, because the planner books 1 mm here and a micrometre there, and U flies or not by less.
-    """
-    shares, results = [], []
-    for scale in (1.0, 1e3):
-        system = LinearSystem(A, B, B, [scale, scale], 0.01 * scale)
-        theta = Zonotope(THETA.c, THETA.G * scale)
-        rock = BallObstacle("rock", [2.0 * scale, 0.1 * scale], 0.3 * scale)
-        goal = StationaryPoint(np.array([4.0 * scale, 0, 0, 0]))
-        safety = get_safety(
-            system, theta, (rock,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal, extra_margin=0.2 * scale
-        )
-        law = AffineController(
-            "soft", system, 0.3 * safety.tracking.gain, safety.reference, safety.reference, safety.tracking
-        )
-        shares.append(synthesize(None, safety, [law], SwitchingRules()).share())
-        results.append((safety.start_margin.value, safety.plan.delta_v / scale, safety.plan.margin / scale))
-    assert results[0] == pytest.approx(results[1], rel=1e-2)
-    assert shares[0] == pytest.approx(shares[1], abs=0.15)
-
-
-def test_a_scene_of_millimetres_is_told_to_take_another_unit():
-    small = 5e-5
-    system = LinearSystem(A, B, B, [small, small], 0.01 * small)
-    theta = Zonotope(THETA.c, THETA.G * small)
-    rock = BallObstacle("rock", [2.0 * small, 0.1 * small], 0.3 * small)
-    goal = StationaryPoint(np.array([4.0 * small, 0, 0, 0]))
-    with pytest.raises((SynthesisInfeasible, NotCertified), match=r"another unit of length: .* 0.001 m"):
-        get_safety(system, theta, (rock,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal)
-
-
 def test_no_unsafe_sets_no_disturbance_no_width_and_one_step():
     system = LinearSystem(A, B, B, [1.0, 1.0], 0.0)
     point = Zonotope.point([0.0, 0, 0, 0])
     goal = Box(np.zeros(4), np.full(4, 0.1))
     safety = get_safety(system, point, (), 1, 0.5, [1.0] * 4, [4.0] * 2, goal=goal)
-    schedule = synthesize(
-        None, safety, [AnyThrust("any", system, safety.reference, safety.tracking)], SwitchingRules()
-    )
+    anything = AnyThrust("any", system, safety.reference, safety.tracking)
+    schedule = synthesize(None, safety, [anything], SwitchingRules())
     assert len(schedule.modes) == 1
     assert simulate(schedule, 5, 0).states.shape[0] == 5
-
-
-def test_one_state_one_input():
-    system = LinearSystem([[-0.1]], [[1.0]], [[1.0]], [1.0], 0.01, C=[[1.0]])
-    wall = BoxObstacle("wall", [3.0], [0.5])
-    goal = Box(np.array([1.0]), np.array([0.2]))
-    safety = get_safety(system, Zonotope.box([0.0], [0.1]), (wall,), 20, 0.25, [1.0], [1.0], goal=goal)
-    schedule = synthesize(None, safety, [], SwitchingRules())
-    assert schedule.share() == 0
-    assert simulate(schedule, 20, 0).positions.max() < 2.5
-
-
-def test_missing_arguments_are_named():
-    with pytest.raises(TypeError, match="goal"):
-        get_safety(LinearSystem(A, B, B, [1.0, 1.0]), THETA, (), 4, 0.25, [1.0] * 4, [1.0] * 2)
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
         ({"K": 0}, "K"),
-        ({"delta": -1.0}, "delta"),
         ({"initial_set": Zonotope.box([0.0, 0.0], [1.0, 1.0])}, "initial_set"),
         ({"Q": [1.0, 1.0]}, "tracking.Q"),
         ({"R": [-1.0, 1.0]}, "tracking"),
         ({"recoverable": "cube"}, "recoverable"),
         ({"period": 0.1}, "feedback.period_s"),
         ({"bound": "guess"}, "tracking.bound"),
-        ({"weight": "heavy"}, "tracking.weight"),
         ({"weight": [1.0, 0.0, 1.0, 1.0]}, "tracking.weight"),
         ({"thrust_reserve": 1.0}, "thrust_reserve"),
     ],
 )
 def test_malformed_arguments_name_the_field(change, field):
-    arguments = {
-        "initial_set": THETA,
-        "unsafe": (ROCK,),
-        "K": 40,
-        "delta": 0.25,
-        "Q": [1.0] * 4,
-        "R": [4.0] * 2,
-    }
+    arguments = {"initial_set": THETA, "unsafe": (ROCK,), "K": 40, "delta": 0.25}
+    arguments |= {"Q": [1.0] * 4, "R": [4.0] * 2, **change}
     with pytest.raises(ScenarioError, match=field):
-        get_safety(LinearSystem(A, B, B, [1.0, 1.0], 0.01), goal=GOAL, **{**arguments, **change})
+        get_safety(LinearSystem(A, B, B, [1.0, 1.0], 0.01), goal=GOAL, **arguments)
 
 
 @pytest.mark.parametrize(
     ("matrices", "field"),
     [
         ({"A": np.zeros((2, 3)), "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1]}, "system.A"),
-        ({"A": np.eye(2) * np.nan, "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1]}, "system.A"),
         ({"A": np.eye(2), "B": np.eye(3), "D": np.eye(2), "u_max": [1, 1]}, "system.B"),
         ({"A": np.eye(2), "B": np.eye(2), "D": np.eye(2), "u_max": [1, -1]}, "system.u_max"),
         ({"A": np.eye(2), "B": np.eye(2), "D": np.eye(2), "u_max": [1, 1], "w_max": np.inf}, "system.w_max"),
@@ -171,18 +113,9 @@ def test_state_space_position_is_what_c_says():
     assert ROCK.signed_distance(0.0, positions).min() > 0
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
     schedule = synthesize(safety, experimental=[])
-    assert (
-        "position: C x = (x0, x2), states counted from 0; unsafe sets (keep-out zones, outsides of keep-in"
-        " zones) are sets of it" in schedule.assumptions
+    assert any(
+        one.startswith("position: C x = (x0, x2), states counted from 0") for one in schedule.assumptions
     )
-
-
-@pytest.mark.parametrize("kind", ["ball", "polytope"])
-def test_every_kind_of_recoverable_set_without_unsafe_sets(kind):
-    system = LinearSystem(A, B, B, [1.0, 1.0], 0.01)
-    safety = get_safety(system, THETA, (), 20, 0.5, [1.0] * 4, [4.0] * 2, goal=GOAL, recoverable=kind)
-    assert safety.start_margin.inside
-    assert synthesize(safety, experimental=[]).guarantee == "proved"
 
 
 def test_a_claim_for_ever_needs_a_motion_that_repeats():
@@ -201,57 +134,52 @@ def test_a_claim_for_ever_needs_a_motion_that_repeats():
     assert safety.end.horizon != "infinite"
 
 
-# -- objects of the wrong kind ----------------------------------------------------------------------
-
-
 def wrong_calls():
     """Calls of a first user who hands in one thing where another is meant."""
     scenario, schedule = synthesised()
-    safety = schedule.safety
-    other = AnyThrust("other", safety.problem.system, safety.reference, safety.tracking)
-    return {
-        "a path to get_safety": lambda: polaris.get_safety("tiny.toml"),
-        "a name to synthesize": lambda: polaris.synthesize("static"),
-        "matrices to get_safety": lambda: polaris.get_safety(
-            A, THETA, (), 4, 0.25, [1.0] * 4, [1.0] * 2, goal=GOAL
-        ),
-        "one obstacle": lambda: get_safety(
-            safety.problem.system, THETA, ROCK, 4, 0.25, [1.0] * 4, [1.0] * 2, goal=GOAL
-        ),
-        "one controller": lambda: polaris.synthesize(safety.problem, safety, other),
-        "names of controllers": lambda: polaris.synthesize(safety.problem, safety, ["hasty"]),
-        "a function for U": lambda: polaris.synthesize(safety.problem, safety, [lambda t, x: x]),
-        "arguments in another order": lambda: polaris.synthesize(
-            safety.problem, safety, [AnyThrust(safety.problem.system, "u", safety.reference, safety.tracking)]
-        ),
-        "a schedule for a Safety": lambda: polaris.synthesize(scenario, schedule),
-        "a scenario to simulate": lambda: polaris.simulate(scenario),
-        "a Safety to simulate": lambda: polaris.simulate(safety),
-        "a schedule to evaluate": lambda: polaris.evaluate(schedule),
-        "a scenario to compare": lambda: polaris.compare(scenario),
-        "a scenario to compare_methods": lambda: polaris.compare_methods(scenario),
-        "a scenario to DecisionGrid.of": lambda: polaris.DecisionGrid.from_schedule(scenario),
-        "a scenario to falsify": lambda: polaris.falsify(scenario),
-        "a scenario to plot_schedule": lambda: polaris.plot_schedule(scenario),
-        "a schedule to plot_reference": lambda: polaris.plot_reference(schedule),
-        "one name to make_cases": lambda: polaris.make_cases("static"),
-        "one value of a grid": lambda: polaris.make_cases(["static"], {"planner.gap": 0.1}),
-        "a schedule to write_trace": lambda: polaris.write_trace("t.json", schedule),
-        "a path to write_run": lambda: polaris.write_run("nowhere", "tiny.toml", schedule),
-        "write_run in another order": lambda: polaris.write_run("nowhere", schedule, scenario),
-        "disturbance as a list": lambda: LinearSystem(A, B, B, [1.0, 1.0], [0.01, 0.01]),
-        "disturbance in quotes": lambda: LinearSystem(A, B, B, [1.0, 1.0], "0.01"),
-        "limits in quotes": lambda: LinearSystem(A, B, B, ["1", "1"]),
-    }
+    safety, rest = schedule.safety, (4, 0.25, [1.0] * 4, [1.0] * 2)
+    system, problem = safety.problem.system, safety.problem
+    other = AnyThrust("other", system, safety.reference, safety.tracking)
+
+    def turned():
+        return AnyThrust(system, "u", safety.reference, safety.tracking)
+
+    return [
+        lambda: polaris.get_safety("tiny.toml"),
+        lambda: polaris.synthesize("static"),
+        lambda: polaris.get_safety(A, THETA, (), *rest, goal=GOAL),
+        lambda: get_safety(system, THETA, ROCK, *rest, goal=GOAL),
+        lambda: polaris.synthesize(problem, safety, other),
+        lambda: polaris.synthesize(problem, safety, ["hasty"]),
+        lambda: polaris.synthesize(problem, safety, [lambda t, x: x]),
+        lambda: polaris.synthesize(problem, safety, [turned()]),
+        lambda: polaris.synthesize(scenario, schedule),
+        lambda: polaris.simulate(scenario),
+        lambda: polaris.simulate(safety),
+        lambda: polaris.evaluate(schedule),
+        lambda: polaris.compare(scenario),
+        lambda: polaris.compare_methods(scenario),
+        lambda: polaris.DecisionGrid.from_schedule(scenario),
+        lambda: polaris.falsify(scenario),
+        lambda: polaris.plot_schedule(scenario),
+        lambda: polaris.plot_reference(schedule),
+        lambda: polaris.make_cases("static"),
+        lambda: polaris.make_cases(["static"], {"planner.gap": 0.1}),
+        lambda: polaris.write_trace("t.json", schedule),
+        lambda: polaris.write_run("nowhere", "tiny.toml", schedule),
+        lambda: polaris.write_run("nowhere", schedule, scenario),
+        lambda: LinearSystem(A, B, B, [1.0, 1.0], [0.01, 0.01]),
+        lambda: LinearSystem(A, B, B, [1.0, 1.0], "0.01"),
+        lambda: LinearSystem(A, B, B, ["1", "1"]),
+    ]
 
 
-@pytest.mark.parametrize("case", wrong_calls())
-def test_objects_of_the_wrong_kind_are_one_message(case, tmp_path, monkeypatch):
+def test_objects_of_the_wrong_kind_are_one_message(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ScenarioError) as caught:
-        wrong_calls()[case]()
-    assert "got " in str(caught.value) and "must be" in str(caught.value)
-    assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
+    for call in wrong_calls():
+        with pytest.raises(ScenarioError, match=r"^(?=[^\n]*must be)(?=[^\n]*got )[^\n]*$"):
+            call()
+        assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("outputs", [np.eye(4)[:2], np.eye(4)[2:], np.eye(4)])

@@ -36,12 +36,8 @@ def refuse(tmp_path, monkeypatch):
     def work(*args, **more):
         raise AssertionError("work has begun")
 
-    for place in (
-        "synthesis.safety.get_safety.get_safety",
-        "synthesis.schedule.synthesize.get_safety",
-        "simulation.sampled.get_safety",
-    ):
-        monkeypatch.setattr(f"polaris.{place}", work)
+    for place in ("synthesis.safety.get_safety", "synthesis.schedule.synthesize", "simulation.sampled"):
+        monkeypatch.setattr(f"polaris.{place}.get_safety", work)
     for missing in ("pyarrow", "distributed", "gurobipy", "numba"):
         monkeypatch.setitem(sys.modules, missing, None)
 
@@ -55,16 +51,9 @@ def refuse(tmp_path, monkeypatch):
     return run
 
 
-# -- overrides --------------------------------------------------------------------------------------
-
-
 def test_every_verb_that_takes_a_scenario_takes_overrides():
-    named = {
-        verb
-        for verb, one in VERBS.items()
-        for each in one.params
-        if getattr(each, "metavar", "") in SCENARIOS
-    }
+    metavars = {verb: {getattr(each, "metavar", "") for each in one.params} for verb, one in VERBS.items()}
+    named = {verb for verb, words in metavars.items() if words & SCENARIOS}
     assert {"run", "check", "model-error", "falsify", "campaign", "compare", "tradeoff"} <= named
     assert named == taking("--set")
 
@@ -72,9 +61,6 @@ def test_every_verb_that_takes_a_scenario_takes_overrides():
 @pytest.mark.parametrize("verb", sorted(taking("--set")))
 def test_an_override_reaches_the_scenario(verb, refuse):
     assert "nonsense" in refuse(verb, "static", "--set", "nonsense=1")
-
-
-# -- errors before work -----------------------------------------------------------------------------
 
 
 BOX = ("--set", "experimental=[{kind='black_box', name='box'}]", "--set", "feedback={period_s=1}")
@@ -85,59 +71,50 @@ FLYING = ("run", "model-error", "falsify", "campaign", "compare", "tradeoff")
 @pytest.mark.parametrize("verb", FLYING)
 def test_a_black_box_is_asked_for_before_any_work(verb, refuse):
     scenario = "static" if verb == "model-error" else TINY
-    more = ("--sweep", "planner.gap=0.1") if verb == "tradeoff" else ()
+    more = SWEEP if verb == "tradeoff" else ()
     assert "--black-box NAME=COMMAND" in refuse(verb, scenario, *BOX, *more)
 
 
 @pytest.mark.parametrize("verb", sorted(taking("--black-box") - {"campaign-replay"}))
 def test_a_black_box_that_the_scenario_does_not_have_is_refused_before_any_work(verb, refuse):
-    more = ("--sweep", "planner.gap=0.1") if verb == "tradeoff" else ()
+    more = SWEEP if verb == "tradeoff" else ()
     assert "black box: got 'other'" in refuse(verb, TINY, "--black-box", "other=cat", *more)
     assert "NAME=COMMAND" in refuse(verb, TINY, "--black-box", "cat")
 
 
 GRID = ("--grid", "nonsense=1")
-WRONG = {
-    "a key of the grid": (("campaign", TINY, *GRID), "nonsense"),
-    "a grid without values": (("campaign", TINY, "--grid", "planner.gap"), "--grid"),
-    "a grid on a cluster": (("campaign", TINY, *GRID, "--scheduler", "tcp://nowhere:1"), "nonsense"),
-    "a mode of a campaign": (("campaign", TINY, "--mode", "nobody"), "--mode"),
-    "a folder of a campaign": (("campaign", TINY, "--out", "."), "--out"),
-    "a cluster's campaign folder": (
-        ("campaign", TINY, "--out", ".", "--scheduler", "tcp://nowhere:1"),
-        "--out",
-    ),
-    "a run to replay": (("campaign-replay", "nowhere"), "must have --case"),
-    "a folder of a run": (("run", TINY, "--out", ".", "--solver", "gurobi"), "--out"),
-    "a method": (("compare", TINY, "--methods", "magic"), "'magic'"),
-    "an option of a method": (("compare", TINY, "--tune", "monitor.gain=2"), "monitor.gain"),
-    "a share above one": (("compare", TINY, "--tune", "monitor.reentry=2"), "monitor.reentry"),
-    "half a decision": (("compare", TINY, "--tune", "monitor.dwell=1.5"), "monitor.dwell"),
-    "a slope of none": (("compare", TINY, "--tune", "asif_explicit.alpha=0"), "asif_explicit.alpha"),
-    "a slope above one": (("compare", TINY, "--tune", "asif_implicit.slope=1.5"), "asif_implicit.slope"),
-    "a horizon of none": (("compare", TINY, "--tune", "simulation.horizon=0"), "simulation.horizon"),
-    "a negative buffer": (("compare", TINY, "--tune", "reachability.buffer=-1"), "reachability.buffer"),
-    "a period": (("compare", TINY, "--period", "0.3"), "period: got 0.3"),
-    "a latency": (("compare", TINY, "--latency", "2"), "latency: got 2"),
-    "an estimate error": (("compare", TINY, "--estimate-error", "1,2"), "half_widths"),
-    "a folder of a comparison": (("compare", TINY, "--out", "."), "--out"),
-    "prices": (("tradeoff", TINY, "--prices", "cheap"), "--prices"),
-    "a swept key": (("tradeoff", TINY, "--sweep", "nonsense=1"), "nonsense"),
-    "a share": (("tradeoff", TINY, "--share", "2"), "share"),
-    "a folder of a trade-off": (("tradeoff", TINY, "--sweep", "planner.gap=0.1", "--out", "."), "--out"),
-    "a case file": (("falsify", TINY, "--out", "case.txt"), ".json"),
-    "a velocity": (("evaluate", "nowhere.json", "--velocity", "fast"), "--velocity"),
-}
+SWEEP = ("--sweep", "planner.gap=0.1")
+WRONG = [
+    (("campaign", TINY, *GRID), "nonsense"),
+    (("campaign", TINY, "--grid", "planner.gap"), "--grid"),
+    (("campaign", TINY, *GRID, "--scheduler", "tcp://nowhere:1"), "nonsense"),
+    (("campaign", TINY, "--mode", "nobody"), "--mode"),
+    (("campaign", TINY, "--out", "."), "--out"),
+    (("campaign", TINY, "--out", ".", "--scheduler", "tcp://nowhere:1"), "--out"),
+    (("campaign-replay", "nowhere"), "must have --case"),
+    (("run", TINY, "--out", ".", "--solver", "gurobi"), "--out"),
+    (("compare", TINY, "--methods", "magic"), "'magic'"),
+    (("compare", TINY, "--tune", "monitor.gain=2"), "monitor.gain"),
+    (("compare", TINY, "--tune", "monitor.reentry=2"), "monitor.reentry"),
+    (("compare", TINY, "--tune", "asif_implicit.slope=1.5"), "asif_implicit.slope"),
+    (("compare", TINY, "--tune", "reachability.buffer=-1"), "reachability.buffer"),
+    (("compare", TINY, "--period", "0.3"), "period: got 0.3"),
+    (("compare", TINY, "--latency", "2"), "latency: got 2"),
+    (("compare", TINY, "--estimate-error", "1,2"), "half_widths"),
+    (("compare", TINY, "--out", "."), "--out"),
+    (("tradeoff", TINY, "--prices", "cheap"), "--prices"),
+    (("tradeoff", TINY, "--sweep", "nonsense=1"), "nonsense"),
+    (("tradeoff", TINY, "--share", "2"), "share"),
+    (("tradeoff", TINY, *SWEEP, "--out", "."), "--out"),
+    (("falsify", TINY, "--out", "case.txt"), ".json"),
+    (("evaluate", "nowhere.json", "--velocity", "fast"), "--velocity"),
+]
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_arguments_come_before_work_and_before_missing_packages(case, refuse):
-    arguments, reason = WRONG[case]
+@pytest.mark.parametrize("arguments, reason", WRONG)
+def test_wrong_arguments_come_before_work_and_before_missing_packages(arguments, reason, refuse):
     message = refuse(*arguments)
     assert reason in message and "pip install" not in message and "package" not in message
-
-
-# -- pipes ------------------------------------------------------------------------------------------
 
 
 SPACE = ("--set", "obstacles[0].center_m=[0, 3000, 0]", "--set", "recoverable.recourse=none")
@@ -151,25 +128,10 @@ JSON = {
     "compare": (
         "compare",
         TINY,
-        "--runs",
-        "1",
-        "--methods",
-        "safety,schedule",
-        "--no-figures",
-        "--out",
-        "cmp",
+        *("--runs", "1", "--methods", "safety,schedule", "--no-figures", "--out", "cmp"),
         *LIGHT,
     ),
-    "tradeoff": (
-        "tradeoff",
-        TINY,
-        "--sweep",
-        "planner.extra_margin_m=0.3",
-        "--workers",
-        "1",
-        "--no-figures",
-        *LIGHT,
-    ),
+    "tradeoff": ("tradeoff", TINY, *SWEEP, "--workers", "1", "--no-figures", *LIGHT),
     "evaluate": ("evaluate", "trace.json"),
 }
 OTHERS = {"export": ("export", "run", "trace.json"), "plot": ("plot", "figures"), "report": ("report", "run")}
@@ -201,15 +163,8 @@ def walked(tmp_path_factory):
     quiet["plot"] = ("plot", "cmp/run")
     calls += [(f"{verb} --quiet", (*call, "--quiet")) for verb, call in quiet.items() if verb != "export"]
     text = json.dumps([[name, list(map(str, call))] for name, call in calls])
-    done = subprocess.run(
-        [sys.executable, "-c", WALK],
-        input=text,
-        cwd=place,
-        env=None,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    walk = [sys.executable, "-c", WALK]
+    done = subprocess.run(walk, input=text, cwd=place, capture_output=True, text=True, timeout=600)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
     return {
         name: tuple((place / f"{name}.{ending}").read_text(encoding="utf-8") for ending in ("out", "err"))

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from time import perf_counter
 
 import numpy as np
@@ -56,18 +55,9 @@ def box(name, center, half, K=60, velocity=0.0, delta=50.0, d=3):
 
 
 def problem(unsafe, goal=NMT, K=60, delta=50.0, x0=START, margin=10.0, extra=20.0, u=0.9, system=CW, **more):
-    return PlanProblem(
-        system,
-        np.asarray(x0, float),
-        K,
-        delta,
-        tuple(unsafe),
-        tuple(np.full((K, len(b.normals)), margin) for b in unsafe),
-        np.full((K, system.m), u),
-        goal,
-        extra_margin=extra,
-        **more,
-    )
+    sets, x0 = tuple(unsafe), np.asarray(x0, float)
+    margins, limit = tuple(np.full((K, len(b.normals)), margin) for b in sets), np.full((K, system.m), u)
+    return PlanProblem(system, x0, K, delta, sets, margins, limit, goal, extra_margin=extra, **more)
 
 
 def simulate(task: PlanProblem, nu, parts=40):
@@ -86,15 +76,13 @@ def simulate(task: PlanProblem, nu, parts=40):
 
 def clearance(task: PlanProblem, i, times, positions):
     """Largest ``n p - b(t) - margin`` over the facets of unsafe set i at every time [m]."""
-    body, last = task.unsafe[i], len(task.unsafe[i].offsets) - 1
-    out = []
-    for t, p in zip(times, positions, strict=True):
-        k = min(int(t / task.delta + 1e-9), task.cells - 1)
-        share = t / task.delta - k
-        b = body.offsets[min(k, last)]
-        offset = b[0] * (1 - share) + b[1] * share
-        out.append(np.max(body.normals @ p - offset - task.margins[i][min(k, task.K - 1)]))
-    return np.array(out)
+    body = task.unsafe[i]
+    k = np.minimum((times / task.delta + 1e-9).astype(int), task.cells - 1)
+    share = (times / task.delta - k)[:, None]
+    ends = body.offsets[np.minimum(k, len(body.offsets) - 1)]
+    margins = task.margins[i][np.minimum(k, task.K - 1)]
+    offsets = ends[:, 0] * (1 - share) + ends[:, 1] * share
+    return (positions @ body.normals.T - offsets - margins).max(axis=1)
 
 
 def assert_holds(task: PlanProblem, answer: Plan, parts=40):
@@ -123,9 +111,24 @@ def assert_holds(task: PlanProblem, answer: Plan, parts=40):
     assert answer.delta_v == pytest.approx(np.abs(answer.nu).sum() * task.delta / task.system.mass)
 
 
+def small_robot(shelves=(((5, 0), (1, 2)),)):
+    """A plane, ten steps, a few shelves: small enough for any back end and licence."""
+    push = np.eye(4)[:, 2:]
+    robot, goal = LinearSystem(np.eye(4, k=2), push, push, np.ones(2)), Box([10, 0, 0, 0], [0.5] * 4)
+    bodies = [box(f"shelf {i}", at, half, K=10, delta=1.0, d=2) for i, (at, half) in enumerate(shelves)]
+    return problem(bodies, goal, 10, 1.0, np.zeros(4), 0.1, 0.2, system=robot)
+
+
 STATIC = box("box", (-250, -600, 0), 120)
 KEEP_OUT = box("keep-out", (0, 0, 0), 50)
 CROSSING = box("crossing", (-700, -400, 0), 110, velocity=(0.25, 0, 0))
+
+
+SIDES = [
+    TimedPolytope(f"side {j}", np.array([n], float), np.full((60, 2, 1), -120.0), keep_in=True)
+    for j, n in enumerate(([1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]))
+]
+POINT = StationaryPoint([0, -100, 0, 0, 0, 0])
 
 
 @pytest.mark.parametrize(
@@ -138,9 +141,16 @@ CROSSING = box("crossing", (-700, -400, 0), 110, velocity=(0.25, 0, 0))
         problem([STATIC, KEEP_OUT], objective="fuel"),
         problem([STATIC], goal=LinearNMT(ETA, 60.0, -100.0)),
         problem([STATIC], goal=Box([0, -200, 0, 0, 0, 0], [20, 20, 20, 0.05, 0.05, 0.05])),
-        problem([box("box", (0, -500, 0), 50)], goal=StationaryPoint([0, -100, 0, 0, 0, 0])),
+        problem([*SIDES, box("box", (0, -500, 0), 40)], POINT, margin=5.0, extra=10.0),
+        problem([box("box", (-250, -600, 0), 60)], objective="distance", extra=0.0),
+        small_robot(),
+        problem(
+            [box("block", (5, 0), (1, 2), K=20, delta=1.0, d=2)],
+            StationaryPoint([10.0, 0.0]),
+            *(20, 1.0, np.zeros(2), 0.1, 0.2, 0.9),
+            LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.ones(2), C=np.eye(2)),
+        ),
     ],
-    ids=["free", "static", "coasting", "crossing", "fuel", "linear", "box-goal", "point"],
 )
 def test_plan_holds_in_dense_simulation(task):
     answer = plan(task)
@@ -148,9 +158,10 @@ def test_plan_holds_in_dense_simulation(task):
     assert answer.status == "optimal" and answer.gap <= 1e-3
     if task.objective == "margin_then_fuel" and task.unsafe:
         assert answer.margin >= task.extra_margin * (1 - 1e-6)
+    assert task.objective != "distance" or answer.margin > 40.0
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_scenes(seed):
     rng = np.random.default_rng(seed)
     bodies = []
@@ -160,107 +171,14 @@ def test_random_scenes(seed):
         on_the_way = START[:3] * (1 - t / 3000) + np.array([-250 * np.sin(np.pi * t / 3000), 0, 0])
         center = on_the_way - velocity * t + rng.uniform(-40, 40, 3)
         bodies.append(box(f"box {j}", center, rng.uniform(20, 70, 3), K=40, velocity=velocity, delta=75.0))
-    task = problem(
-        bodies,
-        K=40,
-        delta=75.0,
-        x0=START + np.r_[rng.uniform(-60, 60, 3), rng.uniform(-0.1, 0.1, 3)],
-        margin=5.0,
-        extra=5.0,
-    )
+    x0 = START + np.r_[rng.uniform(-60, 60, 3), rng.uniform(-0.1, 0.1, 3)]
+    task = problem(bodies, K=40, delta=75.0, x0=x0, margin=5.0, extra=5.0)
     try:
         answer = plan(task, PlannerOptions(time_limit=10))
     except PolarisError as error:  # a random scene may be impossible, but must say so
         assert isinstance(error, SynthesisInfeasible)
         return
     assert_holds(task, answer)
-
-
-def test_planar_robot():
-    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
-    robot = LinearSystem(
-        A,
-        np.vstack([np.zeros((2, 2)), np.eye(2)]),
-        np.vstack([np.zeros((2, 2)), np.eye(2)]),
-        np.array([1.0, 1.0]),
-    )
-    bodies = [box("shelf", (5, 0), (1, 3), K=30, delta=0.5, d=2)]
-    task = problem(
-        bodies,
-        goal=Box([10, 0, 0, 0], [0.5, 0.5, 0.1, 0.1]),
-        K=30,
-        delta=0.5,
-        x0=np.zeros(4),
-        margin=0.2,
-        extra=0.3,
-        system=robot,
-    )
-    answer = plan(task)
-    assert_holds(task, answer)
-    assert answer.margin == pytest.approx(0.3, abs=0.05)
-
-
-def test_first_order_system():
-    still = LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.array([1.0, 1.0]), C=np.eye(2))
-    task = problem(
-        [box("block", (5, 0), (1, 2), K=20, delta=1.0, d=2)],
-        goal=StationaryPoint([10.0, 0.0]),
-        K=20,
-        delta=1.0,
-        x0=np.zeros(2),
-        margin=0.1,
-        extra=0.2,
-        system=still,
-    )
-    assert_holds(task, plan(task))
-
-
-def test_keep_in_facets_hold():
-    facets = [
-        TimedPolytope(f"side {j}", np.array([n], float), np.full((60, 2, 1), -120.0), keep_in=True)
-        for j, n in enumerate(([1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]))
-    ]
-    task = problem(
-        [*facets, box("box", (0, -500, 0), 40)],
-        goal=StationaryPoint([0, -100, 0, 0, 0, 0]),
-        margin=5.0,
-        extra=10.0,
-    )
-    answer = plan(task)
-    assert_holds(task, answer)
-    assert np.abs(answer.chi[:, 0]).max() <= 115.0
-
-
-def test_cheaper_than_any_single_side_and_than_more_margin():
-    little, much = (plan(problem([STATIC], extra=e)).delta_v for e in (0.0, 60.0))
-    free = plan(problem([])).delta_v
-    assert free < little < much
-
-
-def small_robot(shelves=(((5, 0), (1, 2)),)):
-    """A plane, ten steps, a few shelves: small enough for any back end and licence."""
-    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]])
-    push = np.vstack([np.zeros((2, 2)), np.eye(2)])
-    robot = LinearSystem(A, push, push, np.array([1.0, 1.0]))
-    return problem(
-        [box(f"shelf {i}", at, half, K=10, delta=1.0, d=2) for i, (at, half) in enumerate(shelves)],
-        goal=Box([10, 0, 0, 0], [0.5] * 4),
-        K=10,
-        delta=1.0,
-        x0=np.zeros(4),
-        margin=0.1,
-        extra=0.2,
-        system=robot,
-    )
-
-
-def test_back_end_alone_agrees_with_the_tree():
-    task = small_robot()
-    by_tree = plan(task)
-    by_solver = plan(task, PlannerOptions(solver="highs", time_limit=20))
-    assert_holds(task, by_solver)
-    assert by_solver.delta_v == pytest.approx(by_tree.delta_v, rel=2.5e-3)
-    assert by_solver.stats["binaries"] > 0
 
 
 def by_back_end(task, solver, **options):
@@ -275,113 +193,41 @@ def by_back_end(task, solver, **options):
 
 @pytest.mark.parametrize("solver", ["highs", "gurobi"])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), 2])
-def test_every_solver_solves_the_same_program(seed, solver):
+def test_every_solver_solves_the_same_program(seed, solver, capfd):
     """To the last digit: no bound above another's optimum, wherever each looked for its cells."""
     rng = np.random.default_rng(seed)
     shelves = [(rng.uniform((2, -1.5), (8, 1.5)), rng.uniform(0.3, 1.2, 2)) for _ in range(3)]
     task = small_robot(shelves)
     ours, theirs = plan(task, PlannerOptions(gap=0.0)), by_back_end(task, solver, gap=0.0)
+    assert capfd.readouterr() == ("", "")
     assert_holds(task, theirs)
     assert ours.status == theirs.status == "optimal"
     assert theirs.delta_v == pytest.approx(ours.delta_v, rel=1e-6)
     assert max(ours.bound, theirs.bound) <= min(ours.delta_v, theirs.delta_v) * (1 + 1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", ["highs", "gurobi"])
-def test_static_has_one_optimum(solver):
-    """Cells that one search had stated and the other had not once made a difference of 1.5e-5 m/s."""
-    from polaris.scenario.scenario import load_scenario
-    from polaris.synthesis.safety.get_safety import get_safety
-
-    problem = load_scenario("static").problem()
-    ours = get_safety(problem).plan
-    if solver == "gurobi":
-        pytest.importorskip("gurobipy", reason="gurobipy is not installed")
-    options = replace(problem.planner, solver=solver)
-    theirs = get_safety(replace(problem, planner=options)).plan
-    assert theirs.delta_v == pytest.approx(ours.delta_v, rel=1e-7)
-    assert theirs.bound <= ours.delta_v * (1 + 1e-7) and ours.bound <= theirs.delta_v * (1 + 1e-7)
-
-
-@pytest.mark.parametrize("solver", ["highs", "gurobi"])
-def test_a_back_end_asked_for_does_the_work_and_prints_nothing(solver, capfd):
-    answer = by_back_end(small_robot(), solver)
-    assert answer.solver == solver and answer.stats["rounds"] > 0
-    search = [stage for stage in answer.stages if stage.name != "path search"]
+    assert theirs.solver == solver and theirs.stats["rounds"] > 0 and theirs.stats["binaries"] > 0
+    search = [stage for stage in theirs.stages if stage.name != "path search"]
     assert [stage.status for stage in search] == ["optimal"]
     assert all({"highs": "HiGHS", "gurobi": "Gurobi"}[solver] in stage.by for stage in search)
-    assert capfd.readouterr() == ("", "")
-
-
-def test_a_back_end_has_the_whole_time_and_effort(monkeypatch):
-    given, run = [], backends.run
-
-    def briefly(lp, options, nodes, seconds, hear):
-        given.append((nodes, seconds, hear))
-        return run(lp, options, nodes, 1.0, hear)
-
-    monkeypatch.setattr(backends, "run", briefly)
-    options = PlannerOptions(solver="highs", time_limit=40.0, max_nodes=500)
-    with pytest.warns(ClockWarning):
-        plan(problem([STATIC, KEEP_OUT]), options)
-    nodes, seconds, hear = given[0]  # a path is known: all of it
-    assert nodes == 500 and 30.0 < seconds <= 40.0
-    assert hear(np.inf, -np.inf, 499) == ""
-    given.clear()
-    answer = plan(small_robot(), options)
-    nodes, seconds, hear = given[0]  # none is: a quarter to find one, and if one is found, all of it
-    assert nodes == 500 and 30.0 < seconds <= 40.0
-    assert answer.status == "optimal"
-    assert hear(np.inf, -np.inf, 124) == hear(1.0, 0.0, 400) == ""
-    assert hear(np.inf, -np.inf, 125) == "effort_limit"
-    now = perf_counter()
-    monkeypatch.setattr(effort, "perf_counter", lambda: now + 10.0)
-    assert hear(np.inf, -np.inf, 3) == "time_limit" and hear(1.0, 0.0, 3) == ""
-
-
-def test_distance_reaches_further_than_the_default():
-    task = problem([box("box", (-250, -600, 0), 60)], extra=20.0)
-    default = plan(task)
-    furthest = plan(replace(task, objective="distance", extra_margin=0.0))
-    assert_holds(task, furthest)
-    assert furthest.margin > default.margin + 20
-    assert furthest.delta_v > default.delta_v
 
 
 def corridor():
     """A gap 260 m wide where 210 m are asked for on either side."""
-    walls = [
-        box("left", (-400, -550, 0), (100, 100, 2000)),
-        box("right", (60, -550, 0), (100, 100, 2000)),
-        box("far left", (-2400, -550, 0), (1900, 100, 2000)),
-        box("far right", (2060, -550, 0), (1900, 100, 2000)),
-    ]
+    sides = {"left": (-400, 100), "right": (60, 100), "far left": (-2400, 1900), "far right": (2060, 1900)}
+    walls = [box(name, (x, -550, 0), (half, 100, 2000)) for name, (x, half) in sides.items()]
     return problem(walls, margin=10.0, extra=200.0)
-
-
-@cache
-def planned_corridor():
-    task = corridor()
-    return task, plan(task, PlannerOptions(max_linear_programs=400))
-
-
-def test_margin_out_of_reach_gives_what_there_is():
-    task, answer = planned_corridor()
-    assert_holds(task, answer)
-    # half of the gap less the margin is what there is
-    assert 100.0 <= answer.margin <= 120.0 + 1e-6
-    assert answer.bound >= answer.objective
 
 
 def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
     """The largest margin alone costs 1.47 m/s, because fuel hardly counts there; 0.58 m/s are enough."""
-    _, answer = planned_corridor()
+    task = corridor()
+    answer = plan(task, PlannerOptions(max_linear_programs=400))
+    assert_holds(task, answer)
     names = [stage.name for stage in answer.stages]
     assert names == ["path search", "fuel", "margin", "fuel at the margin found"]
     share = [stage.linear_programs for stage in answer.stages]
     assert share[1] <= 101 + 40 and share[3] >= 100 and sum(share) <= 400 + 40
-    assert answer.margin >= 119.9 and answer.delta_v < 0.7
+    assert 119.9 <= answer.margin <= 120.0 + 1e-6 and answer.delta_v < 0.7  # half of the gap less the margin
+    assert answer.bound >= answer.objective
     assert answer.status == "effort_limit" and answer.cut_by_clock == ()
 
 
@@ -395,33 +241,21 @@ def clock(monkeypatch, tell):
     ("task", "options"),
     [
         (problem([CROSSING, KEEP_OUT]), {}),
-        pytest.param(
-            problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)), {}, marks=pytest.mark.slow
-        ),
         pytest.param(corridor(), {"max_linear_programs": 60}, marks=pytest.mark.slow),
     ],
-    ids=["crossing", "annulus", "limited"],
+    ids=["crossing", "limited"],
 )
 def test_a_slower_machine_finds_the_same_plan(monkeypatch, recwarn, task, options):
     """A hundred thousand times slower, and one that stands still."""
     plans = []
+    heard = []
     for speed in (1.0, 1e5, 0.0):
         clock(monkeypatch, lambda speed=speed: speed * perf_counter())
-        plans.append(plan(task, PlannerOptions(**options)))
+        plans.append(plan(task, PlannerOptions(progress=heard.append, **options)))
     assert len({answer.nu.tobytes() for answer in plans}) == 1
     assert len({(answer.stages, answer.status, answer.bound) for answer in plans}) == 1
-    assert all(answer.cut_by_clock == () for answer in plans)
+    assert all(answer.cut_by_clock == () for answer in plans) and all(h.seconds >= 0 for h in heard)
     assert not [w for w in recwarn if issubclass(w.category, ClockWarning)]
-
-
-def test_infeasible_is_told_in_the_same_words_on_a_slower_machine(monkeypatch):
-    said = []
-    for speed in (1.0, 1e5):
-        clock(monkeypatch, lambda speed=speed: speed * perf_counter())
-        with pytest.raises(SynthesisInfeasible) as raised:
-            plan(problem([box("huge", (0, 0, 0), 495)]))
-        said.append(str(raised.value))
-    assert said[0] == said[1]
 
 
 @pytest.mark.parametrize("solver", ["facets", "highs"])
@@ -437,9 +271,7 @@ def test_a_back_end_that_does_not_come_to_its_next_node_is_ended_by_a_count(monk
     given = []
     whole = backends._highs
     monkeypatch.setattr(backends, "_highs", lambda *args: given.append(whole(*args)) or given[-1])
-    task = small_robot(
-        [(np.array([4.0, 0.3]), np.array([0.8, 0.9])), (np.array([7.0, -0.4]), np.array([0.6, 0.9]))]
-    )
+    task = small_robot([((4.0, 0.3), (0.8, 0.9)), ((7.0, -0.4), (0.6, 0.9))])
     plan(task, PlannerOptions(solver="highs", gap=0.0))
     assert given[-1].status == "optimal"
     monkeypatch.setattr(backends, "ASKED", 1e-5)
@@ -448,7 +280,7 @@ def test_a_back_end_that_does_not_come_to_its_next_node_is_ended_by_a_count(monk
     assert given[-1].status == "effort_limit"
 
 
-@pytest.mark.parametrize("readings", [40, 60, 100, 200])
+@pytest.mark.parametrize("readings", [40, 100, 200])
 def test_a_clock_that_strikes_is_told(monkeypatch, readings):
     """Whenever it does: a plan that another machine might not find says so, or there is none."""
     count = iter(range(10**6))
@@ -476,14 +308,6 @@ def test_what_the_solver_takes_for_the_goal_counts_as_the_goal(away):
         over = np.concatenate([wanted.E @ last - wanted.e, wanted.g - wanted.G @ last])
         missed = np.vstack(lp._a)[:, : rows.N] @ z - np.concatenate(lp._least)
         assert np.all(np.abs(over) * SOLVER_FEASIBILITY <= GOAL * wanted.scale * np.abs(missed))
-
-
-def test_extra_margin_is_asked_for_only_where_start_leaves_room():
-    near = box("near", (0, -1130, 0), 100)
-    answer = plan(problem([near], margin=10.0, extra=60.0))
-    assert answer.margin == pytest.approx(20.0, abs=0.1)
-    assert answer.wanted[0, 0] == pytest.approx(20.0, abs=0.1)
-    assert answer.extra[0, 10:].min() >= 60.0 * (1 - 1e-3)
 
 
 def test_unreachable_goal_names_the_limits_needed():
@@ -525,24 +349,6 @@ def test_blocked_goal_names_what_to_relax():
     assert_holds(relaxed, plan(relaxed))
 
 
-def test_no_time_is_not_no_solution():
-    with pytest.raises(NotCertified, match="no plan within planner.time_limit_s"):
-        plan(problem([STATIC, KEEP_OUT]), PlannerOptions(time_limit=1e-4))
-
-
-def test_time_limit_is_kept_and_incumbent_is_certified():
-    bodies = [box(f"box {i}", (-150 - 15 * i, -930 + 75 * i, 0), 45, K=120, delta=25.0) for i in range(8)]
-    task = problem(bodies, K=120, delta=25.0, margin=5.0, extra=5.0, goal=EllipticalNMT(ETA, 150.0, 400.0))
-    begun = perf_counter()
-    try:
-        answer = plan(task, PlannerOptions(time_limit=1.0, gap=0.0))
-    except NotCertified:
-        answer = None
-    assert perf_counter() - begun < 4.0
-    if answer is not None:
-        assert_holds(task, answer, parts=10)
-
-
 @pytest.mark.parametrize("wrong", [{"surplus": (np.full((60, 6), -1.0),)}, {"goal": (0.5, "off")}])
 def test_failed_recheck_is_an_error(monkeypatch, wrong):
     module = sys.modules["polaris.planning.recheck"]
@@ -558,29 +364,13 @@ def test_recheck_finds_a_collision_between_waypoints():
     nu[0, 1], nu[1, 1] = 1.0, 1.0  # both waypoints about the body are clear of it
     check = recheck(replace(task, u_limit=np.ones((60, 3))), nu)
     assert check.surplus[0].max(axis=1).min() < 0
-
-
-def test_progress_and_bound_are_reported():
-    heard = []
-    answer = plan(
-        problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)),
-        PlannerOptions(progress=heard.append),
-    )
-    assert heard and all(h.seconds >= 0 for h in heard)
-    assert answer.bound <= answer.objective
-    assert answer.seconds["total"] > 0
-
-
-def test_same_problem_same_plan():
-    task = problem([STATIC, KEEP_OUT])
-    assert np.array_equal(plan(task).nu, plan(task).nu)
+    assert recheck(task, nu).reference.nu.max() == 0.9  # thrusters clip
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
         ({"K": 0}, "K"),
-        ({"delta": 0.0}, "delta"),
         ({"delta": np.nan}, "delta"),
         ({"objective": "speed"}, "objective"),
         ({"x0": np.zeros(5)}, "x0"),
@@ -597,13 +387,6 @@ def test_malformed_problems_name_the_field(change, field):
     with pytest.raises(ScenarioError) as caught:
         replace(problem([STATIC]), **change)
     assert field in caught.value.field
-
-
-def test_importing_does_not_load_the_solvers():
-    solvers = "('pulp', 'highspy', 'gurobipy')"
-    code = f"import sys, polaris.planning; print([m for m in {solvers} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("prices", [{}, {"margin": 50.0, "fuel": 1e-3}, {"short": 1e3}])
@@ -626,9 +409,10 @@ def test_prices_of_facets_are_lower_bounds(prices):
     assert sharp > 5  # and worth their while
 
 
-def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
+def test_no_back_end_is_loaded_where_the_tree_decides():
     code = (
-        "import sys; sys.path.insert(0, '.'); import numpy as np\n"
+        "import sys, numpy as np, polaris.planning\n"
+        "print([one for one in ('pulp', 'highspy', 'gurobipy') if one in sys.modules])\n"
         "from polaris.model.hill import clohessy_wiltshire\n"
         "from polaris.planning.goals import EllipticalNMT\n"
         "from polaris.planning.problem import PlanProblem\nfrom polaris.planning.solve import plan\n"
@@ -638,7 +422,7 @@ def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
         "print(plan(p).stats['rounds'], 'pulp' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["0.0", "False"]
+    assert done.stdout.split() == ["[]", "0.0", "False"]
 
 
 def test_back_end_that_is_not_installed_is_refused_at_once(monkeypatch):
@@ -667,6 +451,14 @@ def test_program_that_runs_out_of_time_is_not_infeasible(monkeypatch):
         assert answer.status == "time_limit"
 
 
+def test_whatever_ends_a_back_end_is_an_answer():
+    """One node is too few for most: a plan, or a refusal, never an error of the back end's."""
+    base = load_scenario(TINY)
+    scenario = base.with_assignments(["planner.solver=highs", "planner.max_nodes=1"])
+    with suppress(NotCertified):
+        assert get_safety(scenario).start_margin.inside
+
+
 def test_costs_in_small_units_do_not_leave_a_program_without_an_answer():
     def solved(unit):
         program = GrowingLP(unit * np.linspace(0.5, 2, 6), np.zeros(6), np.full(6, 2.0))
@@ -677,21 +469,15 @@ def test_costs_in_small_units_do_not_leave_a_program_without_an_answer():
     assert solved(1e18) == pytest.approx(solved(1.0))
 
 
+def test_a_reserve_that_leaves_nothing_and_a_time_that_does_are_named():
+    with pytest.raises(SynthesisInfeasible, match="planner.thrust_reserve"):
+        get_safety(load_scenario(TINY).with_assignments(["planner.thrust_reserve=0.99"]))
+    with pytest.raises(NotCertified, match="no plan within planner.time_limit_s"):
+        plan(problem([STATIC, KEEP_OUT]), PlannerOptions(time_limit=1e-4))
+
+
 def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
     monkeypatch.setattr(effort, "SPARE_SHARE", 0.0)
     monkeypatch.setattr(PathSearch, "first", lambda self: None)
     task = problem([STATIC, KEEP_OUT])
     assert_holds(task, plan(task))
-
-
-def test_whatever_ends_a_back_end_is_an_answer():
-    """One node is too few for most: a plan, or a refusal, never an error of the back end's."""
-    base = load_scenario(TINY)
-    scenario = base.with_assignments(["planner.solver=highs", "planner.max_nodes=1"])
-    with suppress(NotCertified):
-        assert get_safety(scenario).start_margin.inside
-
-
-def test_a_reserve_that_leaves_nothing_is_named():
-    with pytest.raises(SynthesisInfeasible, match="planner.thrust_reserve"):
-        get_safety(load_scenario(TINY).with_assignments(["planner.thrust_reserve=0.99"]))

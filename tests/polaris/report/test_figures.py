@@ -7,7 +7,6 @@ from functools import cache, lru_cache
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from polaris.model.errors import PolarisError
@@ -20,23 +19,13 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
-from polaris.report.figures.style import legend_above, new_figure, style
-from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.geometry import edges, flat_outline, tube_support
+from polaris.report.figures.style import style
+from polaris.report.scene.geometry import flat_outline, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
-from polaris.report.scene.palette import (
-    GREEN,
-    INPUT_SHADES,
-    MODE_COLOURS,
-    RED,
-    SET_SHADES,
-    YELLOW,
-    input_labels,
-    shades,
-)
+from polaris.report.scene.palette import GREEN, INPUT_SHADES, MODE_COLOURS, RED, SET_SHADES, YELLOW, shades
 from polaris.report.scene.space import Space
-from polaris.runs.build_plot_data import safety_plot_data, schedule_plot_data
-from polaris.runs.plot_data import Frame, PlotData, directions
+from polaris.runs.build_plot_data import schedule_plot_data
+from polaris.runs.plot_data import PlotData, directions
 from polaris.simulation.baselines import FlightEnvelope
 from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
@@ -66,61 +55,11 @@ def drawn(name, picture, dpi=150):
     return figure
 
 
-# -- what a reader sees -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FIGURES)
-def test_column_width_and_type_of_at_least_7_points(picture, name):
-    figure = drawn(name, picture)
-    assert figure.get_figwidth() == 3.5
-    sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text()]
-    assert sizes and min(sizes) >= 7
-
-
-@pytest.mark.parametrize("name", ["scene", "distance", "margin"])
-def test_legends_cover_no_data(picture, name):
-    figure = drawn(name, picture)
-    for ax in (ax for ax in figure.axes if ax.get_legend()):
-        legend = ax.get_legend().get_window_extent()
-        assert legend.y0 >= ax.get_window_extent().y1 - 1
-        assert legend.x1 <= figure.bbox.x1 + 1 and legend.y1 <= figure.bbox.y1 + 1
-
-
-@pytest.mark.parametrize("count", range(1, 9))
-def test_a_legend_of_any_names_is_as_narrow_as_it_was_measured(count):
-    long = ["Polaris", "S alone", "U alone (learned_policy)", "U alone (fuel_saver)"] * 2
-    with style():
-        figure = new_figure(2.0)
-        ax = figure.add_subplot()
-        legend_above(ax, [Line2D([], [], label=name) for name in long[:count]], 3)
-        figure.canvas.draw()
-        assert ax.get_legend().get_window_extent().x1 <= figure.bbox.x1 + 1
-        assert ax.get_window_extent().width > 0.7 * figure.bbox.width
-
-
-@pytest.mark.parametrize("name", ["scene", "distance", "modes", "margin"])
-def test_nothing_is_cut_off(picture, name):
-    figure = drawn(name, picture)
-    box = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
-    assert box.x0 >= -1 and box.y0 >= -1
-    assert box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
-
-
-def test_axes_have_units_and_obstacles_have_names(picture):
-    ax = drawn("scene", picture).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Position x (m)", "Position y (m)")
-    texts = " ".join(text.get_text() for text in ax.texts)
-    assert "pillar" in texts and "trolley, " in texts
-    upper, *_, lower = drawn("distance", picture).axes
-    assert upper.get_ylabel() == "Distance (m)" and lower.get_xlabel() == "Time (s)"
-
-
 def test_every_hand_over_has_the_set_of_its_own_time(picture):
     texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
     switches = np.flatnonzero(np.diff(picture.modes)) + 1
-    assert (
-        len(switches) and [one.mode for one in picture.printed_slices()] == picture.modes[switches].tolist()
-    )
+    assert len(switches)
+    assert [one.mode for one in picture.printed_slices()] == picture.modes[switches].tolist()
     for one, k in zip(picture.printed_slices(), switches, strict=True):
         assert one.time == pytest.approx(k * picture.reference.delta)
         assert f"{'SU'[one.mode]} from {one.time:.3g} s" in texts
@@ -128,35 +67,6 @@ def test_every_hand_over_has_the_set_of_its_own_time(picture):
             assert obstacle.signed_distance(np.full(len(one.outline), one.time), one.outline).min() > 0
     gone = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
     assert not list(replace(picture, slices=gone).printed_slices())
-
-
-def test_hills_frame_is_along_track_to_the_right_and_radial_up():
-    frame = Frame.from_system(clohessy_wiltshire(0.0012, 10.0, 0.1))
-    assert frame.axes == (1, 0, 2)
-    assert frame.labels == ("Along-track (m)", "Radial (m)", "Cross-track (m)")
-
-
-def test_modes_keep_the_papers_colours():
-    assert MODE_COLOURS[:2] == ("#0072B2", "#E69F00")  # blue S, orange U, out of Okabe and Ito's palette
-    assert len(set(MODE_COLOURS)) == len(MODE_COLOURS)
-
-
-def test_inputs_are_named_by_axis_in_hills_frame_and_by_number_elsewhere():
-    space = clohessy_wiltshire(0.0012, 10.0, 0.1)
-    assert space.input_names == ("radial thrust", "along-track thrust", "cross-track thrust")
-    assert input_labels(space) == ("Thrust (N)", ("radial", "along-track", "cross-track"))
-    plane = synthesised()[1].safety
-    assert plane.problem.system.input_names == ("input 0", "input 1")
-    assert input_labels(plane.problem.system) == ("Input", ("input 0", "input 1"))
-    limits = plane.clearance.limits
-    assert [limits.name(0, limits.facets + i) for i in range(4)] == ["input 0", "input 1"] * 2
-
-
-def test_limits_of_one_keep_in_set_are_one_name():
-    assert limit_group("cone[3]") == limit_group("cone[11]") == "cone"
-
-
-# -- files ------------------------------------------------------------------------------------------
 
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
@@ -171,62 +81,25 @@ def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypat
         assert b"CreationDate" not in a.read_bytes() and b"tIME" not in a.read_bytes()
 
 
-def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path, monkeypatch):
-    chosen = {"modes": FIGURES["modes"]}
-    draw_figures(picture, tmp_path, chosen)
-    plain = (tmp_path / "modes.pdf").read_bytes()
-    assert b"/FontFile2" in plain and b"/ToUnicode" in plain and b"/Type3" not in plain
-    assert b"PolarisSans" in plain and b"DejaVuSans" not in plain
-    # A letter that the light font lacks comes from the full one.
-    draw_figures(
-        replace(picture, controllers=("safety", "\N{CYRILLIC CAPITAL LETTER ZHE}")), tmp_path, chosen
-    )
-    assert b"DejaVuSans" in (tmp_path / "modes.pdf").read_bytes()
+def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path):
+    for name, full in (("hasty", False), ("\N{CYRILLIC CAPITAL LETTER ZHE}", True)):
+        named = replace(picture, controllers=("safety", name))
+        pdf = draw_figures(named, tmp_path, {"modes": FIGURES["modes"]})[0].read_bytes()
+        assert b"/FontFile2" in pdf and b"/ToUnicode" in pdf and b"/Type3" not in pdf
+        assert b"PolarisSans" in pdf and (b"DejaVuSans" in pdf) == full  # letters that the light font lacks
 
 
-def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path, monkeypatch):
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    calls = []
-    for owner, name in ((Figure, "draw"), (ConstrainedLayoutEngine, "execute")):
-        true = getattr(owner, name)
-
-        def counted(self, *args, true=true, name=name):
-            calls.append(name)
-            return true(self, *args)
-
-        monkeypatch.setattr(owner, name, counted)
-    draw_figures(picture, tmp_path, {name: FIGURES[name] for name in ("scene", "modes")})
-    assert calls == ["execute", "draw", "draw"] * 2
-
-
-def test_the_users_settings_come_back(picture):
-    before = dict(matplotlib.rcParams)
-    drawn.__wrapped__("modes", picture)
-    assert dict(matplotlib.rcParams) == before
-
-
-# -- drawing from results ---------------------------------------------------------------------------
-
-
-def test_plots_go_into_given_axes_and_new_ones():
+def test_plots_go_into_given_axes_and_new_ones(monkeypatch):
     from matplotlib import pyplot
     from matplotlib.figure import Figure
 
-    schedule = synthesised()[1]
+    schedule, before = synthesised()[1], dict(matplotlib.rcParams)
     ax = Figure().add_subplot()
     assert plot_reference(schedule.safety, ax) is ax and plot_schedule(schedule, Figure().add_subplot()).texts
+    assert dict(matplotlib.rcParams) == before
     pyplot.switch_backend("agg")
-    try:
-        assert plot_schedule(schedule).figure.get_figwidth() == 3.5
-    finally:
-        pyplot.close("all")
-
-
-def test_reference_alone_has_no_modes():
-    picture = safety_plot_data(synthesised()[1].safety)
-    assert len(picture.modes) == 0 and picture.tube is None and picture.slices is not None
+    assert plot_schedule(schedule).figure.get_figwidth() == 3.5
+    pyplot.close("all")
 
 
 def bare(system, obstacles, goal, chi0, delta=30.0, steps=20):
@@ -236,32 +109,6 @@ def bare(system, obstacles, goal, chi0, delta=30.0, steps=20):
         "bare", system, tuple(obstacles), goal, Zonotope.box(chi0, np.full(system.n, 0.1)), reference, steps
     )
 
-
-def test_scene_in_space_with_every_kind_of_set():
-    system = clohessy_wiltshire(0.0012, 10.0, 0.1)
-    sets = [
-        BoxObstacle("debris", [60.0, 100.0, 0.0], [20.0] * 3),
-        BallObstacle("ball", [0.0, 0.0, 50.0], 10.0, velocity=[0.05, 0.0, 0.0]),
-        SatelliteObstacle("visitor", [80.0, 250, 0, 0, -0.1, 0], [2.0, 2, 2, 0.001, 0.001, 0.001], 15.0),
-        KeepInCone("sight", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.6),
-    ]
-    picture = bare(system, sets, EllipticalNMT(0.0012, 60.0, 120.0), [0, 200.0, 0, 0.12, 0, 0], steps=170)
-    texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
-    assert {"debris", "sight (stay inside)"} <= set(texts)
-    assert all(any(text.startswith(name) for text in texts) for name in ("visitor, ", "ball, "))
-
-
-def test_scene_on_the_line_is_drawn_over_time(tmp_path):
-    system = LinearSystem(
-        np.array([[0, 1], [0, 0]]), np.array([[0], [1]]), np.array([[0], [1]]), np.array([1.0])
-    )
-    goal = Box(np.array([8.0, 0.0]), np.array([1.0, 1.0]))
-    picture = bare(system, [BoxObstacle("wall", [20.0], [1.0])], goal, [0.0, 0.2], 1.0)
-    ax = drawn("scene", picture).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Time (s)", "Position x (m)")
-
-
-# -- scenes of every kind ----------------------------------------------------------------------------
 
 LINE = LinearSystem(np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.array([[0], [1.0]]), np.ones(1))
 HILL = clohessy_wiltshire(0.0012, 10.0, 0.1)
@@ -275,7 +122,7 @@ def random_picture(seed):
     zero, one = np.zeros((d, d)), np.eye(d)
     A, B = np.block([[zero, one], [zero, zero]]), np.vstack([zero, one])
     system = HILL if seed % 6 == 5 else LinearSystem(A, B, B, np.ones(d))
-    n, delta = system.n, 40.0
+    n, delta, rest = system.n, 40.0, np.zeros(system.n - d)
     chi0 = np.r_[rng.uniform(-1, 1, d), rng.uniform(-1, 1, d) / (steps * delta)] * 3 * unit
     push = rng.normal(size=(steps, system.m)) * unit / (steps * delta) ** 2 * (10 if system is HILL else 3)
     reference = Reference.propagate(system, delta, chi0, push)
@@ -285,19 +132,10 @@ def random_picture(seed):
     at = path[rng.integers(len(path), size=4), :d] + rng.normal(size=(4, d)) * size / 5
     sets = [
         BallObstacle("ball", at[0], 0.05 * size, velocity=rng.normal(size=d) * size / (steps * delta)),
-        BoxObstacle(
-            "a-box-with-a-very-long-name-that-nobody-would-read", at[1], rng.uniform(0.02, 0.1, d) * size
-        ),
-        SatelliteObstacle(
-            "visitor",
-            np.r_[at[2], np.zeros(n - d)],
-            np.r_[np.full(d, 0.02 * size), np.zeros(n - d)],
-            0.03 * size,
-        ),
+        BoxObstacle("a-box-with-a-name-too-long-for-any-legend", at[1], rng.uniform(0.02, 0.1, d) * size),
+        SatelliteObstacle("visitor", np.r_[at[2], rest], np.r_[np.full(d, 0.02 * size), rest], 0.03 * size),
         PolytopeObstacle("wall", [rng.normal(size=d)], [-2.0 * float(np.abs(path).max())], unbounded=True),
-        KeepInPolytope(
-            "corridor", np.vstack([np.eye(d), -np.eye(d)]), np.full(2 * d, 1.5 * np.abs(path[:, :d]).max())
-        ),
+        KeepInPolytope("corridor", np.vstack([one, -one]), np.full(2 * d, 1.5 * np.abs(path[:, :d]).max())),
     ]
     half = np.where(rng.random(n) < 0.4, np.inf, rng.uniform(0, 0.2, n) * size)
     goals = [StationaryPoint(reference.chi[-1]), Box(reference.chi[-1], half)]
@@ -313,7 +151,7 @@ def random_picture(seed):
     return PlotData(
         "random", system, tuple(sets[i] for i in range(5) if rng.random() < 0.8),
         goals[rng.integers(len(goals))],
-        Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), np.zeros(n - d)]), reference, steps,
+        Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), rest]), reference, steps,
         ("safety", "a learned policy whose name is far too long for any legend", "other"), modes,
         rng.uniform(-0.1, 1, steps), tuple(limits[i] for i in rng.integers(0, 6, steps)),
         {"polaris": flights, "experimental": replace(flights, states=flights.states + 0.03 * size)},
@@ -340,9 +178,7 @@ def assert_well_drawn(figure):
         for line in ax.lines:
             data = np.column_stack(line.get_data())
             assert np.isfinite(data).any() and not np.isinf(data.astype(float)).any()
-            assert np.array_equal(
-                np.isnan(data).any(axis=1), np.isnan(data).all(axis=1)
-            )  # gaps, nothing else
+            assert np.array_equal(np.isnan(data).any(axis=1), np.isnan(data).all(axis=1))  # gaps alone
         for patch in ax.patches:
             assert np.isfinite(patch.get_path().vertices).all()
         for many in ax.collections:
@@ -364,20 +200,14 @@ def assert_legend_is_seen(figure):
         x0, y0, x1, y1 = (int(v) for v in ax.get_window_extent().extents)
         seen = image[y0:y1, x0:x1].reshape(-1, 3)
         for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-            colour = to_rgb(
-                handle.get_facecolor() if hasattr(handle, "get_facecolor") else handle.get_color()
-            )
+            shown = handle.get_facecolor if hasattr(handle, "get_facecolor") else handle.get_color
+            colour = to_rgb(shown())
             count = np.count_nonzero(np.abs(seen - colour).max(axis=1) < 0.02)
             assert count >= 2, (text.get_text(), count)
 
 
-SEEDS = (0,)
-"""Scene of the quick test."""
-
-
 @pytest.mark.parametrize(
-    "seed",
-    [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(120, 41)) if i not in SEEDS)],
+    "seed", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, fewer(120, 24)))]
 )
 def test_random_scenes_are_well_drawn(seed):
     picture = random_picture(seed)
@@ -387,34 +217,26 @@ def test_random_scenes_are_well_drawn(seed):
         assert_legend_is_seen(figure)
 
 
-@pytest.mark.parametrize("name", ["scene", "margin", "distance"])
-def test_legends_name_only_what_is_seen(picture, name):
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_fit_a_column_and_explain_what_they_show(picture, name):
     figure = drawn(name, picture)
+    assert figure.get_figwidth() == 3.5
+    assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 7
     assert_well_drawn(figure)
-    assert_legend_is_seen(figure)
+    for ax in (ax for ax in figure.axes if ax.get_legend()):
+        assert ax.get_legend().get_window_extent().y0 >= ax.get_window_extent().y1 - 1  # it covers no data
+    if name != "modes":
+        assert_legend_is_seen(figure)
 
 
 def test_no_two_kinds_of_thing_share_a_colour():
     from matplotlib.colors import to_rgb
 
-    kinds = {
-        "controllers": MODE_COLOURS,
-        "sets": [*shades(SET_SHADES, 5), RED],
-        "inputs": shades(INPUT_SHADES, 3),
-        "goal": [GREEN],
-        "recoverable": [YELLOW],
-    }
+    assert MODE_COLOURS[:2] == ("#0072B2", "#E69F00")  # of the paper: blue S, orange U
+    kinds = [MODE_COLOURS, [*shades(SET_SHADES, 5), RED], shades(INPUT_SHADES, 3), [GREEN], [YELLOW]]
     for one, other in itertools.combinations(kinds, 2):
-        for a, b in itertools.product(kinds[one], kinds[other]):
-            assert np.linalg.norm(np.subtract(to_rgb(a), to_rgb(b))) > 0.2, (one, a, other, b)
-    for seed in range(4):
-        colours = {}
-        legend = drawn("margin", random_picture(seed)).axes[0].get_legend()
-        for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-            assert colours.setdefault(handle.get_facecolor(), text.get_text()) == text.get_text()
-
-
-# -- the picture tells why it is safe ----------------------------------------------------------------
+        for a, b in itertools.product(one, other):
+            assert np.linalg.norm(np.subtract(to_rgb(a), to_rgb(b))) > 0.2, (a, b)
 
 
 def drawn_gap(picture, obstacle, times, path, axes):
@@ -430,7 +252,7 @@ def drawn_gap(picture, obstacle, times, path, axes):
 
 
 @pytest.mark.parametrize(
-    "seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, 300, 3))]
+    "seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, fewer(300, 90), 3))]
 )
 def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     picture = random_picture(seed)
@@ -460,15 +282,28 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
 
 def over(height, radius=40.0):
     """A straight flight that passes over a ball."""
-    at = np.array([0.0, 0.0, 0.0])
+    ball = BallObstacle("ball", np.zeros(3), radius)
     A = np.block([[np.zeros((3, 3)), np.eye(3)], [np.zeros((3, 6))]])
     system = LinearSystem(A, np.eye(6)[:, 3:], np.eye(6)[:, 3:], np.ones(3))
-    return bare(
-        system, [BallObstacle("ball", at, radius)], StationaryPoint(np.zeros(6)), [-300, 0, height, 1, 0, 0]
-    )
+    return bare(system, [ball], StationaryPoint(np.zeros(6)), [-300, 0, height, 1, 0, 0])
+
+
+def test_scene_in_space_with_every_kind_of_set():
+    sets = [
+        BoxObstacle("debris", [60.0, 100.0, 0.0], [20.0] * 3),
+        BallObstacle("ball", [0.0, 0.0, 50.0], 10.0, velocity=[0.05, 0.0, 0.0]),
+        SatelliteObstacle("visitor", [80.0, 250, 0, 0, -0.1, 0], [2.0, 2, 2, 0.001, 0.001, 0.001], 15.0),
+        KeepInCone("sight", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.6),
+    ]
+    picture = bare(HILL, sets, EllipticalNMT(0.0012, 60.0, 120.0), [0, 200.0, 0, 0.12, 0, 0], steps=170)
+    texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
+    assert {"debris", "sight (stay inside)"} <= set(texts)
+    assert all(any(text.startswith(name) for text in texts) for name in ("visitor, ", "ball, "))
 
 
 def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
+    for free in (over(30.0), over(60.0, 1.0)):  # entered, and far away
+        assert closeups(free) == [] and len(drawn("scene", free).axes) == 1
     picture = over(60.0)
     (one,) = closeups(picture)
     assert one.axes == [0, 2] and one.distance == pytest.approx(20.0) and one.time == pytest.approx(300.0)
@@ -476,65 +311,22 @@ def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
     assert len(figure.axes) == 2
     main, close = figure.axes
     assert "ball (see a)" in [text.get_text() for text in main.texts]
-    assert (
-        close.get_title(loc="left") == "(a) ball\n○ 300 s: 20 m apart"
-        and close.get_ylabel() == "Position z (m)"
-    )
+    assert close.get_title(loc="left") == "(a) ball\n○ 300 s: 20 m apart"
+    assert close.get_ylabel() == "Position z (m)"
     assert_well_drawn(figure)
-
-
-def test_a_set_that_is_entered_is_drawn_as_such_and_a_free_path_needs_no_close_up():
-    for picture in (over(30.0), over(60.0, 1.0)):
-        assert (closeups(picture) == []) == (len(drawn("scene", picture).axes) == 1)
-    texts = [text.get_text() for text in drawn("scene", over(30.0)).axes[0].texts]
-    assert "ball" in texts and closeups(over(30.0)) == []
 
 
 def test_moving_sets_and_the_chaser_bear_the_same_times(picture):
     texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts if text.get_color() == RED]
-    times = [
-        float(text.removeprefix("trolley, ").removesuffix(" s")) for text in texts if text.endswith(" s")
-    ]
+    times = [float(text.removeprefix("trolley, ")[:-2]) for text in texts if text.endswith(" s")]
     assert 2 <= len(times) <= 6 and all(times.count(t) == 2 for t in times)
-    trolley = picture.obstacles[1]
-    closest = picture.approach(trolley)
-    assert f"trolley, {closest.time:.3g} s" in texts
-
-
-# -- on the line -------------------------------------------------------------------------------------
-
-
-def test_limits_on_the_line_are_drawn_where_they_are():
-    sets = [
-        BoxObstacle("wall", [9.0], [1.0]),
-        KeepInPolytope("track", [[1.0], [-1.0]], [12.0, 5.0]),
-        KeepInPolytope("far", [[1.0], [-1.0]], [1e5, 2e5]),
-    ]
-    picture = bare(LINE, sets, Box(np.array([4.0, 0.0]), np.array([1.0, np.inf])), [0.0, 0.2], 1.0)
-    ax = drawn("scene", picture).axes[0]
-    level = [set(line.get_ydata()) for line in ax.lines if len(set(line.get_ydata())) == 1]
-    low, high = ax.get_ylim()
-    assert {12.0} in level and {-5.0} in level and low < -5 and 12 < high < 50
-    texts = [text.get_text() for text in ax.texts]
-    assert texts.count("track (stay inside)") == 2 and "wall" in texts
-    assert {"far (stay inside): 1e+05 m", "far (stay inside): -2e+05 m"} <= set(texts)
-    assert any(list(line.get_ydata()) == [3.0, 5.0] for line in ax.lines)  # the goal
-
-
-# -- geometry ---------------------------------------------------------------------------------------
+    assert f"trolley, {picture.approach(picture.obstacles[1]).time:.3g} s" in texts
 
 
 def inside(points, outline, slack=1e-9):
     edge = np.roll(outline, -1, axis=0) - outline
     gap = points[:, None] - outline
     return np.all(edge[:, 0] * gap[..., 1] - edge[:, 1] * gap[..., 0] >= -slack, axis=1)
-
-
-def test_polygon_is_circumscribed():
-    rng = np.random.default_rng(0)
-    G, rays = rng.normal(size=(2, 5)), directions()
-    outline = polygon(np.abs(rays @ G).sum(axis=1), rays)
-    assert inside(rng.uniform(-1, 1, (500, 5)) @ G.T, outline).all()
 
 
 def test_tube_outlines_contain_the_tube():
@@ -544,12 +336,11 @@ def test_tube_outlines_contain_the_tube():
     )
     q = tube.intersample.shape[1]
     edges = np.unique(np.linspace(0, q, 4).astype(int))
-    for k in (0, 5, 11):
-        for part in range(3):
-            for node in range(edges[part], edges[part + 1] + 1):
-                signs = rng.uniform(-1, 1, (20, tube.generators.shape[-1]))
-                points = tube.centre[k, node] + signs @ tube.generators[k, node].T
-                assert inside(points, outlines[k, part]).all()
+    for k, part in itertools.product((0, 5, 11), range(3)):
+        for node in range(edges[part], edges[part + 1] + 1):
+            signs = rng.uniform(-1, 1, (20, tube.generators.shape[-1]))
+            points = tube.centre[k, node] + signs @ tube.generators[k, node].T
+            assert inside(points, outlines[k, part]).all()
 
 
 def assert_slices_are_of_their_instants(schedule, picture):
@@ -591,29 +382,22 @@ def test_slices_contain_the_chaser_of_every_run():
     assert_slices_are_of_their_instants(schedule, schedule_plot_data(schedule, flights))
 
 
-PROVED = (1,)
-"""Random scene of the quick test, which has a schedule."""
-
-
 @pytest.mark.parametrize(
-    "seed",
-    [*PROVED, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(60, 30)) if i not in PROVED)],
+    "seed", [1, *(pytest.param(i, marks=pytest.mark.slow) for i in range(2, fewer(60, 16)))]
 )
 def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     try:
         schedule = random_schedule(seed, tmp_path)[1]
     except PolarisError:
-        assert seed not in PROVED, "or nothing is looked at"
+        assert seed != 1, "or nothing is looked at"
         pytest.skip("refused")
     picture = schedule_plot_data(schedule)
     assert_slices_are_of_their_instants(schedule, picture)
     for t, _, place, outline in picture.printed_slices():
         i = int(np.argmin(np.abs(picture.safe_path()[0] - t)))
         np.testing.assert_allclose(picture.safe_path()[1][i], place, rtol=1e-12)
-        assert (
-            picture.system.d == 1
-            or inside(place[None, picture.frame.flat], outline, 1e-9 * np.ptp(outline)).all()
-        )
+        if picture.system.d > 1:
+            assert inside(place[None, picture.frame.flat], outline, 1e-9 * np.ptp(outline)).all()
 
 
 def test_a_path_is_drawn_under_the_mode_that_flew_it():
@@ -621,10 +405,3 @@ def test_a_path_is_drawn_under_the_mode_that_flew_it():
     drawn = under_mode(flown, flags)[:, 0]
     np.testing.assert_array_equal(drawn, [0, 1, np.nan, 2, 3, 4, np.nan, 5, 6, np.nan])
     assert stretches(flags) == [(0, 1), (2, 4), (5, 6)] and stretches([]) == []
-
-
-def test_outline_and_faces_of_a_cube():
-    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T.astype(float)
-    assert sorted(np.ptp(edges(corners), axis=1).sum(axis=1)) == [1] * 12
-    assert len(flat_outline(np.vstack([corners[:, :2], [[0.5, 0.5]]]))) == 4
-    assert len(edges(corners[:, [0, 1, 1]])) == 0

@@ -11,17 +11,13 @@ from markupsafe import escape
 
 from polaris.cli.show import show_cells
 from polaris.report.html.comparison_report import _log, stretches
-from polaris.report.html.page import badge, script_json, table
+from polaris.report.html.page import script_json, table
 from polaris.report.html.scene import plain
 from polaris.report.html.timelines import MOST, kept
-from polaris.report.scene.geometry import ball, boxed, cut_surface, hull, polyhedron
-from polaris.report.scene.palette import method_style as style_of
+from polaris.report.scene.geometry import boxed, cut_surface, hull, polyhedron
 from polaris.report.tables import Cell, Measure, Table, value_cell, words
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
-
-
-# -- numbers ----------------------------------------------------------------------------------------
 
 
 def test_what_is_not_finite_becomes_null():
@@ -68,14 +64,6 @@ def test_values_in_words(value, key, told):
     assert bool(cell.why) == (told in ("none", "∞", "−∞"))
 
 
-def test_metrics_nobody_knows_are_shown_with_their_unit():
-    assert Measure.from_key("never_heard_of_m").head == "never heard of (m)"
-    assert (
-        Measure.from_key("decision_p99_us").unit == "µs" and Measure.from_key("deviation_m_s2").unit == "m/s²"
-    )
-    assert Measure.from_key("experimental_share").text(0.733) == "73.3 %"
-
-
 def test_means_have_their_bounds_and_collisions_stand_out():
     distance = Measure.from_key("min_distance_m")
     cell = distance.cell({"mean": 1.0, "low": 0.5, "high": 1.5, "worst": -0.25}, unit=False)
@@ -100,9 +88,6 @@ def test_no_bound_lies_where_no_value_can(key, bounds, difference, told):
     low, high = bounds
     cell = Measure.from_key(key).cell({"mean": 0.5, "low": low, "high": high}, difference=difference)
     assert cell.lines == (told,)
-
-
-# -- tables -----------------------------------------------------------------------------------------
 
 
 class Tags(HTMLParser):
@@ -139,11 +124,6 @@ def test_the_command_line_and_the_page_show_the_same_table(capsys):
     assert all(text in printed and text in page for text in ("of a flight", "value", "-1 m", "deputy 0"))
 
 
-def test_badges_tell_by_word_and_not_only_by_colour():
-    assert "nothing proven" in badge("none") and "✓" in badge("proved")
-    assert "&lt;i&gt;" in badge("<i>")
-
-
 def test_decisions_are_joined_while_nothing_changes():
     rows = [
         {"method": "a", "t": 0, "mode": 1, "margin": 0.5, "reason": "inside"},
@@ -156,9 +136,6 @@ def test_decisions_are_joined_while_nothing_changes():
     assert "0.25" in _log(joined["a"]) and "0 to 1 s" in _log(joined["a"]) and "none" in _log(joined["b"])
 
 
-# -- thinning ---------------------------------------------------------------------------------------
-
-
 def test_thinning_keeps_ends_changes_and_what_must_be():
     modes = np.zeros((2, 9999), dtype=int)
     modes[1, 4321:] = 1
@@ -168,23 +145,10 @@ def test_thinning_keeps_ends_changes_and_what_must_be():
     assert kept(5).tolist() == [0, 1, 2, 3, 4]
 
 
-def test_no_two_of_fifty_pilots_look_alike():
-    assert len({style_of(i) for i in range(50)}) == 50
-
-
-# -- surfaces ---------------------------------------------------------------------------------------
-
-
 def volume(surface):
     """By cones from the middle: the surface is closed and convex."""
     a, b, c = np.moveaxis(surface.points[surface.faces] - surface.points.mean(axis=0), 1, 0)
     return float(np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))).sum() / 6)
-
-
-def test_ball_is_round_and_nearly_full():
-    surface = ball(3.0)
-    assert np.allclose(np.linalg.norm(surface.points, axis=1), 3.0)
-    assert 0.95 < volume(surface) / (4 / 3 * np.pi * 27) < 1
 
 
 @given(

@@ -38,19 +38,18 @@ def picture(system, obstacles, goal):
     d = system.d
     start = np.r_[np.full(d, -60.0), np.full(d, 1.0)]
     reference = Reference.propagate(system, DELTA, start, np.zeros((K, system.m)))
-    centre = reference.fine(Q) @ system.position.T
     generators = np.broadcast_to(np.eye(d), (K, Q + 1, d, d))
-    tube = TubeData(centre, generators, np.full((K, Q, d), 0.1))
-    return PlotData(
-        "drift",
-        Craft.from_system(system),
-        tuple(obstacles),
-        goal,
-        Zonotope.box(start, np.full(2 * d, 2.0)),
-        reference,
-        K,
-        tube=tube,
-    )
+    tube = TubeData(reference.fine(Q) @ system.position.T, generators, np.full((K, Q, d), 0.1))
+    begin, craft = Zonotope.box(start, np.full(2 * d, 2.0)), Craft.from_system(system)
+    return PlotData("drift", craft, tuple(obstacles), goal, begin, reference, K, tube=tube)
+
+
+def at(layer, t):
+    """Coordinates (dim, N) of a layer at t, as the page's script finds them; None if there are none."""
+    times = np.array(layer["t"])
+    points = np.array(layer["frames"][int(np.searchsorted(times, t, side="right")) - 1]["p"])
+    shift = [np.interp(t, times, axis) for axis in layer["shift"]]
+    return points + np.array(shift)[:, None] if points.size else None
 
 
 class Rod(RigidObstacle):
@@ -72,10 +71,8 @@ class Near(Goal):
 
     @property
     def conditions(self):
-        eye = np.eye(3, 6)
-        return GoalConditions(
-            np.zeros((0, 6)), np.zeros(0), np.vstack([eye, -eye]), np.r_[24.0, 4, 4, -16, 4, 4]
-        )
+        G, g = np.vstack([np.eye(3, 6), -np.eye(3, 6)]), np.r_[24.0, 4, 4, -16, 4, 4]
+        return GoalConditions(np.zeros((0, 6)), np.zeros(0), G, g)
 
     def describe(self):
         return "near a point"
@@ -88,14 +85,6 @@ def scene_of(picture, paths):
 
 def named(scene):
     return {layer["name"]: layer for layer in scene["layers"]}
-
-
-def at(layer, t):
-    """Coordinates (dim, N) of a layer at t, as the page's script finds them; None if there are none."""
-    times = np.array(layer["t"])
-    points = np.array(layer["frames"][int(np.searchsorted(times, t, side="right")) - 1]["p"])
-    shift = [np.interp(t, times, axis) for axis in layer["shift"]]
-    return points + np.array(shift)[:, None] if points.size else None
 
 
 @pytest.fixture(scope="module")
@@ -118,22 +107,18 @@ def scene(space):
     return scene_of(space, [])
 
 
-def test_every_set_is_in_the_scene(scene):
+def test_sets_are_where_they_are_at_each_time(scene):
     layers = named(scene)
     meshes = {"ball", "box", "wall", "shutter", "visitor", "visitor is within", "sight (stay inside)", "goal"}
     assert {name for name, layer in layers.items() if layer["kind"] == "mesh"} >= meshes
     assert "corridor (stay inside)" not in layers  # its faces are out of view
     assert {"safe reference", "start", "initial set", "reachable now", "sight: its sides"} <= set(layers)
-
-
-def test_axes_are_those_of_the_figures(scene):
     assert scene["space"] == 3 and scene["axes"][0].startswith("Along-track")
-    box = np.array(named(scene)["box"]["p"])  # along-track, radial, cross-track
+    box, (low, high) = np.array(layers["box"]["p"]), np.array(scene["range"]).T
     assert np.allclose(box.min(axis=1), [-35, 6, -1]) and np.allclose(box.max(axis=1), [-25, 14, 11])
-
-
-def test_moving_sets_are_where_they_are_at_each_time(scene):
-    layers = named(scene)
+    for name in ("wall", "sight (stay inside)"):  # cut to the scene
+        points = np.array(layers[name]["p"]).T
+        assert np.all(points >= low - 1e-3) and np.all(points <= high + 1e-3)
     ball = layers["ball"]
     middle = np.array(ball["p"]).mean(axis=1) + np.array(ball["shift"])[:, -1]
     assert np.allclose(middle, [0, 0.5 * K * DELTA, 0], atol=1e-4) and ball["t"][-1] == K * DELTA
@@ -152,20 +137,11 @@ def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
         points, (k, s) = at(cover, t), divmod(t / DELTA, 1)
         known = (1 - s) * timed.offsets[int(k), 0] + s * timed.offsets[int(k), 1]
         grown = (timed.normals[:, [1, 0, 2]] @ points).max(axis=1) - known
-        assert (
-            grown.min() > -2e-3 and grown.max() < 1.0
-        )  # of what the proof uses then, and not of all the step
+        assert grown.min() > -2e-3 and grown.max() < 1.0  # what the proof uses then, not in all the step
         centre = visitor.centre(t, space.system)[[1, 0, 2]]
         for axis in range(3):  # at least the ball and the half widths, to either side
             assert points[axis].max() >= centre[axis] + 9 - 1e-3
             assert points[axis].min() <= centre[axis] - 9 + 1e-3
-
-
-def test_surfaces_are_cut_to_the_scene(scene):
-    low, high = np.array(scene["range"]).T
-    for name in ("wall", "sight (stay inside)"):
-        points = np.array(named(scene)[name]["p"]).T
-        assert np.all(points >= low - 1e-3) and np.all(points <= high + 1e-3)
 
 
 def test_tube_contains_the_reference(space, scene):
@@ -197,64 +173,44 @@ def test_new_kinds_are_drawn_without_being_known():
     pictured = picture(integrator(3), [Rod()], Near())
     layers = named(scene_of(pictured, []))
     rod, goal = (np.array(layers[name]["p"]) for name in ("rod", "goal"))
-    low, high = np.sort(rod, axis=1)[:2, 0], np.sort(rod, axis=1)[:2, -1]
-    assert np.allclose(low, [5, -35]) and np.allclose(high, [15, -25]) and np.ptp(rod[2]) > 10
-    assert np.allclose(goal.min(axis=1), [16, -4, -4]) and np.allclose(goal.max(axis=1), [24, 4, 4])
+    assert (
+        np.allclose([rod[:2].min(axis=1), rod[:2].max(axis=1)], [[5, -35], [15, -25]]) and np.ptp(rod[2]) > 10
+    )
+    assert np.allclose([goal.min(axis=1), goal.max(axis=1)], [[16, -4, -4], [24, 4, 4]])
     assert np.isfinite(plane_gap(Rod(), pictured, [0, 1])).all()
+
+
+def test_sets_in_the_plane_are_areas_and_fill_the_frame():
+    kinds = [BallObstacle("ball", [0, 0], 5.0, velocity=[0.1, 0])]
+    kinds.append(KeepInCone("sight", [-100, -100], [1, 1], 0.5))
+    kinds.append(PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True))
+    kinds.append(SatelliteObstacle("other", [20, 20, 0, 0], [1, 1, 0, 0], 3.0))
+    goal = Box(np.zeros(4), np.r_[np.inf, 5.0, np.inf, np.inf])
+    scene = scene_of(picture(integrator(2), kinds, goal), [])
+    layers, (low, high) = named(scene), scene["range"][0]
+    for name in ("ball", "other", "other is within", "reachable now", "wall"):
+        assert layers[name]["kind"] == "area"
+    wall, ends = np.array(layers["wall"]["p"]), np.array(layers["goal"]["p"])
+    assert wall[0].min() < low and wall[0].max() > high and wall[1].min() == 70
+    assert np.allclose([ends.min(axis=1), ends.max(axis=1)], [[low, -5], [high, 5]], rtol=1e-4)
+    assert layers["sight (stay inside)"]["kind"] == "line"
 
 
 def test_motion_in_a_plane_of_space_is_drawn_in_it_unless_a_set_is_passed_above():
     system, goal = integrator(3), StationaryPoint(np.zeros(6))
     start = np.r_[-60.0, -60.0, 0.0, 1.0, 1.0, 0.0]
     reference = Reference.propagate(system, DELTA, start, np.zeros((K, 3)))
-    for height, dim in ((0.0, 2), (12.0, 3)):
-        # On the way in the plane, or above it; far aside in both.
-        sets = [
-            BallObstacle("aside", [40.0, -40.0, 0.0], 10.0),
-            BallObstacle("above", [0.0, 0.0, height], 10.0),
-        ]
-        flat = PlotData(
-            "flat",
-            system,
-            tuple(sets if height else sets[:1]),
-            goal,
-            Zonotope.box(start, np.ones(6)),
-            reference,
-            K,
-        )
-        scene = scene_of(flat, [])
+    aside, above = (
+        BallObstacle("aside", [40.0, -40.0, 0.0], 10.0),
+        BallObstacle("above", [0.0, 0.0, 12.0], 10.0),
+    )
+    for sets, dim in (((aside,), 2), ((aside, above), 3)):
+        box = Zonotope.box(start, np.ones(6))
+        scene = scene_of(PlotData("flat", system, sets, goal, box, reference, K), [])
         assert scene["space"] == dim and len(scene["axes"]) == len(scene["range"]) == dim
         assert all(len(layer.get("p", [0] * dim)) == dim for layer in scene["layers"])
-        assert {layer["kind"] for layer in scene["layers"]} & {"area", "mesh"} == {
-            "area" if dim == 2 else "mesh"
-        }
-
-
-def test_what_is_unbounded_fills_any_frame_in_the_plane():
-    wall = PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True)
-    goal = Box(np.zeros(4), np.r_[np.inf, 5.0, np.inf, np.inf])
-    scene = scene_of(picture(integrator(2), [wall], goal), [])
-    layers, (low, high) = named(scene), scene["range"][0]
-    x, y = np.array(layers["wall"]["p"])
-    assert x.min() < low - 0.5 * (high - low) and x.max() > high + 0.5 * (high - low) and y.min() == 70
-    x, y = np.array(layers["goal"]["p"])
-    assert np.allclose([x.min(), x.max()], [low, high], rtol=1e-4) and np.allclose(
-        [y.min(), y.max()], [-5, 5]
-    )
-
-
-def test_scene_in_the_plane_is_of_areas():
-    goal = StationaryPoint(np.zeros(4))
-    obstacles = [
-        BallObstacle("ball", [0, 0], 5.0, velocity=[0.1, 0]),
-        PolytopeObstacle("wall", [[0.0, -1.0]], [-70.0], unbounded=True),
-        SatelliteObstacle("other", [20, 20, 0, 0], [1, 1, 0, 0], 3.0),
-        KeepInCone("sight", [-100, -100], [1, 1], 0.5),
-    ]
-    layers = named(scene_of(picture(integrator(2), obstacles, goal), []))
-    kinds = {name: layer["kind"] for name, layer in layers.items()}
-    assert {kinds[name] for name in ("ball", "other", "other is within", "reachable now")} == {"area"}
-    assert kinds["sight (stay inside)"] == "line" and "mesh" not in kinds.values()
+        kinds = {layer["kind"] for layer in scene["layers"]} & {"area", "mesh"}
+        assert kinds == {"area" if dim == 2 else "mesh"}
 
 
 def test_scene_on_the_line_is_drawn_over_time():
@@ -272,15 +228,6 @@ def test_scene_on_the_line_is_drawn_over_time():
     assert named(scene)["goal"]["p"] == [[K * DELTA], [0]]
 
 
-def test_only_plain_numbers_are_in_a_scene(scene):
-    for layer in scene["layers"]:
-        for axis in itertools.chain.from_iterable(frame["p"] for frame in layer.get("frames", [layer])):
-            assert all(value is None or np.isfinite(value) for value in axis)
-
-
-# -- what is proven ---------------------------------------------------------------------------------
-
-
 def test_no_point_of_the_tube_is_nearer_than_what_is_proven(space):
     rng = np.random.default_rng(0)
     bound = proven_distance(space)
@@ -292,7 +239,3 @@ def test_no_point_of_the_tube_is_nearer_than_what_is_proven(space):
             points = nodes[k, step] + rng.uniform(-1, 1, (50, 3))
             near = [o.signed_distance(t, points, space.system).min() for o in space.obstacles]
             assert min(near) >= bound[k, part] - 1e-9 or bound[k, part] == 0
-
-
-def test_nothing_to_avoid_nothing_proven(space):
-    assert proven_distance(picture(space.system, [], StationaryPoint(np.zeros(6)))) is None

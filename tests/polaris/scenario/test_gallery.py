@@ -6,7 +6,6 @@ import tomllib
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import polaris
 from benchmarks import missions
@@ -58,14 +57,6 @@ def test_what_the_page_must_show():
     assert float(rows["afrl-docking"]["proven at most"]) <= 40
     assert float(rows["sroc-leg1"]["proven at most"]) <= 0.45
     assert numbers(rows["adras-j"]["U flies"])[0] >= 90
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_each_is_a_valid_scenario_that_says_what_is_ours(name):
-    scenario = polaris.load_scenario(missions.FOLDER / f"{name}.toml")
-    assert scenario.name == name
-    text = (missions.FOLDER / f"{name}.toml").read_text(encoding="utf-8")
-    assert "Given by" in text.split("schema_version")[0] and text.count("# ours") > 3
 
 
 def test_the_disturbance_of_the_eccentric_orbit_covers_400_m(capsys):
@@ -128,17 +119,6 @@ def test_the_chain_of_sroc_is_verified_within_its_published_cost_and_drifts_clea
     assert summary["delta_v_max_m_s"] <= proven <= 1.02 * summary["delta_v_max_m_s"] and proven <= 1.31
     inspection = next(leg for leg in summary["legs"] if leg["name"] == "inspection")
     assert inspection["drift_s"] >= 2 * np.pi / 0.0011313 - 12.0
-
-
-@pytest.mark.slow
-def test_a_leg_of_twelve_hours_is_proved():
-    """The ellipse of SROC for 12 h instead of 8."""
-    path = missions.FOLDER / "sroc.toml"
-    leg = polaris.load_scenario(path).legs()[2]
-    end = expm(leg.system().A * 43200.0) @ np.array(leg.model.initial_set.center)
-    overrides = ["legs[2].horizon.duration_s=43200.0", f"legs[2].goal.center={end.tolist()}"]
-    schedule = polaris.synthesize(polaris.load_scenario(path, overrides).legs()[2])
-    assert schedule.guarantee == "proved" and schedule.arrival.reached is True
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from tests.polaris.closed_loops import held
+from tests.polaris.forging import replaced
 from tests.polaris.missions import PLACES, leg, orbiting, random_tour, shared, tour, written
 
 CERTIFICATE = "certificate.json"
@@ -35,8 +36,7 @@ CERTIFICATE = "certificate.json"
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """The run folder of the tour."""
-    folder = tmp_path_factory.mktemp("tour")
-    return run(written(tour(), folder), folder / "run").path
+    return fly(tour(), tmp_path_factory.mktemp("tour"))
 
 
 @pytest.fixture
@@ -47,15 +47,35 @@ def forged(flown, tmp_path):
 
 
 def mended(folder, data=None, mission=None):
-    """Write certificate and mission into a folder, all hashes right again; returns the verdict."""
+    """Write certificate and mission into a folder, summary and hashes right again; returns the verdict."""
     if mission is not None:
         (folder / "scenario.toml").write_text(write_toml(mission), encoding="utf-8")
-    data = data or json.loads((folder / CERTIFICATE).read_text(encoding="utf-8"))
+    data = data or tree(folder)[0]
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    legs = [{key: value for key, value in each.items() if key != "digest"} for each in data["legs"]]
+    said = {key: data[key] for key in ("joints", "delta_v_max_m_s", "assumptions")}
+    summary["mission"] |= said | {"legs": legs}
+    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     for name in data["artefacts"]:
         data["artefacts"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     data["digest"] = digest(data)
     (folder / CERTIFICATE).write_text(canonical(data), encoding="utf-8")
     return verify(folder)
+
+
+def refused(folder, data, mission=None):
+    """The claim that a mended folder is rejected for, and the witness."""
+    verdict = mended(folder, data, mission)
+    assert verdict.outcome == "REJECTED", verdict.text()
+    return verdict.claim, verdict.witness
+
+
+def fly(document, folder, legs=None):
+    """Run the first legs of a mission; returns the folder, which is verified."""
+    document["legs"] = document["legs"][:legs]
+    made = run(written(document, folder), folder / "run").path
+    assert verify(made).outcome == "VERIFIED"
+    return made
 
 
 def tree(folder):
@@ -72,47 +92,21 @@ def test_tour_is_verified_leg_by_leg_and_at_its_joints(flown):
     assert verify(flown / "2-across").outcome == "VERIFIED"  # every leg is an ordinary run
 
 
-# -- forgeries --------------------------------------------------------------------------------------
-
-
-def summary_agrees(folder, data):
-    """Let the summary repeat what the certificate says."""
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    legs = [{key: value for key, value in each.items() if key != "digest"} for each in data["legs"]]
-    summary["mission"] |= {key: data[key] for key in ("joints", "delta_v_max_m_s", "assumptions")} | {
-        "legs": legs
-    }
-    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_a_leg_left_out_is_refused(forged, whole):
+@pytest.mark.parametrize("whole", [False, True])  # the mission is forged with it
+@pytest.mark.parametrize("left_out", [True, False])
+def test_a_leg_left_out_is_refused(forged, left_out, whole):
     data, mission = tree(forged)
-    del data["legs"][1], data["joints"][1]
+    if left_out:
+        del data["joints"][1]
+    else:
+        shutil.move(forged / "2-across", forged / "3-across")
     shutil.move(forged / "3-home", forged / "2-home")
-    if (
-        whole
-    ):  # the mission is forged with it: then the end set of one leg is elsewhere than the next one's start
-        del mission["legs"][1]
-        data["joints"][0]["center"] = mission["legs"][1]["initial_set"]["center"]
-    summary_agrees(forged, data)
-    verdict = mended(forged, data, mission)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "joint" if whole else "legs")
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_legs_in_another_order_are_refused(forged, whole):
-    data, mission = tree(forged)
-    data["legs"][1:] = data["legs"][:0:-1]
-    shutil.move(forged / "2-across", forged / "3-across")
-    shutil.move(forged / "3-home", forged / "2-home")
-    if whole:
-        mission["legs"][1:] = mission["legs"][:0:-1]
+    for legs in (data["legs"], *([mission["legs"]] if whole else [])):
+        legs[1:] = legs[2:] if left_out else legs[:0:-1]
+    if whole:  # then the end set of one leg is elsewhere than the next one's start
         for each, after in zip(data["joints"], mission["legs"][1:], strict=True):
             each["center"] = after["initial_set"]["center"]
-    summary_agrees(forged, data)
-    verdict = mended(forged, data, mission)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "joint" if whole else "legs")
+    assert refused(forged, data, mission)[0] == ("joint" if whole else "legs")
 
 
 def test_an_end_set_outside_the_next_start_set_is_refused(forged, tmp_path):
@@ -129,9 +123,8 @@ def test_an_end_set_outside_the_next_start_set_is_refused(forged, tmp_path):
     mission["legs"][1] = document["legs"][1]
     data["legs"][1]["digest"] = json.loads((own / CERTIFICATE).read_text(encoding="utf-8"))["digest"]
     data["joints"][0] |= {"half_widths": [0.02, 0.3, 0.08, 0.08], "assured": False}
-    summary_agrees(forged, data)
-    verdict = mended(forged, data, mission)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "joint") and "leg out" in verdict.witness
+    claim, witness = refused(forged, data, mission)
+    assert claim == "joint" and "leg out" in witness
 
 
 def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, monkeypatch):
@@ -143,13 +136,14 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
         along = (known.tightenings.rows * arrival.state(node)).entries()
         signs = [1] * n + [-1] * n
         over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]
-        tightening = [
-            float((a + b).upper())
-            for a, b in zip(over, arrival.error_bounds(known.tightenings, node), strict=True)
-        ]
-        for share in (1 + 1e-9, 1 - 1e-9):
-            widths = [share * max(pair) for pair in zip(tightening[:n], tightening[n:], strict=True)]
+        errors = arrival.error_bounds(known.tightenings, node)
+        tightening = [float((a + b).upper()) for a, b in zip(over, errors, strict=True)]
+        pairs = list(zip(claimed.center, tightening[:n], tightening[n:], strict=True))
+        size = [(a + b) / 2 for _, a, b in pairs]
+        for share, shift in ((1 + 2e-9, 1e-9), (1 + 2e-9, -1e-9), (1, 1e-9), (1, -1e-9)):
+            widths = [share * half for half in size]
             here = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
+            here["center"] = [c + (a - b) / 2 + shift * (a + b) / 2 for c, a, b in pairs]
             try:
                 joints.check_joint(arrival, replace(claimed, first=[[node, node]], **here))
                 verdicts.append("in")
@@ -159,49 +153,42 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
 
     monkeypatch.setattr(argument, "check_joint", with_other_widths)
     assert verify(flown).outcome == "VERIFIED"
-    assert verdicts == ["in", "joint"] * 2
+    assert verdicts == ["in", "in", "joint", "joint"] * 2
 
 
-FORGERIES = {
-    "a GO box wider than the start set": (
-        lambda data: data["joints"][0]["half_widths"].__setitem__(0, 0.31),
-        "joint",
-    ),
-    "a GO box elsewhere": (lambda data: data["joints"][0]["center"].__setitem__(0, 8.01), "joint"),
-    "GO before S is near": (lambda data: data["joints"][1].update(first=[[0, 22]]), "joint"),
-    "GO beyond the tail": (lambda data: data["joints"][1].update(first=[[1, 4000]]), "joint"),
-    "no GO": (lambda data: data["joints"][0].update(first=[], later=[]), "joint"),
-    "less velocity change": (lambda data: data.update(delta_v_max_m_s=1.0), "delta_v"),
-    "less of one leg": (lambda data: data["legs"][1].update(delta_v_max_m_s=1.0), "delta_v"),
-    "less while waiting": (lambda data: data["legs"][0].update(waiting_m_s2=1e-6), "delta_v"),
-    "an earlier end": (lambda data: data["legs"][0].update(leaves_s=13.5), "delta_v"),
-    "between nodes": (lambda data: data["legs"][0].update(leaves_s=14.7), "delta_v"),
-    "another end of safety": (lambda data: data["legs"][0].update(safe_until_s=1e9), "end"),
-    "a drift": (lambda data: data["legs"][0].update(drift_s=100.0), "passive"),
-    "another run": (lambda data: data["legs"][0].update(digest="0" * 64), "legs"),
-    "other assumptions": (lambda data: data["assumptions"].pop(), "assumptions"),
-    "an unknown key": (lambda data: data["joints"][0].update(wider=True), "format"),
-}
+FORGERIES = [
+    (("joints", 0, "half_widths", 0), 0.31, "joint"),  # wider than the start set
+    (("joints", 0, "center", 0), 8.01, "joint"),
+    (("joints", 1, "first"), [[0, 22]], "joint"),  # GO before S is near
+    (("joints", 1, "first"), [[1, 4000]], "joint"),  # beyond the tail
+    (("joints", 0, "first"), [], "joint"),
+    (("joints", 0, "wider"), True, "format"),
+    (("delta_v_max_m_s",), 1.0, "delta_v"),
+    (("legs", 1, "delta_v_max_m_s"), 1.0, "delta_v"),
+    (("legs", 0, "waiting_m_s2"), 1e-6, "delta_v"),
+    (("legs", 0, "leaves_s"), 13.5, "delta_v"),
+    (("legs", 0, "leaves_s"), 14.7, "delta_v"),  # between nodes
+    (("legs", 0, "safe_until_s"), 1e9, "end"),
+    (("legs", 0, "drift_s"), 100.0, "passive"),
+    (("legs", 0, "digest"), "0" * 64, "legs"),
+    (("assumptions",), [], "assumptions"),
+]
 
 
-@pytest.mark.parametrize("name", FORGERIES)
-def test_a_forged_certificate_is_refused(forged, name):
-    change, claim = FORGERIES[name]
-    data, _ = tree(forged)
-    change(data)
-    summary_agrees(forged, data)
-    verdict = mended(forged, data)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", claim), verdict.text()
+@pytest.mark.parametrize("at, value, claim", FORGERIES, ids=lambda value: str(value)[:40])
+def test_a_forged_certificate_is_refused(forged, at, value, claim):
+    data = tree(forged)[0]
+    data["joints"][0]["later"] *= at != ("joints", 0, "first")
+    data["joints"][0] |= {"wider": False} if at[-1] == "wider" else {}
+    assert refused(forged, replaced(data, at, value))[0] == claim
 
 
-def test_a_changed_mission_and_a_changed_summary_are_refused(forged):
+@pytest.mark.parametrize(
+    "at, value", [(("legs", 1, "goal", "state", 0), 0.1), (("planner", "extra_margin_m"), 0.3)]
+)
+def test_a_changed_mission_is_refused(forged, at, value):
     data, mission = tree(forged)
-    mission["legs"][1]["goal"]["state"][0] = 0.1
-    assert mended(forged, data, mission).claim == "legs"
-    shared_table = tree(forged)[1]
-    shared_table["legs"][1]["goal"]["state"][0] = 0.0
-    shared_table["planner"]["extra_margin_m"] = 0.3
-    assert mended(forged, data, shared_table).claim == "legs"
+    assert refused(forged, data, replaced(mission, at, value))[0] == "legs"
 
 
 def test_a_summary_that_claims_less_is_refused(forged):
@@ -212,10 +199,7 @@ def test_a_summary_that_claims_less_is_refused(forged):
 
 
 def test_moving_sets_go_on_by_the_mission_s_clock(tmp_path):
-    document = tour(moving=True, stay_s=1.0)
-    document["legs"] = document["legs"][:2]
-    folder = run(written(document, tmp_path), tmp_path / "run").path
-    assert verify(folder).outcome == "VERIFIED"
+    folder = fly(tour(moving=True, stay_s=1.0), tmp_path, 2)
     scenario = load_scenario(folder / "2-across" / "scenario.toml")
     assert scenario.obstacles()[1].name == "trolley"
     data, mission = tree(folder)
@@ -223,36 +207,21 @@ def test_moving_sets_go_on_by_the_mission_s_clock(tmp_path):
     place = scenario.model.obstacles[1].center_m
     assert np.allclose(np.array(place) - start, 15.0 * np.array([-0.05, 0.1]))
     assert data["joints"][0]["first"] == [[2, 2]] and data["joints"][0]["later"] == []
-    late = json.loads(json.dumps(data))
-    late["joints"][0]["first"] = [[2, 3]]  # where the trolley is then, nobody has looked
-    summary_agrees(folder, late)
-    assert mended(folder, late).claim == "joint"
+    late = replaced(data, ("joints", 0, "first"), [[2, 3]])  # where the trolley is then, nobody has looked
+    assert refused(folder, late)[0] == "joint"
     mission["legs"][0]["stay_s"] = 0.5  # the epoch is shifted
     data["joints"][0]["first"] = [[1, 1]]
     data["legs"][0]["leaves_s"] = 14.5
-    summary_agrees(folder, data)
-    verdict = mended(folder, data, mission)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "legs") and "trolley" in verdict.witness
-
-
-@pytest.mark.parametrize("delay", [0.1, 0.3])
-def test_a_go_box_is_verified_whatever_its_last_digit(delay, tmp_path):
-    document = tour(timing={"delay_s": delay})
-    document["legs"] = document["legs"][:2]
-    document["legs"][1]["initial_set"]["half_widths"] = [0.14, 0.15, 0.04, 0.05]
-    folder = run(written(document, tmp_path), tmp_path / "run").path
-    verdict = verify(folder)
-    assert verdict.outcome == "VERIFIED", verdict.text()
+    claim, witness = refused(folder, data, mission)
+    assert claim == "legs" and "trolley" in witness
 
 
 def test_sets_that_turn_go_on_by_the_mission_s_clock(tmp_path):
     document = tour(stay_s=1.0)
-    document["legs"] = document["legs"][:2]
     turning = {"normals": [[0.0, 1.0], [-3.0, 0.0]], "offsets_m": [9.0, 12.0], "rate_rad_s": 0.01}
     turning |= {"rate_error_rad_s": 1e-4, "angle_error_deg": 0.5, "until_s": 13.0}
     document["legs"][1]["keep_in"] = [{"kind": "turning", "name": "beam", **turning}]
-    folder = run(written(document, tmp_path), tmp_path / "run").path
-    assert verify(folder).outcome == "VERIFIED"
+    folder = fly(document, tmp_path, 2)
     data, mission = tree(folder)
     beam = load_scenario(folder / "2-across" / "scenario.toml").model.keep_in[0]
     c, s = np.cos(0.15), np.sin(0.15)
@@ -260,27 +229,13 @@ def test_sets_that_turn_go_on_by_the_mission_s_clock(tmp_path):
     assert beam.angle_error_deg == pytest.approx(0.5 + np.degrees(15 * 1e-4))
     assert data["joints"][0]["first"] == [[2, 2]] and data["joints"][0]["later"] == []
     assert any(line.startswith("sets that move") for line in data["assumptions"])
-    late = json.loads(json.dumps(data))
-    late["joints"][0]["first"] = [[2, 3]]  # how far it has turned then, nobody has looked
-    summary_agrees(folder, late)
-    assert mended(folder, late).claim == "joint"
-    summary_agrees(folder, data)
-    for key, value in (
-        ("rate_rad_s", 0.0101),
-        ("rate_error_rad_s", 1.01e-4),
-        ("angle_error_deg", 0.51),
-        ("normals", beam.normals),
-        ("offsets_m", [8.9, 12.0]),
-        ("until_s", 14.0),
-    ):
-        other = json.loads(json.dumps(mission))
-        other["legs"][1]["keep_in"][0][key] = value
-        verdict = mended(folder, data, other)
-        assert (verdict.outcome, verdict.claim) == ("REJECTED", "legs"), key
+    late = replaced(data, ("joints", 0, "first"), [[2, 3]])  # how far it has turned then, nobody has looked
+    assert refused(folder, late)[0] == "joint"
+    changes = {"rate_rad_s": 0.0101, "rate_error_rad_s": 1.01e-4, "angle_error_deg": 0.51, "until_s": 14.0}
+    for key, value in (changes | {"normals": beam.normals, "offsets_m": [8.9, 12.0]}).items():
+        other = replaced(mission, ("legs", 1, "keep_in", 0, key), value)
+        assert refused(folder, data, other)[0] == "legs", key
     assert mended(folder, data, mission).outcome == "VERIFIED"
-
-
-# -- attacks ----------------------------------------------------------------------------------------
 
 
 class Loop:
@@ -299,10 +254,7 @@ class Loop:
         self.mean_motion = None if eta is None else float.fromhex(eta)
         self.modes, self.gains = data["modes"], [number(each["gain"]) for each in data["controllers"]]
         self.x, self.u = number(data["reference"]["states"]), number(data["reference"]["inputs"])
-        self.center, self.spread = (
-            number(data["initial_set"]["center"]),
-            number(data["initial_set"]["generators"]),
-        )
+        self.center, self.spread = (number(data["initial_set"][key]) for key in ("center", "generators"))
         self.Phi, self.Gamma = held(self.A, self.B, self.h)
         _, self.pushed = held(self.A, self.D, self.h)
         self.path = [self.x[0]]
@@ -387,18 +339,15 @@ def test_no_worst_case_leaves_the_next_start_set_at_any_joint(flown):
     assert attacked(flown, tour(), np.random.default_rng(0)) > 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.slow)])
 def test_random_missions_hold_under_attack_and_are_verified(seed, tmp_path):
     document = random_tour(seed)
     try:
-        folder = run(written(document, tmp_path), tmp_path / "run").path
+        folder = fly(document, tmp_path)
     except SynthesisInfeasible as error:  # refused: then S does need more
         assert "needs" in str(error)
         return
-    verdict = verify(folder)
-    assert verdict.outcome == "VERIFIED", verdict.text()
-    least = attacked(folder, document, np.random.default_rng(seed))
-    assert least > 0
+    assert attacked(folder, document, np.random.default_rng(seed)) > 0
     data, _ = tree(folder)
     n = len(PLACES[0])
     off = 0.02 if "navigation" in document else 0.0
@@ -409,9 +358,7 @@ def test_random_missions_hold_under_attack_and_are_verified(seed, tmp_path):
 
 def test_an_ellipse_passes_the_start_box_once_a_turn(tmp_path):
     document = orbiting()
-    folder = run(written(document, tmp_path), tmp_path / "run").path
-    verdict = verify(folder)
-    assert verdict.outcome == "VERIFIED", verdict.text()
+    folder = fly(document, tmp_path)
     data, _ = tree(folder)
     joint, loop = data["joints"][0], Loop(folder / "1-approach")
     turn = 2 * np.pi / loop.mean_motion / loop.h
@@ -424,17 +371,7 @@ def test_an_ellipse_passes_the_start_box_once_a_turn(tmp_path):
 
     assert attacked(folder, document, np.random.default_rng(0), 3, outside) > 0
     data["joints"][0]["later"] = [[0, joint["later"][0][1] + 3]]
-    summary_agrees(folder, data)
-    assert mended(folder, data).claim == "joint"
-
-
-def test_the_summary_is_printed_with_its_go_boxes(flown, capsys):
-    show_mission(read_run(flown).summary, "runs/tour")
-    printed = capsys.readouterr().out
-    assert "GO from out to across" in printed and "7.7 to 8.3" in printed and "for ever" in printed
-
-
-# -- scenarios --------------------------------------------------------------------------------------
+    assert refused(folder, data)[0] == "joint"
 
 
 REFUSED = {
@@ -481,25 +418,7 @@ def test_legs_of_two_craft_are_refused_before_anything_is_flown(name, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_mission_is_loaded_as_it_is_written(tmp_path):
-    loaded = load_scenario(written(tour(), tmp_path))
-    (tmp_path / "again.toml").write_text(loaded.to_toml(), encoding="utf-8")
-    again = load_scenario(tmp_path / "again.toml")
-    assert [each.to_dict() for each in again.legs()] == [each.to_dict() for each in loaded.legs()]
-    changed = loaded.set("legs[0].horizon.duration_s", 15.0)
-    assert changed.legs()[0].steps == 15 and changed.legs()[1].steps == 14
-
-
-def test_report_has_a_section_for_every_leg(flown):
-    page = write_report(flown, force=True).read_text(encoding="utf-8")
-    assert all(
-        f'href="{i}-{name}/report.html"' in page for i, name in enumerate(("out", "across", "home"), 1)
-    )
-    assert "GO from out to across" in page and (flown / "1-out" / "report.html").is_file()
-    assert read_run(flown).kind.name == "mission" and verify(flown).outcome == "VERIFIED"
-
-
-def test_dossier_answers_leg_by_leg_and_claims_nothing_that_is_not_verified(flown):
+def test_texts_answer_leg_by_leg_and_claim_nothing_that_is_not_verified(flown, capsys):
     dossier = Dossier.from_run(read_run(flown))
     text = "\n".join(line.text for line in dossier.lines())
     assert dossier.proven and "Mission of 3 legs, out, across, home" in text and "NOTHING" not in text
@@ -508,6 +427,13 @@ def test_dossier_answers_leg_by_leg_and_claims_nothing_that_is_not_verified(flow
     assert len(known["summary.json: mission.joints"]) == 2 and len(known["claim: Goal"]) == 3
     assert [text.split(":")[0] for text in known["scenario.toml: initial_set"]] == ["out", "across", "home"]
     assert len(dossier.pages()) + dossier.figures <= MOST_PAGES
+    show_mission(read_run(flown).summary, "runs/tour")
+    printed, page = capsys.readouterr().out, write_report(flown, force=True).read_text(encoding="utf-8")
+    assert "GO from out to across" in printed and "7.7 to 8.3" in printed and "for ever" in printed
+    names = enumerate(("out", "across", "home"), 1)
+    assert all(f'href="{i}-{name}/report.html"' in page for i, name in names)
+    assert "GO from out to across" in page and (flown / "1-out" / "report.html").is_file()
+    assert read_run(flown).kind.name == "mission" and verify(flown).outcome == "VERIFIED"
     refused = Dossier.from_run(read_run(flown), lambda path: Verdict("REJECTED", "joint", "no"))
     answers = [refused.answers(one) for clause in CLAUSES for one in clause.evidence]
     claimed = [one for one in known if one.startswith("claim: ") or "mission." in one]
@@ -521,9 +447,7 @@ def test_waiting_costs_and_the_planned_stay_are_in_the_sums(tmp_path):
     document["legs"][0]["stay_s"] = 40.0  # beyond the tail
     folder = run(written(document, tmp_path), tmp_path / "run")
     first = folder.summary["mission"]["legs"][0]
-    own = json.loads((folder.path / "1-out" / "summary.json").read_text(encoding="utf-8"))["guarantee"][
-        "upkeep"
-    ]
+    own = read_run(folder.path / "1-out").summary["guarantee"]["upkeep"]
     assert first["leaves_s"] == 54.0
     waited = (54.0 - own["settled_s"]) * own["rate_m_s2"]
     assert first["delta_v_max_m_s"] == pytest.approx(own["until_settled_m_s"] + waited)

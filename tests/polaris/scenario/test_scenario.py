@@ -12,19 +12,15 @@ from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import parse_toml, write_toml
 from polaris.scenario.scenario import Scenario, bundled_scenarios, load_scenario, scenario_folder
 from polaris.scenario.tables.fields import whole_parts
-from polaris.simulation.orbit.environment import EARTH_RADIUS_M, MU
 
 DATA = Path(__file__).parents[1] / "data"
 SPACE, FLOOR = DATA / "space.toml", DATA / "floor.toml"
 NAMES = ("cubesat", "dynamic", "hold_point", "infeasible", "keep_out", "robot", "static")
 
 
-def test_the_seven_scenarios_are_bundled():
-    assert bundled_scenarios() == NAMES
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_bundled_scenario_builds_all_its_objects(name):
+    assert bundled_scenarios() == NAMES
     scenario = load_scenario(name)
     system, theta = scenario.system(), scenario.initial_set()
     assert scenario.name == name
@@ -36,37 +32,8 @@ def test_bundled_scenario_builds_all_its_objects(name):
     assert scenario.steps * scenario.step == pytest.approx(scenario.model.horizon.duration_s)
     assert scenario.model.experimental
     assert scenario.text == (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_bundled_scenario_explains_its_values(name):
-    text = (scenario_folder() / f"{name}.toml").read_text(encoding="utf-8")
-    assert text.startswith("#:schema ") and text.count("#") >= 6
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_written_toml_loads_back_to_the_same_scenario(name):
-    scenario = load_scenario(name)
+    assert scenario.text.startswith("#:schema ") and scenario.text.count("#") >= 6
     assert Scenario.from_dict(tomllib.loads(scenario.to_toml())).model == scenario.model
-
-
-def test_values_of_the_paper():
-    for name in ("static", "dynamic", "infeasible"):
-        spec = load_scenario(name).model.system
-        assert (spec.mean_motion_rad_s, spec.mass_kg) == (0.0012, 10.0)
-
-
-def test_scenes_of_our_own_are_405_km_up():
-    for name in ("keep_out", "hold_point", "cubesat"):
-        spec = load_scenario(name).model.system
-        axis = (MU / spec.mean_motion_rad_s**2) ** (1 / 3)
-        assert axis - EARTH_RADIUS_M == pytest.approx(405e3, abs=1e3)
-
-
-def test_path_and_name_give_the_same_scenario():
-    by_path = load_scenario(scenario_folder() / "static.toml")
-    assert by_path.model == load_scenario("static").model
-    assert by_path.source == "static.toml"
 
 
 def test_windows_text_is_read(tmp_path):
@@ -75,9 +42,6 @@ def test_windows_text_is_read(tmp_path):
     file.write_bytes(b"\xef\xbb\xbf" + text.encode())
     # The description spans lines; TOML reads both line ends as one.
     assert load_scenario(file).model == load_scenario("static").model
-
-
-# -- overrides --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -111,15 +75,6 @@ def test_several_overrides_are_checked_together():
         load_scenario(SPACE).set("horizon.step_s", 48)
 
 
-def test_none_removes_an_optional_value():
-    scenario = load_scenario(FLOOR).set("schedule.max_switches", None)
-    assert scenario.model.schedule.max_switches is None
-
-
-def test_overrides_while_loading():
-    assert load_scenario(SPACE, {"simulation.seed": 7}).model.simulation.seed == 7
-
-
 @pytest.mark.parametrize(
     ("key", "field"),
     [
@@ -140,12 +95,8 @@ def test_override_of_no_such_key(key, field):
 
 @pytest.mark.parametrize("text", ["planner", "=", "=3", "", "name=x\nfoo = 1"])
 def test_assignment_that_is_none(text):
-    with pytest.raises(ScenarioError) as caught:
+    with pytest.raises(ScenarioError, match=r"^[^\n]*$"):
         load_scenario(SPACE).with_assignments([text])
-    assert "\n" not in str(caught.value)
-
-
-# -- objects ----------------------------------------------------------------------------------------
 
 
 def test_ball_contains_its_corners_and_keeps_units_apart():
@@ -170,14 +121,6 @@ def test_full_weight_matrices_and_their_diagonals_agree():
     assert np.array_equal(full.problem().Q, scenario.problem().Q)
 
 
-def test_weight_of_the_norm():
-    scenario = load_scenario(SPACE)
-    assert scenario.problem().weight == "auto"
-    assert np.array_equal(
-        scenario.set("tracking.weight", [1] * 3 + [9] * 3).problem().weight[3:, 3:], 9 * np.eye(3)
-    )
-
-
 def test_position_may_be_a_matrix():
     scenario = load_scenario(FLOOR)
     document = scenario.to_dict()
@@ -192,20 +135,12 @@ def test_thrust_limit_per_axis_or_for_all():
     assert scenario.set("system.thrust_max_N", [0.1, 0.1, 0.05]).system().u_max.tolist() == [0.1, 0.1, 0.05]
 
 
-def test_models_cannot_be_changed():
-    with pytest.raises(Exception, match="frozen"):
-        load_scenario(SPACE).model.horizon.step_s = 1.0
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.integers(1, 100_000), st.floats(1e-3, 1e3))
 def test_whole_parts_sees_through_rounding(count, part):
     assert whole_parts(count * part, part) == count
-
-
-@pytest.mark.parametrize(("total", "part"), [(10.0, 3.0), (1.0, 0.3), (1.0, 2.0), (1e300, 1e-300)])
-def test_whole_parts_refuses(total, part):
-    assert not whole_parts(total, part)
+    for total, other in ((10.0, 3.0), (1.0, 0.3), (1.0, 2.0), (1e300, 1e-300)):
+        assert not whole_parts(total, other)
 
 
 toml_values = st.recursive(

@@ -10,10 +10,8 @@ from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.scene.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.scene.obstacle import RigidObstacle
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle, true_states
-from polaris.model.scene.shapes import PolytopeShape
 from polaris.model.scene.state_limits import KeepInStates, SpeedLimit
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
@@ -27,6 +25,7 @@ from polaris.traces import (
     to_trace,
     write_trace,
 )
+from polaris.traces.placement import place
 from polaris.traces.reading import trace_data
 from tests.polaris.tiny import synthesised
 
@@ -66,16 +65,9 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
         assert exported.unsafe["visitor"].set_type == "polytope"
         truth = true_states(obstacles, system, agent.times, 1, np.random.default_rng(0))
         modes = np.where(agent.modes == 3, 0, 1)
-        true = to_trace(
-            agent.times,
-            agent.states,
-            modes,
-            obstacles,
-            system,
-            satellites={k: v[0] for k, v in truth.items()},
-        )
         cover = evaluate_trace(exported).agents["chaser"].unsafe[0].distance
-        exported = true.trace
+        satellites = {key: item[0] for key, item in truth.items()}
+        exported = to_trace(agent.times, agent.states, modes, obstacles, system, satellites=satellites).trace
         assert cover.min <= summary["min_distance_m"] + 1e-6  # over-approximated
     metrics = evaluate_trace(exported, system=system).agents["chaser"]
     assert metrics.usage["untrusted"] == pytest.approx(summary["experimental_share"])
@@ -98,25 +90,20 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
         assert min(item.drift_ttc.min for item in metrics.unsafe) <= drift + 0.1
 
 
-def test_runs_are_chosen_by_name(folder):
+def test_runs_are_chosen_by_name(folder, tmp_path):
     run = folder("tiny")
     nominal = export_run(run.path, "safety", "nominal").trace
     centre = run.scenario.initial_set().c
     assert nominal.agents["chaser"].states[0] == pytest.approx(centre)
     assert not nominal.same_as(export_run(run.path, "safety").trace)
-    for wrong, match in ((("safety", "run 7"), "--run"), (("nobody", "nominal"), "--controller")):
+    for folder, *wrong, match in (
+        (run.path, "safety", "run 7", "--run"),
+        (run.path, "nobody", "nominal", "--controller"),
+        (tmp_path, "run folder"),
+        (tmp_path / "none", "no such folder"),
+    ):
         with pytest.raises(ScenarioError, match=match):
-            export_run(run.path, *wrong)
-
-
-def test_damaged_and_missing_folders(tmp_path):
-    with pytest.raises(ScenarioError, match="run folder"):
-        export_run(tmp_path)
-    with pytest.raises(ScenarioError, match="no such folder"):
-        export_run(tmp_path / "none")
-
-
-# -- bare arrays --------------------------------------------------------------------------------------
+            export_run(folder, *wrong)
 
 
 def test_true_sets_are_themselves():
@@ -129,7 +116,9 @@ def test_true_sets_are_themselves():
         PolytopeObstacle("wall", [[1, 0, 0]], [-150], unbounded=True),
     ]
     exported = to_trace(T, STATES, MODES, obstacles, SYSTEM)
-    assert exported.notes == ()
+    assert exported.notes == () and exported.trace.agents["chaser"].modes.tolist() == [3] * 10 + [2] * 21
+    unknown = to_trace(T, STATES, np.full(30, UNKNOWN), [], SYSTEM).trace.agents["chaser"]
+    assert set(unknown.modes.tolist()) == {UNKNOWN}
     kinds = [item.set_type for item in exported.trace.unsafe.values()]
     assert kinds == ["rectangle", "ball", "polytope", "polytope"]
     metrics = evaluate_trace(exported.trace).agents["chaser"]
@@ -139,15 +128,6 @@ def test_true_sets_are_themselves():
         assert item.distance.min == pytest.approx(distance.min(), rel=1e-9)
         assert item.distance.max == pytest.approx(distance.max(), rel=1e-9)
         assert item.ttc.min == pytest.approx(ttc.min(), rel=1e-6)
-
-
-def test_modes_are_translated():
-    exported = to_trace(T, STATES, MODES, [], SYSTEM).trace.agents["chaser"]
-    assert exported.modes.tolist() == [3] * 10 + [2] * 21
-    full = to_trace(T, STATES, np.r_[MODES, 0], [], SYSTEM).trace.agents["chaser"]
-    assert full.modes.tolist() == [3] * 10 + [2] * 20 + [3]
-    unknown = to_trace(T, STATES, np.full(30, UNKNOWN), [], SYSTEM).trace.agents["chaser"]
-    assert set(unknown.modes.tolist()) == {UNKNOWN}
 
 
 def test_keep_in_sets_go_facet_by_facet():
@@ -164,38 +144,23 @@ def test_keep_in_sets_go_facet_by_facet():
 
 
 def test_satellite_is_covered_known_or_nominal():
-    x0 = elliptical_nmt(0.0012, 150.0, 0.1)
-    visitor = SatelliteObstacle("visitor", x0, [2, 2, 2, 0.01, 0.01, 0.01], 20.0)
-    cover = to_trace(T, STATES, MODES, [visitor], SYSTEM)
-    nominal = to_trace(T, STATES, MODES, [visitor], SYSTEM, satellites={"visitor": None})
+    visitor = SatelliteObstacle("visitor", elliptical_nmt(0.0012, 150.0, 0.1), [2] * 3 + [0.01] * 3, 20.0)
     truth = visitor.nominal(T, SYSTEM) + [1, 0, 0, 0, 0, 0]
-    known = to_trace(T, STATES, MODES, [visitor], SYSTEM, satellites={"visitor": truth})
-    assert [len(item.notes) for item in (cover, nominal, known)] == [1, 1, 0]
-    least = {
-        key: evaluate_trace(item.trace).agents["chaser"].unsafe[0].distance.min
-        for key, item in (("cover", cover), ("nominal", nominal), ("known", known))
-    }
+    given = {"cover": {}, "nominal": {"satellites": {"visitor": None}}}
+    given["known"] = {"satellites": {"visitor": truth}}
+    made = {key: to_trace(T, STATES, MODES, [visitor], SYSTEM, **how) for key, how in given.items()}
+    assert [len(item.notes) for item in made.values()] == [1, 1, 0]
+    measured = {key: evaluate_trace(item.trace).agents["chaser"] for key, item in made.items()}
+    least = {key: item.unsafe[0].distance.min for key, item in measured.items()}
     assert least["cover"] < least["nominal"] - 2
-    true = signed_distances([visitor], T, STATES[:, :3], SYSTEM, {"visitor": truth})
-    assert least["known"] == pytest.approx(true.min())
-    true = signed_distances([visitor], T, STATES[:, :3], SYSTEM)
-    assert least["nominal"] == pytest.approx(true.min())
+    for key, known in (("known", {"visitor": truth}), ("nominal", None)):
+        true = signed_distances([visitor], T, STATES[:, :3], SYSTEM, known)
+        assert least[key] == pytest.approx(true.min())
     short = to_trace(T[:4], STATES[:4], MODES[:3], [visitor], SYSTEM)
     drifting = evaluate_trace(short.trace, system=SYSTEM).agents["chaser"].unsafe[0].drift_ttc
     assert drifting is not None and drifting.min >= 0
-
-
-def test_cover_holds_between_the_stamps_too():
-    """The polytope interpolated between stamps contains the ball wherever the visitor may be."""
-    from polaris.traces.placement import place
-
-    visitor = SatelliteObstacle(
-        "visitor", elliptical_nmt(0.0012, 150.0, 0.1), [2, 2, 2, 0.01, 0.01, 0.01], 20.0
-    )
-    item = to_trace(T, STATES, MODES, [visitor], SYSTEM).trace.unsafe["visitor"]
-    fine = np.linspace(0, T[-1], 301)
-    truth = true_states([visitor], SYSTEM, fine, 20, np.random.default_rng(0))["visitor"]
-    for states in truth:
+    item, fine = made["cover"].trace.unsafe["visitor"], np.linspace(0, T[-1], 301)  # between stamps too
+    for states in true_states([visitor], SYSTEM, fine, 20, np.random.default_rng(0))["visitor"]:
         for direction in ([20.0, 0, 0], [0, -20.0, 0], [0, 12.0, 16.0]):
             assert place(item, fine, 3).signed_distance(states[:, :3] + direction).max() <= 1e-9
 
@@ -216,17 +181,6 @@ def test_arrays_that_do_not_fit():
             to_trace(*arguments)
 
 
-def test_what_a_trace_cannot_hold_is_told():
-    class Rod(RigidObstacle):
-        name, path, velocity, center = "rod", "obstacles[0]", None, np.zeros(3)
-        cover = PolytopeShape(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]), np.full(4, 5.0))
-        shape = object()  # a cylinder in it
-
-    made = to_trace(T, STATES, MODES, [Rod()], SYSTEM)
-    assert made.trace.unsafe["rod"].set_type == "polytope"
-    assert made.notes == ("rod: as the polytope around it (over-approximated)",)
-
-
 def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
     """The true limit counts, null stands for times at which it does not hold; what is no list is refused."""
     late = KeepInStates("late", [[0, 0, 0, 1, 0, 0]], [1.0], begins=100.0)
@@ -241,13 +195,7 @@ def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
     assert measured["fast"].distance.min == pytest.approx(float(np.min(0.5 + 1e-3 * far - speed)) * 100)
     assert measured["late"].kind == "limit on states" and measured["late"].distance.at >= 100
     assert measured["late"].distance.share == pytest.approx(2 / 3, abs=0.05) and measured["late"].ttc is None
-    for wrong in (
-        1.0,
-        {"fast": 2.0},
-        {"fast": [1.0]},
-        {"fast": ["x"] * len(T)},
-        {"fast": [float("nan")] * len(T)},
-    ):
+    for wrong in (1.0, *({"fast": rows} for rows in (2.0, [1.0], ["x"] * len(T), [float("nan")] * len(T)))):
         data = trace_data(made.trace)
         data["agents"]["chaser"]["margin_trace"] = wrong
         with pytest.raises(ScenarioError, match=r"agents\.chaser\.margin_trace"):
