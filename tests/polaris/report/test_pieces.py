@@ -9,8 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import escape
 
-from polaris.cli.show import show_cells
-from polaris.report.html.comparison_report import _log, stretches
 from polaris.report.html.page import script_json, table
 from polaris.report.html.scene import plain
 from polaris.report.html.timelines import MOST, kept
@@ -114,26 +112,6 @@ def test_table_has_heads_scopes_and_inert_texts():
     assert tags.texts.count(evil) == 4  # caption, head, two cells
     assert [attrs["scope"] for tag, attrs in tags.tags if tag == "th"] == ["col", "col", "row", "row"]
     assert [attrs["data-sort"] for tag, attrs in tags.tags if tag == "td"] == [evil, "2.5"]
-
-
-def test_the_command_line_and_the_page_show_the_same_table(capsys):
-    rows = [[Cell("least"), Cell("-1 m", -1.0, bad=True), words("deputy 0")]]
-    shown = Table("of a flight", ["", "value", "who"], rows)
-    show_cells(shown)
-    printed, page = capsys.readouterr().out, Tags(table(shown)).texts
-    assert all(text in printed and text in page for text in ("of a flight", "value", "-1 m", "deputy 0"))
-
-
-def test_decisions_are_joined_while_nothing_changes():
-    rows = [
-        {"method": "a", "t": 0, "mode": 1, "margin": 0.5, "reason": "inside"},
-        {"method": "b", "t": 0, "mode": 0, "margin": None, "reason": None},
-        {"method": "a", "t": 1, "mode": 1, "margin": 0.25, "reason": "inside"},
-        {"method": "a", "t": 2, "mode": 0, "margin": -0.1, "reason": "leaves"},
-    ]
-    joined = stretches([*map(json.dumps, rows), "", "\n"])
-    assert joined == {"a": [[rows[0], rows[2]], [rows[3]]], "b": [[rows[1]]]}
-    assert "0.25" in _log(joined["a"]) and "0 to 1 s" in _log(joined["a"]) and "none" in _log(joined["b"])
 
 
 def test_thinning_keeps_ends_changes_and_what_must_be():

@@ -115,26 +115,6 @@ def test_generators_are_rows_in_the_file_and_columns_in_the_set():
     assert theta.G[:, 1].tolist() == [0.035, -0.035, 0.0, 0.0]
 
 
-def test_full_weight_matrices_and_their_diagonals_agree():
-    scenario = load_scenario(SPACE)
-    full = scenario.set("tracking.Q", np.diag([0.04] * 3 + [400.0] * 3))
-    assert np.array_equal(full.problem().Q, scenario.problem().Q)
-
-
-def test_position_may_be_a_matrix():
-    scenario = load_scenario(FLOOR)
-    document = scenario.to_dict()
-    del document["system"]["position_states"]
-    document["system"]["C"] = [[1, 0, 0, 0], [0, 1, 0, 0]]
-    assert Scenario.from_dict(document).system().d == 2
-
-
-def test_thrust_limit_per_axis_or_for_all():
-    scenario = load_scenario(SPACE)
-    assert scenario.system().u_max.tolist() == [0.1, 0.1, 0.1]
-    assert scenario.set("system.thrust_max_N", [0.1, 0.1, 0.05]).system().u_max.tolist() == [0.1, 0.1, 0.05]
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.integers(1, 100_000), st.floats(1e-3, 1e3))
 def test_whole_parts_sees_through_rounding(count, part):
