@@ -94,7 +94,8 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
     controller, rng = random_controller(seed, errors)
     system, k, parts = controller.system, seed % 11, 5
     q, h = controller.feedback.nodes_per_cell, controller.tracking.flow.h
-    start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
+    size = 0.002 if errors else 0.15  # small sets leave most to the errors
+    start = Zonotope(0.1 * rng.normal(size=4), size * rng.normal(size=(4, 6)))
     tube = controller.propagate(start, k)
     assert not tube.refused
     rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(12, 4))])
