@@ -99,10 +99,10 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
             assert binom.pmf(counts, flights, probability) @ wrong <= doubt
 
 
-@pytest.mark.parametrize("errors", ["all", "carried"])
-def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
+@pytest.mark.parametrize(("errors", "size"), [("all", 1.0), ("all", 0.01), ("carried", 0.01)])
+def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors, size):
     law, rng = box(part=safety(errors)), np.random.default_rng(0)
-    start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
+    start, k = Zonotope.box(np.zeros(4), size * np.array([0.06, 0.05, 0.02, 0.02])), 2
     tube = law.propagate(start, k)
     system, q, parts = law.system, 4, 8
     xi = law.reference.fine(parts * q)[k]
