@@ -425,7 +425,7 @@ WRONG = {
     "too few inputs": ({"inputs": ["time"]}, "experimental[0].inputs"),
     "an input twice": ({"inputs": ["error", "error"]}, "experimental[0].inputs"),
     "an input that is none": ({"inputs": ["weather"]}, "experimental[0].inputs[0]"),
-    "no such body": ({"inputs": ["error", "position:sun"]}, "experimental[0].inputs[1]"),
+    "no such body": ({"inputs": ["error", "position:sun"]}, "experimental[0].inputs"),
     "no such input of a body": ({"inputs": ["error", "distance:pillar"]}, "experimental[0].inputs[1]"),
     "scales": ({"input_scale": [1.0, 2.0]}, "experimental[0].input_scale"),
     "a scale of outputs": ({"output_scale_N": [1.0, 1.0, 1.0]}, "experimental[0].output_scale_N"),
