@@ -206,6 +206,20 @@ def test_single_precision_stays_in_the_hull_that_books_it_and_leaves_the_one_tha
     assert left > 50
 
 
+@pytest.mark.parametrize(
+    "layers",
+    [
+        (Affine(np.full((3, 40), 3e-20), np.zeros(3)), Affine(np.full((1, 3), 1e18), np.zeros(1))),
+        (Affine(np.ones((1, 4096)), np.zeros(1)),),
+    ],
+)
+def test_products_near_zero_and_long_sums_are_booked_in_any_order(layers):
+    x = np.full(layers[0].shape[1], 3e-19 if len(layers) > 1 else 0.1)
+    hull = Network(layers, "float32").enclose(Zonotope.point(x))
+    assert all(escapes(Network(layers), hull, x, order) <= 0 for order in ORDERS)
+    assert escapes(Network(layers), Network(layers).enclose(Zonotope.point(x)), x, "flushed") > 0
+
+
 def test_sums_that_may_overflow_and_unknown_precisions_are_refused():
     layers = (Affine(np.full((4, 4), 1e20), np.zeros(4)), Affine(np.full((1, 4), 1e20), np.zeros(1)))
     inputs = Zonotope.box(np.zeros(4), np.ones(4))
