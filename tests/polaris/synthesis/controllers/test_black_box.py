@@ -8,6 +8,8 @@ import time
 import tomllib
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,12 +25,14 @@ from polaris.certificate.files.document import digest
 from polaris.certificate.files.inputs import _check_asked
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.app import app
-from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
+from polaris.model.errors import NoAnswer, NotCertified, PolarisError, ScenarioError
+from polaris.rta.methods import METHODS
 from polaris.runs.black_box_program import black_box_program
 from polaris.runs.campaign import CampaignPlan, ScheduleRuns, local, make_cases, replay_run, run_campaign
 from polaris.runs.campaign.folder import read_campaign
 from polaris.runs.certificate import certificate
 from polaris.runs.run import read_run, run
+from polaris.runs.tradeoff_points import needed
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.integration import Integrator
@@ -38,6 +42,8 @@ from polaris.synthesis.sources.late_faults import wrong_thrust
 from reach import Zonotope, discretize
 from tests.polaris.random_scenarios import random_scenario
 from tests.polaris.tiny import TINY
+
+tradeoff_module = import_module("polaris.runs.tradeoff")
 
 PERIOD = 0.25
 TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
@@ -269,6 +275,24 @@ def test_what_a_box_recalls_is_part_of_its_bands():
     last = PERIOD * 4 * (np.flatnonzero(schedule.modes)[-1] + 1)
     assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
     assert any("asked once in every control period" in line for line in schedule.assumptions)
+
+
+def test_a_method_that_predicts_u_refuses_a_box_that_recalls():
+    with pytest.raises(NotCertified, match="memory"):
+        METHODS["simplex_implicit"].on(SimpleNamespace(controllers=[box(Lagging())]))
+
+
+def test_a_trade_off_proves_nothing_of_boxes_and_asks_them_anew(tmp_path, monkeypatch):
+    row = {"field": "f", "value": 1.0, "share": 0.9, "guarantee": "statistical"}
+    assert needed([row], "f", 0.5)["last_proven"] is None
+    scenario, boxes = ScheduleScenario.from_dict(document()), {"box": follower}
+    given = scenario, tmp_path / "front", {"system.disturbance_max": [0.02]}
+    with pytest.raises(ScenarioError, match="executor"):
+        polaris.tradeoff(*given, black_boxes=boxes, executor=local(1))
+    monkeypatch.setattr(tradeoff_module, "_whole", lambda *_: True)  # nothing tells whose box it was
+    monkeypatch.setattr(tradeoff_module, "run", lambda *_, **more: 1 / (more["black_boxes"] != boxes))
+    with pytest.raises(ZeroDivisionError):
+        polaris.tradeoff(*given, black_boxes=boxes)
 
 
 def drifting():

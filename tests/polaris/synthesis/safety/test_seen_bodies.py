@@ -92,6 +92,16 @@ def test_boxes_hold_where_a_satellite_may_be_and_no_more():
     assert half == pytest.approx(reach, rel=1e-6)
 
 
+def test_a_rigid_body_is_where_it_is_but_for_the_clock():
+    system = tiny_safety().problem.system
+    late = replace(system, timing=replace(system.timing, clock=0.5))
+    middle, half = bodies()[0].state_boxes(late, 2.0, 3)
+    assert middle == pytest.approx(
+        np.array([[7, 1, -0.05, 0.1], [6.9, 1.2, -0.05, 0.1], [6.8, 1.4, -0.05, 0.1]])
+    )
+    assert half == pytest.approx(np.tile([0.025, 0.05, 0, 0], (3, 1)), abs=1e-7)
+
+
 @pytest.mark.parametrize("seed", range(len(READS)))
 def test_the_checker_finds_the_same_places(seed):
     law = random_controller(seed)[0]

@@ -81,6 +81,15 @@ def test_the_word_of_a_solver_is_not_enough(monkeypatch):
         assert not flights.impossible(free)
 
 
+def test_what_is_widened_is_still_impossible_and_demands_no_less():
+    _, schedule = printed()
+    flights, K = UndisturbedFlights(schedule.safety, schedule.controllers[1:]), schedule.safety.problem.K
+    held = (1,) * K
+    wide = flights.widened(held)
+    assert flights.impossible(held) and flights.impossible(wide) and len(wide) < K
+    assert all(mode in (FREE, held[k]) for k, mode in enumerate(wide))
+
+
 def kept(modes, rules, demands):
     """Return True if modes keep the dwell time between switches, the cap, and every demand."""
     edges = [k for k in range(1, len(modes)) if modes[k] != modes[k - 1]]

@@ -12,7 +12,10 @@ from polaris.certificate.assumptions import Assumptions
 from polaris.certificate.checker import verify
 from polaris.certificate.claims import spending as checked
 from polaris.model.estimates.observer import observing
+from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Observer
+from polaris.simulation.delayed import flies
+from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.attacks import Attacker
 from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.schedule.spending import FlightSpending, Spell, together
@@ -235,6 +238,41 @@ def bound(schedule, constant):
         return flight.thrust_bound(count) * safety.tracking.flow.h / system.mass
     finally:
         object.__setattr__(system.thrusters, "constant", declared)
+
+
+def test_matrices_are_those_of_their_bounds():
+    errors, ways = Thrusters(0.1, 0.05, constant=True), np.random.default_rng(0).normal(size=(200, 3, 3))
+    M = errors.matrices(ways)
+    assert np.all(np.abs(np.einsum("rii->ri", M)) <= 0.1)
+    assert np.allclose(np.linalg.norm(M * (1 - np.eye(3)), axis=-1), 0.05)
+
+
+def test_constants_are_drawn_at_their_bounds_and_once_a_flight():
+    quick = "recoverable.recourse=none", "schedule.bound_programs=0"
+    given = *ALONE[TINY], *WRONG[:2], "thrusters.impulse_bit_N_s=0.002", NEVER, *quick
+    schedule, (start, runs) = tiny(*given), (np.zeros((40, 4)), 40)
+    flight = flies(schedule.safety.problem.system)(schedule, schedule.modes, 1)
+    w, _ = disturbances(flight, runs, np.random.default_rng(0), "mixed")
+    shares = slice(flight.columns[2].start + 2, flight.columns[2].stop)
+    assert np.all(np.abs(w[0, :, flight.constant]).max(axis=0) == [0.02, 0.01])
+    assert shares.stop - shares.start == 4 and np.all(np.ptp(w[0, :, shares], axis=0) > 1)
+    flown = flight.run(start, w).states
+    for part in (flight.constant, shares):
+        later, other = w.copy(), w.copy()
+        later[1:, :, part] *= -1
+        other[:, :, part] *= -1
+        assert np.array_equal(flight.run(start, later).states, flown)
+        assert not np.array_equal(flight.run(start, other).states, flown)
+
+
+STAND_IN = [("thrusters.directions=[[1,0],[-1,0],[0,1],[0,-1]]", "thrusters.thrust_max_N=1.0")]
+STAND_IN += [('faults=[{kind="loss",share=0.1}]',)]
+
+
+@pytest.mark.parametrize("more", STAND_IN, ids=["layout", "fault"])
+def test_errors_of_thrusters_that_stand_in_for_others_count_as_ones_that_vary(more):
+    always, never = (load_scenario(TINY, [*WRONG, *more, *last]) for last in ([], [NEVER]))
+    assert never.problem().system.thrusters == always.problem().system.thrusters
 
 
 @pytest.mark.parametrize("extra", [(), CARRIED[:1], CARRIED], ids=["held", "bit", "carried"])

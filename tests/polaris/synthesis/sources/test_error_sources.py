@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 from docs.generate import source_docs
-from polaris import Monitor, Stages, falsify, get_safety, load_scenario, synthesize
+from polaris import Craft, Monitor, Stages, falsify, get_safety, load_scenario, synthesize
 from polaris.certificate.files.demands import CHECKED, listed
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.thrusters import Thrusters
+from polaris.rta.online.estimate import BoxFilter, BoxMotion
 from polaris.runs.schedule import fly_schedule
 from polaris.scenario.reading import write_toml
 from polaris.scenario.tables.schedule import ScenarioModel
 from polaris.synthesis.sources.craft import SOURCES, craft_loop
+from reach import discretize
 from tests.kept import kept
 from tests.polaris.closed_loops import attack, attack_monitor
 from tests.polaris.corruptions import scaled
@@ -162,6 +164,18 @@ def test_errors_of_thrusters_cover_every_way_to_make_them():
         assert np.all(share <= 1)
         largest = max(largest, share.max())
     assert largest > 0.9
+
+
+def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
+    A, B = np.eye(4, k=2), np.eye(4)[:, 2:]
+    system = Craft(A, B, B, [1.0, 1.2], 0.0, thrusters=Thrusters(0.1, 0.05, 0.02))
+    rng, command, Bd = np.random.default_rng(0), 0.5 * system.u_max, discretize(A, B, 2.0)[1]
+    for told in ([-command, command], None):
+        box = BoxFilter(BoxMotion(system, 0.5, 2.0), np.zeros(4), np.zeros(4))
+        box.flown(None if told is None else np.array(told), True)
+        ahead, u = box.propagated(2.0), rng.choice([-1, 1], (200, 2)) * (command if told else system.u_max)
+        x = (u + np.sign(u) * system.thrusters.error(u)) @ Bd.T
+        assert np.all(x <= ahead[:4]) and np.all(-x <= ahead[4:]) and np.any(x > np.abs(u) @ Bd.T)
 
 
 @cache

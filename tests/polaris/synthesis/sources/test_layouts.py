@@ -166,6 +166,19 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
     assert largest <= layout.max_carried * (1 + 1e-9) and largest > 0.2 * layout.max_carried
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(seed):
+    """A double integrator: within a period from where held inputs have it, velocity and position."""
+    rng, layout, errors = drawn(seed)
+    made, fired = layout.allocation, np.array(layout.fired)
+    f, s = thrusts_of(made, rng.uniform(-1, 1, (300, 3)) * made.u_max), np.linspace(0, 1, 201)[:, None, None]
+    on = f / made.limits
+    for speed in np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f:
+        one = np.maximum(speed, 0), np.maximum(-speed, 0)
+        moved = sum(abs(flown(rng, layout, errors, each)) for each in one)
+        assert np.all(moved <= fired / 8 * (1 + 1e-9))
+
+
 MADE = ["thrusters.magnitude_error=0.02", "thrusters.mass_error=0.01", "thrusters.impulse_bit_N_s=0.002"]
 STATED = [("thrusters", "along"), ("thrusters", "mass"), ("thrusters", "bit"), ("allocation", "limits")]
 STATED += [("timing", "carried_impulse"), ("timing", "pulse_thrust"), ("timing", "bit")]

@@ -24,6 +24,9 @@ from polaris.model.timing import Timing
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods import METHODS
+from polaris.rta.online.estimate import Measurement
+from polaris.rta.online.observer import MeasurementCheck
+from polaris.rta.online.runtime_options import Durations
 from polaris.scenario.reading import write_toml
 from polaris.simulation.disturbances import disturbances
 from polaris.simulation.firing import Firing
@@ -122,6 +125,18 @@ def test_flights_that_fire_keep_what_is_proven(name):
         flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
         made = flight.asked * 0.25 / 0.02
         assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
+
+
+def test_a_measurement_between_nodes_is_displaced_by_pulses():
+    schedule = kept("pulsed", lambda: synthesize(load_scenario(TINY).with_assignments(FIRING["pulsed"])))
+    grid = DecisionGrid.from_schedule(schedule)
+    system, limits = grid.system, Durations(grid.period, 10 * grid.period, 0.01, 0.1, 1.0, 1.0)
+    between = np.array(system.timing.intersample_offset)
+    assert np.any(between > 0)
+    for age, more in ((0.0, 0.0), (0.4 * grid.period, between)):
+        observer = MeasurementCheck(grid, limits, 1e6, 3)
+        reading = observer._read(Measurement(1.0 - age, np.zeros(system.n)), 1.0)
+        assert np.array_equal(reading.half_widths, system.navigation + more)
 
 
 @pytest.mark.parametrize("substeps", [1, 4])
