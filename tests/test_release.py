@@ -51,10 +51,14 @@ def interpreter(version):
     """Find a Python of this version; skip the test where there is none."""
     if version == OWN:
         return sys.executable
-    command = shutil.which(f"python{version}")
-    if not command or subprocess.run([command, "--version"], capture_output=True, check=False).returncode:
-        pytest.skip(f"there is no python{version} here")
-    return command
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    for command in (shutil.which(f"python{version}"), *pyenv.glob(f"{version}.*/bin/python{version}")):
+        if (
+            command
+            and not subprocess.run([command, "--version"], capture_output=True, check=False).returncode
+        ):
+            return command
+    pytest.skip(f"there is no python{version} here")
 
 
 def environment(folder, *packages, version=OWN):

@@ -15,7 +15,7 @@ pytest.importorskip("flint")
 
 from flint import arb, arb_mat
 
-from polaris import DecisionGrid, Monitor, Policy, Reference, ScenarioError, get_safety, simulate
+from polaris import DecisionGrid, Monitor, Policy, Reference, ScenarioError, falsify, get_safety, simulate
 from polaris.certificate.assumptions import ARITHMETIC
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import canonical, digest
@@ -283,6 +283,28 @@ def test_a_run_says_in_which_arithmetic_its_network_is_evaluated(tmp_path):
     verdict = forged(single.path, tmp_path / "claimed", claims_real)
     assert verdict.outcome == "REJECTED" and verdict.claim == "controllers", verdict.text()
     assert "precision" in verdict.text()
+
+
+ERRORS = {
+    "navigation": {"state_error": [0.02, 0.02, 0.006, 0.006]},
+    "thrusters": {"magnitude_error": 0.03, "impulse_bit_N_s": 0.003},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forgotten", ERRORS)
+def test_a_run_with_errors_verifies_and_one_that_forgets_them_does_not(forgotten, tmp_path, monkeypatch):
+    pytest.importorskip("onnx")
+    errors = {forgotten: ERRORS[forgotten]}
+    (tmp_path / "honest").mkdir()
+    folder = run(scene(tmp_path / "honest", errors=errors), tmp_path / "run")
+    assert verify(folder.path).outcome == "VERIFIED" and 1 in folder.json("schedule.json")["modes"]
+    assert falsify(read_schedule(folder), 100).failure is None
+    fly = NeuralController.propagate
+    ideal = lambda law, start, k: fly(replace(law, system=law.system.as_ideal()), start, k)  # noqa: E731
+    monkeypatch.setattr(NeuralController, "propagate", ideal)
+    verdict = verify(run(scene(tmp_path, errors=errors), tmp_path / "forgetful").path)
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("goal", "margins", "recoverable", "separation")
 
 
 def test_a_network_in_another_folder_is_copied_and_found_from_anywhere(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import re
 import pytest
 
 from benchmarks import tenfold
+from tests.sizes import fewer
 from tests.test_docs import assert_shown
 
 
@@ -38,7 +39,7 @@ def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", tenfold.SCENES)
+@pytest.mark.parametrize("scene", fewer(tenfold.SCENES, ["static", "dynamic"]))
 def test_bundled_scenes_are_worth_flying_with_every_error_at_once(scene, tmp_path):
     """At most ten points of U less than without errors, at most half as much velocity change more."""
     tenfold.main([scene, "--together", "--attacks", "0", "--out", str(tmp_path)])
