@@ -229,6 +229,13 @@ def test_titles_are_inert(run, tmp_path, title):
     assert title in words(html)
 
 
+def test_names_of_methods_are_inert(comparison, tmp_path):
+    folder, name = shutil.copytree(comparison, tmp_path / "folder"), "</script><script>alert(1)</script>"
+    rewrite_json(folder / "comparison.json", lambda data: data["methods"][1].update(name=name, key="safety"))
+    html = report_of(folder, tmp_path)
+    assert len(re.findall(r"<script", html)) == 3 and data_of(html)["pilots"][1]["name"] == name
+
+
 def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     html = report_of(comparison, tmp_path)
     text, data = words(html), data_of(html)

@@ -43,8 +43,8 @@ def test_metrics_by_hand():
     made = scene("robot")
     conditions = Conditions.draw(made, 3, 0)
     flights = {key: fly(made, METHODS[key](made), conditions) for key in FEW}
-    found = {key: measure(made, flight, conditions, key) for key, flight in flights.items()}
-    flight, metrics = flights["schedule"], found["schedule"]
+    measured = {key: measure(made, flight, conditions, key) for key, flight in flights.items()}
+    flight, metrics = flights["schedule"], measured["schedule"]
     modes = np.repeat(made.schedule.modes, made.clearance.q)
     assert metrics.experimental_share[0] == pytest.approx(np.mean(modes > 0), abs=1e-12)
     assert metrics.switches[0] == np.count_nonzero(np.diff(modes))
@@ -53,9 +53,9 @@ def test_metrics_by_hand():
     who = flown(made, flights["asif_implicit"])  # a switch is a change to a filtered input, or back
     assert (who == -1).any() and (who == 1).any()
     changes = np.count_nonzero(np.diff(who, axis=1), axis=1)
-    assert found["asif_implicit"].switches.tolist() == changes.tolist() and changes.min() > 0
+    assert measured["asif_implicit"].switches.tolist() == changes.tolist() and changes.min() > 0
     assert np.allclose(flights["experimental"].deviation, 0, atol=1e-12)
-    safe, metrics = flights["safety"], found["safety"]
+    safe, metrics = flights["safety"], measured["safety"]
     wanted = np.stack([made.clipped(1, k, safe.states[:, k]) for k in range(made.last)], axis=1)
     assert safe.deviation == pytest.approx(np.linalg.norm(safe.inputs - wanted, axis=2).mean(axis=1))
     metrics.min_ttc[:] = [np.inf, 1.0, 2.0]  # of infinite times no difference is made

@@ -90,7 +90,6 @@ def test_docking_keeps_the_limit_of_speed_that_its_primary_controller_breaks():
         spent[mode] = np.linalg.norm(runs.inputs, axis=-1).sum(axis=1).max() * 5.0 / 12.0
     assert beyond[None].max() < 0 and (beyond[1].max(axis=1) > 29).all()
     section = TEXT.split("\n## afrl-docking\n")[1].split("\n## ")[0]
-    assert f"for {100 * (beyond[1] > 0).mean():.0f} % of the time" in section
     spoken = re.search(r"Ours in that norm: ([\d.]+) m/s .* and ([\d.]+) m/s for U alone", section, re.DOTALL)
     assert [spent[None], spent[1]] == pytest.approx([float(x) for x in spoken.groups()], rel=5e-3)
     ends = np.minimum(50.0 * np.arange(61), 2240.0)

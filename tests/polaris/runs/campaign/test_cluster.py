@@ -88,8 +88,8 @@ def test_what_is_killed_in_mid_run_loses_nothing_and_counts_nothing_twice(
     killer = threading.Thread(target=kill)
     killer.start()
     pattern = r"(no longer answers|lost).* runs are kept in .*the same command goes on"
-    told = nullcontext() if victim == "worker" else pytest.raises(PolarisError, match=pattern)
-    with told, cluster(address) as crew:
+    expected = nullcontext() if victim == "worker" else pytest.raises(PolarisError, match=pattern)
+    with expected, cluster(address) as crew:
         fly(out, crew)
     killer.join()
     assert killed.wait() == -signal.SIGKILL
