@@ -19,6 +19,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,6 +146,10 @@ def require_extra(path):
 @pytest.fixture(scope="module")
 def shell(tmp_path_factory):
     return Shell(tmp_path_factory.mktemp("docs"))
+
+
+def test_the_command_runs_in_a_process_of_its_own(shell):
+    assert shell.run("polaris --version | cat") == (f"polaris {polaris.__version__}\n", 0)
 
 
 @pytest.fixture
@@ -431,3 +436,48 @@ def test_notebooks_print_what_they_show(name):
     assert len(shown) == len(real) and any(shown)
     for cell, (stored, new) in enumerate(zip(shown, real, strict=True)):
         assert_shown(stored, new, f"{name}, code cell {cell}", numbers=True)
+
+
+def test_every_notebook_is_executed_by_a_test():
+    assert {path.stem for path in (DOCS / "notebooks").iterdir()} == {"compare", "own_scene", "network"}
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+@on_built_pages
+def test_search_shows_no_tex(site):
+    """Formulas are an ellipsis in the index of the search, code stays."""
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    texts = [re.sub(r"<(code|pre)\b.*?</\1>", "", entry["text"], flags=re.S) for entry in index["docs"]]
+    assert not [text for text in texts if re.search(r"\\[()\[\]A-Za-z]", text)]
+    assert sum("…" in text for text in texts) > 50
+
+
+WIDE_AND_LOST = """const across = document.documentElement.scrollWidth > document.documentElement.clientWidth;
+const drawn = [...document.querySelectorAll("mjx-container > svg")];
+return [across, drawn.filter((one) => one.getBoundingClientRect().width < 2).length, drawn.length];"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("chromedriver"), reason="needs chromedriver, which is not installed")
+def test_pages_fit_a_phone(site, tmp_path):
+    """No page is wider than 390 pixels; tables and formulas scroll by themselves, and none vanishes."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}"):
+        options.add_argument(flag)
+    service = webdriver.ChromeService(shutil.which("chromedriver"))
+    with webdriver.Chrome(service=service, options=options) as driver:
+        phone = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+        for page in sorted(site.rglob("*.html")):
+            driver.get(page.as_uri())
+            text = page.read_text(encoding="utf-8")
+            expected = sum(len(formulas(text, kind)) for kind in ("div", "span"))
+            until = time.monotonic() + 120
+            while driver.execute_script(WIDE_AND_LOST)[2] < expected and time.monotonic() < until:
+                time.sleep(0.1)
+            assert driver.execute_script(WIDE_AND_LOST) == [False, 0, expected], page.name
