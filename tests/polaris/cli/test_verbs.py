@@ -3,18 +3,15 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-import polaris
 from polaris.cli import app as cli
 from tests.polaris.forging import COARSE
 from tests.polaris.tiny import TINY
 
-ROOT = Path(polaris.__file__).resolve().parent.parent
 VERBS = typer.main.get_command(cli.app).commands
 SCENARIOS = {"NAME_OR_FILE", "NAME_OR_FILE...", "RUN_OR_SCENARIO"}
 """What help calls an argument that may name a scenario."""

@@ -110,7 +110,6 @@ def bare(system, obstacles, goal, chi0, delta=30.0, steps=20):
     )
 
 
-LINE = LinearSystem(np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.array([[0], [1.0]]), np.ones(1))
 HILL = clohessy_wiltshire(0.0012, 10.0, 0.1)
 
 
