@@ -115,17 +115,17 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors, siz
     x = xi[0] + rng.uniform(-1, 1, (200, 4)) @ start.G.T
     Ad, Bd = discretize(system.A, system.B, PERIOD / parts)
     Dd = discretize(system.A, system.D, PERIOD / parts)[1]
-    rows = rng.normal(size=(40, 4))
+    rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(40, 4))])
+    way = np.eye(2)[rng.integers(0, 2, len(x))] * rng.choice([-1.0, 1.0], (len(x), 1))  # all along one axis
+    side = np.where(way == 0, 1.0, way)
     support = tube.nodes.support(rows)
     for i in range(q):
         asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
         K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
         fitted = (x - xi[i * parts]) @ K.T + c
         u = np.clip(np.clip(asked, -system.u_max, system.u_max), fitted - r, fitted + r)
-        u[::2] = fitted[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
-        w = rng.normal(size=(len(x), system.p))
-        w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
-        u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
+        u[::2] = (fitted + side * r)[::2]  # at the edge of the bands
+        w, u = system.w_max * way, u + side * system.thrusters.error(u)
         drift = rng.choice([-1.0, 1.0], (len(x), system.impulse_rates.shape[1])) @ system.impulse_rates.T
         drift = drift @ discretize(system.A, np.eye(system.n), PERIOD / parts)[1].T
         for part in range(1, parts + 1):
@@ -133,6 +133,7 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors, siz
             s, e = part / parts, x - xi[i * parts + part]
             bound = (1 - s) * support[i] + s * support[i + 1] + tube.intersample[i] @ np.abs(rows).T
             assert np.all(e @ rows.T <= bound + 1e-9)
+        assert np.all(e @ rows.T <= support[i + 1] + 1e-9)
 
 
 def test_an_affine_box_is_fitted_to_rounding_and_only_where_states_vary():
