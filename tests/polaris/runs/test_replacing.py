@@ -244,6 +244,18 @@ def test_an_old_folder_is_put_back_if_the_run_was_killed_between(tmp_path):
     assert not again.exists() and (target / "notes.txt").read_bytes() == b"came at the last moment"
 
 
+def test_an_older_campaign_does_not_come_back_into_a_newer_one(tmp_path):
+    target = write(tmp_path / "c", {"manifest.json": b"old"})
+    with replacing.adding(target, "runs") as beside:
+        (beside / "case-0007-batch-00000.parquet").write_bytes(b"old")
+    left = left_by_a_dead_process(target, "old")
+    ownership.remove(left)
+    target.rename(left)
+    write(tmp_path / "n", {"manifest.json": b"new"}).rename(target)
+    tidy(tmp_path)
+    assert set(contents(target)) == {"manifest.json", ownership.MANIFEST} and not left.exists()
+
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path

@@ -13,9 +13,9 @@ import polaris
 from polaris.cli.app import app
 from polaris.cli.compare import _sweep
 from polaris.cli.show.comparison import answered
-from polaris.model.errors import ScenarioError
+from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs import tradeoff as module
-from polaris.runs.campaign.workers import Interrupted
+from polaris.runs.campaign.workers import InProcess, Interrupted, Workers
 from polaris.runs.schedule import DATA_FILES
 from polaris.runs.tradeoff_points import needed, non_dominated
 from tests.leftovers import left_by_a_dead_process
@@ -124,6 +124,18 @@ def test_points_that_are_there_are_kept_and_others_computed(folder, copied, comp
 def test_a_damaged_point_is_computed_again(name, folder, copied, computed):
     (copied / "price-0" / name).write_bytes(b"{}")
     assert contents(again(copied).path) == contents(folder.path) and computed == ["price-0"]
+
+
+class Lost(InProcess):
+    """Loses its worker."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        raise OSError
+
+
+def test_a_lost_worker_is_told(tmp_path):
+    with pytest.raises(PolarisError, match="a worker was lost.*goes on from there"):
+        again(tmp_path / "one", executor=Workers(Lost, lambda: 1, lost=(OSError,)))
 
 
 def test_points_of_other_scenarios_and_versions_are_computed_again(copied, computed, monkeypatch):
