@@ -296,6 +296,26 @@ def test_a_trade_off_proves_nothing_of_boxes_and_asks_them_anew(tmp_path, monkey
         polaris.tradeoff(*given, black_boxes=boxes)
 
 
+def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
+    """Bands are about a motion that stands for the flight, as far from it as what is carried may be."""
+    part, flights = safety("carried"), 50
+    scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
+    schedule = polaris.synthesize(scenario, part, [box(part=part)])
+    runs, system = simulate(schedule, flights, 1), part.problem.system
+    bit, left, stands = system.timing.carried_impulse, np.zeros((flights, system.m)), runs.states.copy()
+    held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
+    for node in range(runs.inputs.shape[1]):
+        due = runs.inputs[:, node] * PERIOD + left
+        left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
+        stands[:, node + 1] += left @ held.T
+    arcs, far = part.reference.fine(4), outside(runs)
+    assert schedule.sampled_steps
+    for step in (step for step in schedule.steps if step.mode):
+        at = slice(4 * step.k, 4 * step.k + 4)
+        off = step.tube.outside(stands[:, at] - arcs[step.k, :-1], runs.inputs[:, at], np.zeros(system.n))
+        assert np.all(off <= far * (1 + 1e-9))
+
+
 def drifting():
     """Return a box that drifts from flight to flight, too little to show in the samples."""
     flown = [0]

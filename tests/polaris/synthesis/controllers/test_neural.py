@@ -126,6 +126,11 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
     assert np.all(e @ rows.T <= tube.end.support(rows) + ROUNDING)
 
 
+def test_numbers_beyond_floating_point_refuse_a_step():
+    start = Zonotope.box(np.zeros(4), np.full(4, 1e308))
+    assert random_controller(0)[0].propagate(start, 0).refused
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_bands_of_the_checker_hold_the_activation(kind):
     rng, layer = np.random.default_rng(1), Layer(**layer_item(KINDS[kind]))

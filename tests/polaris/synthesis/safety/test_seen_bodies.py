@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("flint")
 
-from polaris import evaluate, falsify, get_safety, load_scenario, run, simulate, synthesize
+from polaris import DecisionGrid, evaluate, falsify, get_safety, load_scenario, run, simulate, synthesize
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.model.obstacle_boxes import ObstacleBoxes
@@ -17,10 +17,14 @@ from polaris.certificate.model.plants import plant_of
 from polaris.model.scene.obstacles import BallObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle, true_states
 from polaris.model.tolerances import ROUNDING
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.methods import METHODS
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
 from polaris.scenario.reading import write_toml
 from polaris.scenario.schedule import ScheduleScenario
+from polaris.simulation.disturbances import adjoint_worst_case
+from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers.neural import NeuralController
 from polaris.synthesis.controllers.policy import OF_BODY, Policy
 from reach import Affine, Zonotope, discretize
@@ -192,6 +196,26 @@ def test_a_run_verifies_flies_and_holds_under_attack(made, schedule):
     assert made.summary["synthesis"]["experimental_share"] > 0.3
     assert made.summary["polaris"]["collided"] is False
     assert falsify(schedule, 400).failure is None
+
+
+def test_attacks_steer_what_is_read_by_the_gradient(schedule):
+    """The readings that the adjoint chooses move a state further than any drawn at random."""
+    flight, rng = Integrator(schedule, np.ones(len(schedule.modes), dtype=int), 1), np.random.default_rng(0)
+    rows, target, read = np.vstack([np.eye(4), -np.eye(4)]), flight.steps // 2, flight.columns[-1]
+    w = adjoint_worst_case(flight, rows, np.full(8, target))[0]
+    only, start = 0 * w, np.repeat(schedule.safety.problem.initial_set.c[None], 8, axis=0)
+    only[..., read] = w[..., read]
+    assert np.any(only[:target]) and not np.any(only[target:])
+    worst = np.sum(rows * flight.run(start, only).states[:, target], axis=1)
+    for _ in range(10):
+        only[..., read] = rng.choice([-1.0, 1.0], only[..., read].shape)
+        assert np.all(worst > np.sum(rows * flight.run(start, only).states[:, target], axis=1))
+
+
+def test_run_time_methods_fly_a_network_that_reads_bodies(schedule):
+    grid = DecisionGrid.from_schedule(schedule, 0.5, 0.0, None)
+    flown = fly(grid, METHODS["experimental"].on(grid), Conditions.draw(grid, 6, 0))
+    assert np.ptp(flown.inputs[:, 0], axis=0).max() > 0, "told different things at once"
 
 
 def test_flights_read_the_truth_and_are_judged_by_it(schedule):

@@ -26,6 +26,7 @@ from polaris.model.estimates.observer import design
 from polaris.model.estimates.prediction import predicting
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
+from polaris.synthesis.safety import feedforward
 from polaris.synthesis.safety.carried_rows import CarriedRows
 from polaris.synthesis.safety.feedforward import Feedforward
 from reach import Zonotope, powers
@@ -348,6 +349,19 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
                 exact = np.maximum(exact, np.einsum("tri,r->i", noise[1:], more[-1]))
             assert np.all(tightenings[L] >= exact * (1 - 1e-6)), L
             assert np.all(tightenings[L] <= exact * 1.2 + 1e-2), L
+
+
+@pytest.mark.parametrize("rounds", [2, 300])
+def test_errors_that_feed_on_themselves_are_bounded_or_exhaust_the_thrusters(rounds, monkeypatch):
+    monkeypatch.setattr(feedforward, "ROUNDS", rounds)
+    s, nu = tracking(proportional=True), np.full((30, 2), 0.2)
+    for across in (0.05, 0.25, 0.75):
+        system = replace(s.system, thrusters=replace(s.system.thrusters, across=across))
+        own = feedforward.Feedforward(replace(s, system=system), SimpleNamespace(nu=nu, cells=30), 30)
+        caused = own.response(own.tracking.commands[:2], between=False).max(axis=1)
+        kept = np.all(own.commanded >= nu + caused) and np.all(own.commanded <= system.u_max)
+        assert kept or np.any(own.commanded > system.u_max), across
+        assert kept == (rounds > 2 and across < 0.5), across
 
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():

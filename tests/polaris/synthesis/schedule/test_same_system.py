@@ -204,3 +204,8 @@ TUBES = [
 def test_a_tube_that_is_none_is_refused(change, told):
     with pytest.raises(ScenarioError, match=told):
         proof(Tube(change))
+
+
+def test_a_tube_that_is_refused_is_not_flown():
+    assert proof(Tube()).share() > 0
+    assert proof(Tube(lambda f: replace(f, refused="its command may exceed a limit"))).share() == 0

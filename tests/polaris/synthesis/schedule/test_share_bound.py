@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
-from itertools import product
+from itertools import combinations, product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from polaris import AffineController, AnyThrust, PolarisError, SwitchingRules, load_scenario, synthesize
 from polaris.planning.lp import GrowingLP
 from polaris.synthesis.schedule.share_bound import Master, share_bound
-from polaris.synthesis.schedule.undisturbed import FREE, UndisturbedFlights
+from polaris.synthesis.schedule.undisturbed import FREE, UndisturbedFlights, _Clear
 from reach import discretize
 from tests.kept import printed as bundled
 from tests.kept import quick
@@ -81,13 +82,39 @@ def test_the_word_of_a_solver_is_not_enough(monkeypatch):
         assert not flights.impossible(free)
 
 
-def test_what_is_widened_is_still_impossible_and_demands_no_less():
-    _, schedule = printed()
-    flights, K = UndisturbedFlights(schedule.safety, schedule.controllers[1:]), schedule.safety.problem.K
-    held = (1,) * K
-    wide = flights.widened(held)
-    assert flights.impossible(held) and flights.impossible(wide) and len(wide) < K
-    assert all(mode in (FREE, held[k]) for k, mode in enumerate(wide))
+def test_nothing_that_can_be_flown_is_called_impossible():
+    scenario, schedule = printed("feedback={period_s=0.25}")
+    problem, law = schedule.safety.problem, schedule.controllers[1]
+    flights, rng = UndisturbedFlights(schedule.safety, [law]), np.random.default_rng(1)
+    steps, refuted, fewest = range(problem.K), 0, problem.K
+    sets = [free for count in range(3) for free in combinations(steps, count)]
+    sets += [np.flatnonzero(rng.random(problem.K) < 0.4).tolist() for _ in range(20)]
+    for i, free in enumerate(sets):
+        held = tuple(FREE if k in free else 1 for k in steps)
+        impossible, clearance = flights.impossible(held), np.inf
+        states = flights_of(problem, law, held, 250, i)
+        for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
+            clearance = np.minimum(clearance, (states @ rows.T - offsets).max(axis=2).min(axis=1))
+        if clearance.max() > 0.02:
+            assert not impossible, free
+            fewest = min(fewest, len(free))
+        refuted += impossible
+        if impossible and len(free) > 2:
+            wide = flights.widened(held)
+            assert flights.impossible(wide), "still, and demands no less"
+            assert all(mode in (FREE, held[k]) for k, mode in enumerate(wide))
+    bound = share_bound(schedule, scenario.switching_rules(), 400)
+    assert refuted > 5 and bound.ended == "reached" and bound.share == 1 - fewest / problem.K
+
+
+def test_every_side_of_every_set_is_tried():
+    """Along a line the near sides of some sets lead into others; beyond them there is a way, or none."""
+    sides, c, G = np.array([[1.0], [-1.0]]), np.array([[0.1]]), np.array([[[3.0]]])
+    near = [[1.0, 1.0], [2.9, -0.5], [3.05, -2.0], [3.2, -3.0]]  # clear of each: x above, or -x above
+    for sets, refuted in ((near, False), ([*near, [-0.5, 9.0]], True)):
+        flights = SimpleNamespace(system=SimpleNamespace(position=np.eye(1)), rows=[sides] * len(sets))
+        flights.offsets = [np.array([each]) for each in sets]
+        assert _Clear(flights, c, G, np.array([[3.1]])).impossible() is refuted
 
 
 def kept(modes, rules, demands):

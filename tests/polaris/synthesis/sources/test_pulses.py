@@ -29,10 +29,12 @@ from polaris.rta.online.observer import MeasurementCheck
 from polaris.rta.online.runtime_options import Durations
 from polaris.scenario.reading import write_toml
 from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.claims import _pulsed
 from polaris.simulation.firing import Firing
 from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
+from polaris.simulation.run_metrics import held_path
 from polaris.simulation.simulate import flown_modes, simulate
 from reach import discretize
 from tests.kept import kept
@@ -125,6 +127,40 @@ def test_flights_that_fire_keep_what_is_proven(name):
         flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
         made = flight.asked * 0.25 / 0.02
         assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
+
+
+@pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
+def test_pulses_are_followed_within_a_period(placed):
+    """Exactly to its end, and to a hundredth of what they displace in between."""
+    system = load_scenario("static", ["feedback.period_s=10", f"thrusters.pulse={placed}"]).system()
+    h, steps, rng, firing = 10.0, 800, np.random.default_rng(3), Firing()
+    firing.system, firing.dt, firing.substeps, firing.fired = (
+        system,
+        h,
+        1,
+        np.array(system.timing.pulse_thrust),
+    )
+    firing.asked = firing.made = rng.uniform(-1, 1, (6, 3)) * system.u_max
+    firing.parts = []
+    firing.start(0)
+    other = held = before = rng.normal(size=(6, 6))
+    s, apart = ((np.arange(steps) + 0.5) / steps)[:, None, None], []
+    carry, push = (part.T for part in discretize(system.A, system.B, h / steps))
+    on = np.abs(firing.asked) / firing.fired
+    begin = {"centred": (1 - on) / 2, "start": 0 * on, "staggered": np.cumsum(on, axis=1) - on}[placed]
+    for now in (s > begin) & (s < begin + on):
+        other = other @ carry + now * np.sign(firing.asked) * firing.fired @ push
+        held = held @ carry + firing.asked @ push
+        apart.append(other)
+    ends, places = held + firing.intersample(0), np.arange(1, 8) / 8
+    assert np.allclose(ends, other, atol=2e-3 if placed == "centred" else 1e-2)
+    moved = _pulsed(system, before[:, None], ends[:, None], h, places[:, None])
+    true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
+    true = true - held_path(system, h, before, other, places)
+    for part in (slice(3), slice(3, 6)):
+        size, largest = np.abs(true[..., part]).max(), np.array(system.timing.intersample_offset)[part]
+        assert np.abs(moved - true)[..., part].max() < 0.03 * size
+        assert size > (0.3 if placed == "centred" else 0.1) * np.linalg.norm(largest)
 
 
 def test_a_measurement_between_nodes_is_displaced_by_pulses():
