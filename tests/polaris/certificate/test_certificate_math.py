@@ -40,6 +40,7 @@ from polaris.certificate.kernel.balls import (
     require,
     row_sums,
     spans,
+    sums,
     widths,
 )
 from polaris.certificate.kernel.motion import InputSet, Plant, RowIntersample
@@ -47,11 +48,13 @@ from polaris.certificate.kernel.periods import Period, Spell
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import Directions, Merging, Zonotope, ball_cover, inner_radius
 from polaris.certificate.model.craft.settling import Settling
+from polaris.certificate.model.craft.tightening import SetIntersample, Tightening
 from polaris.certificate.model.limits import Limits, NodeLimit
 from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
+from reach.numerics.linear import discretize
 from tests.polaris.loops import loop_of_errors
 from tests.polaris.tiny import TINY
 
@@ -183,6 +186,33 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow():
         chord = path[0] + (path[-1] - path[0]) * (fine / 0.2)[:, None]
         furthest = np.maximum(furthest, np.abs((path - chord) @ rows.T).max(axis=0))
     assert np.all(furthest <= bound) and np.any(furthest > 0.3 * bound)
+
+
+def test_between_nodes_s_flies_below_the_chords_of_what_it_needs_at_nodes():
+    """From a set without a push, and from rest under a constant one: both peak within periods."""
+    A, B, K, h, push = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([[0.0], [1.0]]), [[1.5, 1.8]], 0.4, 0.3
+    b, rows = matrix(B.tolist()), np.vstack([np.eye(2), -np.eye(2), K, np.negative(K)])
+    plant = Plant(matrix(A.tolist()), b, b, matrix([[1, 0]]), [arb(1)], arb(push), arb(h))
+    start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
+    loop = loop_of_errors(plant, matrix(K))
+    tightenings = Tightening(loop, Settling.for_craft(loop, start.size(), 1), matrix(rows.tolist()))
+    intersamples, c, G = SetIntersample(tightenings, start), values(start.c)[:, 0], values(start.G)
+    of_set = [sums(start.support(tightenings.carried[lag]), intersamples.next_to(lag)) for lag in range(9)]
+    of_set, of_push = (
+        np.array([[float(x) for x in each] for each in tube]) for tube in (of_set, tightenings.disturbed[:9])
+    )
+    moved, pushed, beyond = np.eye(2), np.zeros(2), 0.0
+    for lag in range(8):
+        for s in np.linspace(0, h, 21):
+            Ad, Bd = discretize(A, B, s)
+            M, share = rows @ (Ad - Bd @ K), s / h
+            reached = M @ moved @ c + np.abs(M @ moved @ G).sum(axis=1)
+            assert np.all(reached <= (1 - share) * of_set[lag] + share * of_set[lag + 1] + 1e-12)
+            beyond = max(beyond, np.max(reached / np.maximum(of_set[lag], of_set[lag + 1])))
+            reached = M @ pushed + rows @ Bd[:, 0] * push
+            assert np.all(reached <= (1 - share) * of_push[lag] + share * of_push[lag + 1] + 1e-12)
+        moved, pushed = (Ad - Bd @ K) @ moved, (Ad - Bd @ K) @ pushed + Bd[:, 0] * push
+    assert beyond > 0.9
 
 
 def test_an_orbit_followed_beyond_the_tail_keeps_its_precision(monkeypatch):
