@@ -35,7 +35,10 @@ def test_a_worse_row_is_a_fault(stored, change):
     assert not compare(PROVED, dict(PROVED)) and kinds(REFUSED, PROVED) == {BETTER}
     assert kinds(PROVED, {"share": 0.74, "modes": "UUSS"}) == {OTHER}
     less = {"margin": 0.1, "tube": [2.0, 0.02], "goal_distance_m": 6.0}  # passes where U flies more
-    assert kinds(PROVED, less | {"modes": "UUUU", "share": 1.0}) == {BETTER, OTHER}
+    more = less | {"modes": "UUUU", "share": 1.0}
+    assert kinds(PROVED, more) == {BETTER, OTHER} and kinds(PROVED, {"scene": "c3d4"}) == {OTHER}
+    for lost in ({"verdict": "UNKNOWN"}, {"end": "none"}, {"goal": False}):
+        assert WORSE in kinds(PROVED, more | lost)
 
 
 def test_the_table_has_a_row_for_every_scene_and_most_are_proved():

@@ -10,6 +10,7 @@ import pytest
 
 from polaris import SwitchingRules, load_scenario, simulate, synthesize
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
+from polaris.simulation.integration import Integrator
 from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from reach import Zonotope
@@ -125,6 +126,17 @@ def test_dwell_and_cap_are_kept(strategy, dwell, cap):
     assert other.margins[other.modes > 0].min() >= 0 and other.share() > 0
     steps = [step for step, _ in calls]
     assert steps == sorted(set(steps)) and calls[-1] == (60, 60)
+
+
+@pytest.mark.parametrize("name", ["coasting", "clipped"])
+def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch):
+    schedule = synthesize(None, small_safety(), [small_controllers()[name]], SwitchingRules())
+    at_once = simulate(schedule, 12, 3, mode=1)
+    monkeypatch.setattr(Integrator, "_unclipped", lambda self, *cell: None)
+    apart = simulate(schedule, 12, 3, mode=1)
+    for field in ("states", "inputs", "demanded", "delta_v"):
+        one, other = getattr(at_once, field), getattr(apart, field)
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
 
 def test_mode_at_a_time():
