@@ -170,13 +170,10 @@ def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
     A, B = np.eye(4, k=2), np.eye(4)[:, 2:]
     system = Craft(A, B, B, [1.0, 1.2], 0.0, thrusters=Thrusters(0.1, 0.05, 0.02))
     rng, command, Bd = np.random.default_rng(0), 0.5 * system.u_max, discretize(A, B, 2.0)[1]
-    for declared in ([-command, command], None):
+    for bounds in ([-command, command], None):
         box = BoxFilter(BoxMotion(system, 0.5, 2.0), np.zeros(4), np.zeros(4))
-        box.flown(None if declared is None else np.array(declared), True)
-        ahead, u = (
-            box.propagated(2.0),
-            rng.choice([-1, 1], (200, 2)) * (command if declared else system.u_max),
-        )
+        box.flown(None if bounds is None else np.array(bounds), True)
+        ahead, u = box.propagated(2.0), rng.choice([-1, 1], (200, 2)) * (command if bounds else system.u_max)
         x = (u + np.sign(u) * system.thrusters.error(u)) @ Bd.T
         assert np.all(x <= ahead[:4]) and np.all(-x <= ahead[4:]) and np.any(x > np.abs(u) @ Bd.T)
 
