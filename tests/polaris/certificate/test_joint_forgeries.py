@@ -14,7 +14,7 @@ from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.entries import UnsafeSet
 from polaris.certificate.files.inputs import _check_initial_set
 from polaris.certificate.files.repeated import _check_reason
-from polaris.certificate.files.structure import number, strict_json
+from polaris.certificate.files.structure import Items, Text, conform, number, strict_json
 from polaris.certificate.kernel.verdict import EXIT_CODES, Rejected
 from polaris.certificate.model.perception import RIGID, _check_obstacle, _row_support
 from polaris.certificate.model.references import check_goal
@@ -167,6 +167,12 @@ def test_a_number_has_one_text(text):
     for coding in ("utf-16", "utf-32", "utf-8-sig"):
         with pytest.raises(ValueError):
             strict_json('{"a":1}'.encode(coding))
+
+
+@pytest.mark.parametrize("value", ["01", {}, {"0": 1, "1": 1}, None])
+def test_lists_are_lists(value):
+    with pytest.raises(Rejected, match="is no list"):
+        conform(value, Items(Text()), "format", "certificate")
 
 
 def enormous(path):
