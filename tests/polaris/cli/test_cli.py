@@ -115,6 +115,10 @@ def test_check_takes_overrides(invoke, name):
         ("system.disturbance_max_m_s2=3", "in one step, and full thrust"),
         ("system.disturbance_max_m_s2=0", "obey the model exactly"),
         ("system.thrust_max_N=10", "m, not km"),
+        ("initial_set.half_widths=[0.003,0.003,0.003,0.01,0.01,0.01]", "initial_set: its velocities are"),
+        ("initial_set.half_widths=[0.003,0.003,0.003,0,0,0]", "initial_set: the position is known to"),
+        ("initial_set.center=[0,400,0,50,0,0]", "initial_set: 50 m/s covers"),
+        ("obstacles[0].half_widths_m=[0.025,0.025,0.025]", "obstacles.*: it is 0.025 m in size"),
     ],
 )
 def test_slips_of_units_and_scale_are_noted(setting, told):
