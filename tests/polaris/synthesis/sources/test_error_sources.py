@@ -305,6 +305,13 @@ def test_forged_errors_are_refused(tmp_path):
     ):
         verdict = forger.judge({CERTIFICATE: json.dumps(data | forged)})
         assert verdict.outcome == "REJECTED" and verdict.claim in claims, verdict.text()
+    scenario, larger = (
+        forger.tree("scenario.toml"),
+        [w.replace("within 0.05 m", "within 0.06 m") for w in names],
+    )
+    scenario["chaser"]["radius_m"], both = 0.06, {"chaser_radius": (0.06).hex(), "assumptions": larger}
+    files = {CERTIFICATE: json.dumps(data | both), "scenario.toml": write_toml(scenario)}
+    assert forger.judge(files).claim == "unsafe_sets"  # sets that are not inflated by as much
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["state_error"] = [0.03] * 4
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
