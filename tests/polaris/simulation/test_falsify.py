@@ -170,6 +170,19 @@ def test_a_proof_without_unsafe_sets_has_its_thrust_limits_attacked():
     assert (result.proven <= result.least).all()
 
 
+def test_errors_of_estimates_are_steered_to_their_worst():
+    known = ["feedback.period_s=0.25", "navigation={state_error=[0.01,0.01,0.002,0.002]}"]
+    schedule = synthesize(load_scenario(TINY, known))
+    flight, rows = flight_of(schedule)[1], np.vstack([np.eye(4), -np.eye(4)])
+    x0 = np.repeat(schedule.safety.problem.initial_set.c[None], 8, axis=0)
+    w, rng = 1e-3 * adjoint_worst_case(flight, rows, np.full(8, flight.steps))[0], np.random.default_rng(0)
+    other, eta = w.copy(), flight.columns[1]
+    reached = np.sum(flight.run(x0, w).states[:, -1] * rows, axis=1)
+    for _ in range(5):
+        other[..., eta] = np.abs(w[..., eta]) * rng.choice([-1.0, 1.0], w[..., eta].shape)
+        assert np.all(reached > np.sum(flight.run(x0, other).states[:, -1] * rows, axis=1) + 1e-7)
+
+
 def test_gradients_of_a_network_are_those_of_its_flights(tmp_path):
     schedule = synthesize(load_scenario(network_scene(tmp_path)))
     schedule = replace(schedule, steps=tuple(replace(step, mode=1) for step in schedule.steps))

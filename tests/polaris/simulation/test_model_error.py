@@ -111,6 +111,21 @@ def test_no_sample_exceeds_the_bound_and_the_bound_is_not_idle(part):
     assert least * bound.total.max() < sampled <= bound.total.max()
 
 
+def test_bound_of_j2_covers_its_gradient_at_every_latitude():
+    """Finite differences of the field, worst over directions, against the closed form."""
+    step = np.random.default_rng(0).normal(size=(400, 3))
+    step *= 50 / np.linalg.norm(step, axis=1, keepdims=True)
+    at = np.array([6.5e6, 0, 0])
+    for limit in np.radians([0.0, 20.0, 51.7, 90.0]):
+        env = replace(FULL, inclination_max=limit, radius_deviation=FULL.radius - 6.5e6)
+        bound, largest = float(residual_bound(env, 0.0, 50.0, 0.0).oblateness) / 50, 0.0
+        for latitude in np.linspace(0, limit, 20):
+            pole = np.array([np.sin(latitude), np.cos(latitude), 0])
+            change = (env.oblate(at + step, pole) - env.oblate(at - step, pole)) / 100
+            largest = max(largest, float(np.linalg.norm(change, axis=1).max()))
+        assert 0.95 * bound < largest <= bound
+
+
 def test_bound_holds_whatever_the_region():
     rng = np.random.default_rng(3)
     for _ in range(40):
