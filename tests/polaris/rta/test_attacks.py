@@ -192,6 +192,17 @@ def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_le
     assert behind > 5 or not any(jump)
 
 
+def test_limits_beyond_the_settling_horizon_leave_room_for_the_path_of_u():
+    scene = DecisionGrid.from_schedule(line(order=1, weight=0.5, feedback=0.25), 0.25)
+    recovery, tracking, node = Recovery(scene), scene.tracking, scene.last - 1
+    o = len(recovery.intersample)
+    assert 0 < tracking.settling < scene.last and recovery.far(0) > 0
+    tightening = tracking.disturbance(recovery.rows)[-1][:o] + recovery.intersample
+    tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
+    tight.grid.clearance.limits.available[0, node, :o] = tightening * 0.999
+    assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
+
+
 @pytest.mark.parametrize("key", PROVED)
 def test_a_start_that_is_not_recoverable_is_refused_and_no_number_flown_by_s(key):
     scene = DecisionGrid.from_schedule(line(), 0.25)

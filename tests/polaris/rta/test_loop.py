@@ -192,6 +192,14 @@ def permitted_loop(laws=None):
     return flying, scene.period + scene.latency, scene.xi[scene.nodes + scene.delay].copy()
 
 
+def test_an_answer_that_comes_after_its_moment_is_too_late():
+    flying = loop("late")
+    scene = flying.grid
+    assert flying.command(scene.latency, scene.xi[scene.delay]).mode == 0
+    assert flying.decide(0, 0.0, Measurement(0.0, scene.xi[0])).mode == 1
+    assert flying.command(scene.latency + scene.h / 2, scene.xi[scene.delay]).mode == 0
+
+
 def test_answers_wait_for_their_moment():
     flying = loop("late")
     scene = flying.grid
