@@ -8,6 +8,7 @@ import pytest
 import reach
 from reach import Always, HybridAutomaton, HybridOptions, LinearSystem, Mode, Transition, hybrid_tube
 from reach.sets.clipping import clip, strips
+from reach.tubes.flowpipes import input_response
 
 SPIRAL = np.array([[-0.3, -2.0], [2.0, -0.3]])
 
@@ -157,6 +158,14 @@ def test_clipping_keeps_every_point_of_the_intersection(seed):
         assert meets[i] or len(x) == 0
         if len(x):
             assert np.all(cut[i].contains(x, slack=1e-7))
+
+
+def test_the_response_to_inputs_is_enclosed_and_tight():
+    system = LinearSystem(SPIRAL, [[1.0], [0.5]], reach.Interval([-1.0], [1.0]))
+    D = np.random.default_rng(0).normal(size=(10, 2))
+    exact = reach.support_tube(system, reach.Zonotope.point([0.0, 0.0]), 1.0, D, tolerance=1e-6)
+    bound = input_response(system, 1.0, 0.01).support(D)
+    assert np.all(bound >= exact.attained[-1]) and np.all(bound <= 1.01 * exact.upper[-1])
 
 
 def test_clipping_a_flat_set_by_an_equation_is_exact():

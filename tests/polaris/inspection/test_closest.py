@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from polaris.inspection.closest import TOLERANCE, ClosestApproach, circle_map
+from polaris.inspection.closest import TOLERANCE, ClosestApproach, circle_map, map_norms
 from polaris.inspection.constraints.passive import Passive
 from polaris.model.hill import cw_matrix, free_flight
 from tests.polaris.inspection import oracle
@@ -94,6 +94,15 @@ def test_beyond_is_a_lower_bound_and_never_below_its_limit(seed, beyond):
     near = exact <= beyond
     np.testing.assert_allclose(some[near], exact[near], rtol=1e-9, atol=1e-9)
     assert (some[~near] > beyond).all()
+
+
+@pytest.mark.parametrize("n", [1e-5, N_ORBIT, 1e-2])
+@pytest.mark.parametrize("fraction", [1e-3, 0.5, 1.0])
+def test_speed_gain_bounds_the_speed_at_all_times(n, fraction):
+    T = fraction * np.pi / n
+    approach = ClosestApproach(n, T)
+    per_metre, per_speed = map_norms(free_flight(n, np.linspace(0, T, 5000))[:, 3:])
+    assert per_metre.max() <= approach.speed_gain[0] and per_speed.max() <= approach.speed_gain[1]
 
 
 @pytest.mark.parametrize("n", [1e-5, N_ORBIT, 1e-2])

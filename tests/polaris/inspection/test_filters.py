@@ -208,6 +208,15 @@ def test_active_constraints_are_those_that_bind():
     assert decision.margins["h6[0]"] > 0
 
 
+def test_sampled_rows_are_summed_up_by_name(drawn):
+    x, sun = drawn
+    asif = active(Q, sampled=SampledData(1.0), sun_start=float(sun[0]))
+    decision, labels = asif.filter(0.0, x[0], np.zeros((5, 3))), np.array(asif.families.labels)
+    rows = asif.families(x[0][None], sun[:1]).h[0]
+    assert len(decision.margins) == 80
+    assert all(value == rows[labels == name].min() for name, value in decision.margins.items())
+
+
 def test_no_desired_input_means_the_backup_filtered(drawn):
     x, sun = drawn
     push = np.tile([0.0, 0.0, 0.7], (5, 1))

@@ -259,6 +259,12 @@ def test_limits_without_room_are_refused(least, largest, cross):
         Ellipses(N, least, largest, cross)
 
 
+def test_limits_for_a_problem_keep_in_and_slow():
+    e = Ellipses.for_inspection(ONE)
+    assert e.least > ONE.separation and 2 * N * e.largest <= ONE.speed_max
+    assert 4 * e.largest**2 + e.cross_track**2 <= ONE.distance_max**2 * (1 + 1e-12)
+
+
 def test_totals_and_peaks_bound_what_is_put_out_and_are_sharp():
     rng = np.random.default_rng(4)
     M = rng.normal(size=(4, 4))

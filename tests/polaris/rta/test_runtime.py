@@ -105,6 +105,16 @@ def test_a_bad_measurement_means_s_and_says_why(kind):
     assert last.mode == 1 and not last.faults  # one bad measurement is forgiven
 
 
+def test_a_delayed_measurement_is_used_if_the_state_is_still_known_well_enough():
+    flight = Flight(monitor(half=0.1))
+    flight.step(0)
+    for k, half, mode in ((1, 1e-4, 1), (2, 0.09, 0)):
+        before = flight.at(k) - 0.25 * (flight.at(k) - flight.at(k - 1))  # near the state 0.25 s earlier
+        measured = flight.honest(k, stamp=k - 0.25, state=before, half_widths=np.full(6, half))
+        answer = flight.step(k, measured)
+        assert answer.mode == mode and (mode or answer.reason.startswith("measurement: late")), answer
+
+
 def test_a_jump_means_s_until_enough_measurements_agree():
     flight = Flight(reacquire=3)
     first = Flight().step(0, flight.honest(0, state=flight.at(0) + 20.0))
