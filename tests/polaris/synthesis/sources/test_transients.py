@@ -182,6 +182,21 @@ def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer)
     assert np.all(np.abs(x) < 1e-3 * states[-1])
 
 
+@pytest.mark.parametrize("given", [LATE, LOST])
+def test_a_fault_needs_what_a_flight_with_it_reaches(given):
+    """S alone, from a box that is left; that of an outage is what the worst disturbance makes of rest."""
+    problem = load_scenario(TINY).with_assignments([*SOFT, given]).problem()
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta)
+    rows, (fault,) = np.vstack([problem.system.position, tracking.gain]), problem.system.transients
+    box = np.max([each.support(np.eye(tracking.loop.N)) for each in tracking.transients], axis=0)
+    reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
+    bound = tracking.transient_tightening(rows)[-1]
+    assert np.all(reached <= bound) and np.all(reached > 0.8 * bound)
+    if given == LOST:
+        w, age = problem.system.w_max, fault.lasts + tracking.flow.h
+        assert box == pytest.approx([w * age**2 / 2] * 2 + [w * age] * 2, rel=1e-6)
+
+
 def test_an_outage_moves_a_flight_by_no_more_than_it_needs():
     given = [*SOFT[1:], "tracking.R=[200,200]", OBSERVED, LOST, "timing.delay_s=0.25"]
     problem = load_scenario(TINY).with_assignments([*given, "system.disturbance_max=0.0"]).problem()
