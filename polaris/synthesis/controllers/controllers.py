@@ -192,7 +192,7 @@ class AffineController(AffineLaw):
         """Command before clipping in step k, `noise` apart, its middle and spread, shapes (q+1, m) [N].
 
         `nodes` are loop states about the law's own reference. With the intersample bound on either side
-        booked, the hull of two nodes holds what is commanded in the part between them.
+        added, the hull of two nodes contains the commands in the part between them.
         """
         centre = self.own.nu[k] - nodes.c @ self.closed.K.T
         spread = np.abs(self.closed.K @ nodes.G).sum(axis=-1)

@@ -28,7 +28,7 @@ from .controllers import AffineController, TubeSegment
 from .policy import Policy, Senses
 
 WIDER = 0.02
-"""Share by which what the bands leave open is booked wider: a certificate's check merges generators
+"""Share by which the remainder beside the bands is widened: a certificate's check merges generators
 otherwise, so that its bands are others than these."""
 
 
@@ -100,7 +100,7 @@ class NeuralController:
         return self._slopes(np.zeros((len(unit), self.system.n)), unit)
 
     def _slopes(self, x: Array, bodies: Array) -> Array:
-        """Return what rows of states and of motion of bodies add to what is read, shape (r, rows)."""
+        """Return the change of the policy's inputs per row of states and obstacle motion, shape (r, rows)."""
         other = (np.zeros((len(x), size)) for size in (1, self.system.m))
         return self._stack(0 * x, x, *other, bodies).T
 
@@ -130,7 +130,7 @@ class NeuralController:
 
     @cached_property
     def reference_input(self) -> tuple[Array, Array]:
-        """Return what is read where the error is 0, at every node, and how far it may be off: (K, q+1, r)."""
+        """Return the policy's inputs at zero error, at every node, and bounds on their errors (K, q+1, r)."""
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
         nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
@@ -210,7 +210,7 @@ class NeuralController:
 
 
 def thruster_offset(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
-    """Return what thruster errors add by the next node, and until then, (n,), to commands up to `most`."""
+    """Return the effect of thruster errors at the next node and until then, (n,), commands up to `most`."""
     if system.thrusters.exact and not system.unknown.size:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
     error, drift = system.thrusters.error(most), system.unknown

@@ -196,7 +196,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
     start = start_about(problem, tracking)
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
-    # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
+    # the settling horizon, or a tight place late in the flight would bind early recoverable sets.
     largest = float(
         np.min(tracking.max_feedback / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1))
     )
@@ -245,7 +245,7 @@ def errors_alone(tracking: Tracking, axis: int, other: Craft) -> float:
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
-    """Plan; if that fails in a scene about as small as what the planner books for its solver, say so."""
+    """Plan; if that fails in a scene about as small as the planner's solver tolerance, say so."""
     try:
         return plan(asked, options)
     except (SynthesisInfeasible, NotCertified) as error:

@@ -1,4 +1,4 @@
-"""Rows of S's error carried back through its loop, and what a set of errors needs along them by age."""
+"""Rows of S's error carried back through its loop, and their tightening by a set of errors at each age."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,7 +64,7 @@ class CarriedRows:
     def handed(self) -> Array:
         """Need, and that between nodes alone, per unit of loop states beside the error, by age.
 
-        Shape (2, memory + 3, r, N - n).
+        Shape (2, settling + 3, r, N - n).
         """
         between = self.tracking.handed_between(self.plant) * self.between
         return np.stack([self.tracking.handed(self.rows) + between, between])
@@ -174,7 +174,7 @@ def _rounded(centre: Array, spread: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SetTightening:
-    """Needs of S's error from one set along the rows of a table, for all time."""
+    """Tightening of the rows of a table by S's error from one set, for all time."""
 
     table: CarriedRows
     tightening: Array  # by age, (settling + 3, r); the last entry holds for every later time
@@ -189,7 +189,7 @@ class SetTightening:
         return np.asarray(self.at_ages(np.arange(cells)[:, None] * q + ages).max(axis=1))
 
     def remainder(self, radius: float) -> Array:
-        """Return what an error of a given norm still needs beyond the settling horizon, shape (r,)."""
+        """Return the tightening by an error of a given norm beyond the settling horizon, shape (r,)."""
         table = self.table
         return np.asarray(table.beyond * radius + table.beside_errors[-1] + table.disturbance[-1])
 

@@ -97,7 +97,7 @@ class Clearance:
         return Feedforward(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array, between: bool = True) -> Array:
-        """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Feedforward`)."""
+        """Return the tightening of rows by the time of the flight, (cells, q + 1, r) (`Feedforward`)."""
         return self._scheduled.response(rows, between)
 
     @cached_property
@@ -157,7 +157,7 @@ class Limits:
 
     @property
     def booked(self) -> int:
-        """First of the rows that limit commands to what errors are booked for, which count if exceeded."""
+        """First of the rows that limit commands to the level of bounded errors; they count if exceeded."""
         return self.facets + 2 * self.clearance.tracking.system.m
 
     @cached_property
@@ -183,7 +183,7 @@ class Limits:
     def _scheduled(self) -> Array:
         """Part of the clearance taken by errors that depend on the time of the flight."""
         taken = by_ends(self.clearance.scheduled(self.rows))
-        taken[..., self.booked :] = 0.0  # they are booked apart
+        taken[..., self.booked :] = 0.0  # their tightening is separate
         return taken
 
     @cached_property

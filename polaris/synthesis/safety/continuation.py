@@ -134,8 +134,8 @@ def _least(values: Array, count: int) -> NDArray[np.bool_]:
 class Continuation(RecoverableSet):
     """All facets and thrust limits, carried back exactly through the closed loop (the default).
 
-    ``C^t = {e : row_j Phi(t_j - t) e + disturbance <= room_j for every later t_j}``: exact for the
-    chosen facets up to what is booked between nodes. Limits further away than the memory of the
+    ``C^t = {e : row_j Phi(t_j - t) e + disturbance <= clearance_j for every later t_j}``: exact for the
+    chosen facets up to the intersample bound. Limits further away than the settling horizon of the
     loop are collected in one ball, which they can hardly touch (docs/theory.md, Proposition 11).
     """
 
@@ -188,7 +188,7 @@ class Continuation(RecoverableSet):
         sizes: tuple[Array, Array],
         spare: float,
     ) -> "LimitsAhead":
-        """Return all limits that may need more than a share `spare` of their room.
+        """Return all limits with a tightening that may exceed a share `spare` of their clearance.
 
         Of a stack of sets of the loop state at the nodes `at`, the first one least, or at the only one, with
         bounds on ``norm(W e)`` and on the other states of each. The entries are those of the table, where a
@@ -235,7 +235,7 @@ class Continuation(RecoverableSet):
         return self._left(ahead), ahead.tightening, ahead.clearance, ahead.where
 
     def _left(self, ahead: "LimitsAhead") -> Array:
-        """Return the shares of the clearance left; a booked limit that is met is no tightest one."""
+        """Return the slack as shares of the clearance; a met limit of `booked` commands is no tightest one."""
         share, rows = slack_share(ahead.tightening, ahead.clearance), ahead.where[2]
         share[np.isinf(ahead.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share

@@ -14,7 +14,7 @@ from .recoverable import Margin
 
 CLOSED = 1e-5
 """Largest residual of the closing condition, relative to the size of the state, that is snapped to
-the exact natural motion (and booked as a jump of the reference)."""
+the exact natural motion (and counted as a jump of the reference)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class EndCondition:
 
 
 def tail_length(tracking: Tracking) -> int:
-    """Cells of one further period: the orbit's in Hill's frame, else the memory of the loop."""
+    """Cells of one further period: the orbit's in Hill's frame, else the settling horizon of the loop."""
     settle = int(np.ceil((tracking.settling + 1) / tracking.feedback.nodes_per_cell)) + 1
     eta = tracking.system.mean_motion
     if eta is None or not in_hills_frame(tracking.system):
@@ -90,7 +90,7 @@ def in_hills_frame(system: LinearSystem) -> bool:
 def _stays(system: LinearSystem, x: Array) -> bool:
     """Return True if the natural motion from x repeats for ever: by the closed form, or as A x is zero.
 
-    A state that rests only to rounding drifts, however slowly; nothing books that drift.
+    A state that rests only to rounding drifts, however slowly; no tightening covers that drift.
     """
     return in_hills_frame(system) or not np.any(system.A @ x)
 

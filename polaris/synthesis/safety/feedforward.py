@@ -19,7 +19,7 @@ Effects = list[tuple[Channel, Response]]
 
 
 class Feedforward:
-    """Needs by the time of the flight: of the reference's own commands, and of estimates in some steps.
+    """Tightening by the time of the flight: by errors of the reference's commands, and of some estimates.
 
     The former cause errors of thrusters. The latter are by how much estimates may be off more than in the
     best known step.
@@ -56,7 +56,7 @@ class Feedforward:
         return np.asarray(bound + u_max / SPARE)
 
     def response(self, rows: Array, between: bool = True) -> Array:
-        """Return what they add along rows at every node of every cell, shape (cells, q + 1, r).
+        """Return the feedforward tightening of rows at every node of every cell, shape (cells, q + 1, r).
 
         Rows are those of the error, (r, n), or of the loop state, (r, N). If `between`, a row is at most the
         chord of its entries between two nodes.
@@ -115,7 +115,7 @@ def command_errors(system: Craft, gain: Array, cells: int, planned: int) -> Arra
 
 
 def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
-    """Bound on what `Tracking.commands` do not hold of a command in each cell, shape (cells, m)."""
+    """Bound on the part of a command that `Tracking.commands` omits, in each cell, shape (cells, m)."""
     off = errors_by_cell(tracking.step_errors, cells, planned)
     return np.asarray(tracking.noise + off @ np.abs(tracking.gain).T)
 

@@ -147,7 +147,7 @@ def get_safety(
 
 
 def find_safety(problem: Problem, along: Plan | None = None, like: Safety | None = None) -> Safety:
-    """Return what `get_safety` does, but leave open which of the late faults cannot be survived.
+    """Synthesize S as `get_safety` does, without finding the late faults that cannot be survived.
 
     A safety `like` it is of a problem that differs in what the planner is asked alone: its tracker serves
     again.

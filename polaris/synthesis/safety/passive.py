@@ -209,7 +209,7 @@ class PassiveSafety:
         return float(min(clearances)) * (1 - ROUNDING) if clearances else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a run claims of it."""
+        """Return a run's claims of passive safety."""
         abort, delta = self.flight.abort, self.flight.delta
         return {
             "drift_s": abort.horizon,

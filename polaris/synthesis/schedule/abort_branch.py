@@ -88,7 +88,7 @@ class AbortBranch:
         return Nearness(self.safety, faults=True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> AbortStep:
-        """Return what is proven of aborts in a step along this branch, the one at a place in their list."""
+        """Return the abort of a step along this branch, at a place in the list, or why it is not proven."""
         margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.intersample)
         if not margin.inside:
             return AbortStep(

@@ -216,7 +216,7 @@ class Tail(Nearness):
         return float(6 * np.pi * largest * (1 + ROUNDING))
 
     def approach(self) -> GoalDistance:
-        """Return what is proven of the goal at the nodes from T on, until the end of the coasting tail."""
+        """Return the proven distance to the goal over the nodes from T to the end of the coasting tail."""
         problem, tracking, reference = self.safety.problem, self.safety.tracking, self.safety.reference
         seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]

@@ -21,14 +21,14 @@ from ..tracker.tracking import Tracking
 
 @dataclass(frozen=True, eq=False)
 class HandOvers:
-    """Needs of S along the facets of all unsafe sets after hand-overs, cell by cell.
+    """S's tightening along the facets of all unsafe sets after hand-overs, cell by cell.
 
-    A planner may keep any clearance: what is proven along its path does not rest on it.
+    A planner may keep any clearance: no proof along its path rests on it.
 
     Parameters
     ----------
     tracking : Tracking
-        S, and what is known of its error.
+        S, and the bounds on its error.
     unsafe : tuple of TimedPolytope
         Sets to keep clear of, each with F facets.
     K : int
@@ -59,7 +59,7 @@ class HandOvers:
         return nodes, np.asarray(index).reshape(self.K, 3)
 
     def since(self, handed: Zonotope) -> list[Array]:
-        """Return what S needs in each cell after it took over a set of errors, one (K, F) per unsafe set."""
+        """Return S's tightening in each cell after taking over a set of errors, one (K, F) per unsafe set."""
         nodes, index = self._lags
         return self._by_set(self._rows.from_set(handed, nodes)[index].max(axis=1))
 
@@ -68,12 +68,12 @@ class HandOvers:
         return [np.array(each) for each in zip(*map(self.since, handed), strict=True)]
 
     def feedforward(self, reference: Reference) -> list[Array]:
-        """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
+        """Return the feedforward tightening along a reference, one (K, F) per unsafe set."""
         tightenings = Feedforward(self.tracking, reference, reference.cells).response(self._rows.rows)
         return self._by_set(tightenings.max(axis=1)[: self.K])
 
     def tighten(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
-        """Return what S needs along a reference, and how much the best facet of each cell lacks of it.
+        """Return S's tightening along a reference, and the lack of clearance at the best facet of each cell.
 
         Parameters
         ----------

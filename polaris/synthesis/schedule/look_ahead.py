@@ -51,7 +51,7 @@ class LookAhead:
     start: Zonotope
     K: int
     prove: Prove  # see `Prove`
-    size: Callable[[Zonotope], float]  # reach from the reference: of two of equal worth, the nearer is kept
+    size: Callable[[Zonotope], float]  # reach from the reference: at equal objective the nearer is kept
     objective: tuple[float, ...]  # of one step under each mode; 0 for S
     beam: int  # schedules kept at each step for each number of switches and mode
 
@@ -65,7 +65,7 @@ class LookAhead:
         """
         root, tried = _Place(0, self.start), dwell_times(dwell, self.K)
         highest = self.K if cap is None else cap
-        bars = [0.0] * (self.K + 2)  # worth found with so many switches or fewer, under stricter dwell times
+        bars = [0.0] * (self.K + 2)  # objective with so many switches or fewer, under stricter dwell times
         best, done, searched = _Path(root), 0, 0
         for d in sorted({dwell, *tried, *range(dwell, min(EACH, self.K) + 1)}, reverse=True):
             uncapped = self._greedy(root, d, self.K)
@@ -193,7 +193,7 @@ def dwell_times(dwell: int, K: int) -> tuple[int, ...]:
 
 
 def _merit(path: _Path) -> tuple[float, int]:
-    """Rank a path by most worth, then by fewest switches."""
+    """Rank a path by largest objective, then by fewest switches."""
     return path.objective, -path.switches
 
 

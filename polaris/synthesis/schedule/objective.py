@@ -26,8 +26,8 @@ def is_as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
 class Objective:
     """Objective of a schedule: the time of U, less velocity change and switches, as shares of the horizon.
 
-    Less share, or without errors more velocity change, than the printed algorithms' schedule is worth `WORSE`
-    times as much less: it is hardly ever preferred. With errors velocity change counts at its price alone.
+    Less share, or without errors more velocity change, than the printed algorithms' schedule lowers the value
+    `WORSE` times as much: it is hardly ever preferred. With errors velocity change counts at its price alone.
     """
 
     rules: SwitchingRules  # weights, prices and budget
@@ -38,7 +38,7 @@ class Objective:
 
     @classmethod
     def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Objective":
-        """Worth of the schedules of one scene, in units of what S `alone` would spend there."""
+        """Build the objective of the schedules of one scene, in units of the spending of S `alone`."""
         problem = alone.problem
         largest = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
         scale = max(alone.plan.delta_v, 1e-3 * largest)
@@ -47,7 +47,7 @@ class Objective:
 
     @property
     def prices(self) -> Prices:
-        """Objective of a flight by itself, whatever the printed algorithms find."""
+        """Objective of a flight by itself, regardless of the printed algorithms."""
         return self.rules.prices(self.scale)
 
     def value(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
@@ -57,7 +57,7 @@ class Objective:
         return self.prices(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Rank a schedule: the rules allow it, it is safe as long as the printed one, arrives; its worth."""
+        """Rank a schedule: the rules allow it, is safe as long as the printed one, arrives; its objective."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         value = self.value(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until

@@ -94,7 +94,7 @@ class KnownBranches:
 def powered(
     safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array, known: KnownBranches | None = None
 ) -> PoweredSafety | None:
-    """Return what is proven of aborts with thrust in every step of a schedule, if anything is asked of them.
+    """Return the proven powered aborts from every step of a schedule, or None if none are required.
 
     `flown` holds who flies each step (0 is S), and in which tube; `spent` the velocity change (K,) [m/s].
     Branches are planned unless they are `known`.
@@ -226,7 +226,7 @@ class BranchSearch:
         return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)
 
     def _from(self, taken: Takeover, rows: Array) -> list[tuple[int, SetTightening]]:
-        """Needs along rows from some of the sets that S may take over in a step, and at which nodes."""
+        """Return first nodes and tightenings of rows for some of the sets that S may take over in a step."""
         key, n = (rows.tobytes(), taken.k), self.safety.problem.system.n
         if key not in self._tubes:
             table = CarriedRows.from_tracking(self.safety.tracking, rows)

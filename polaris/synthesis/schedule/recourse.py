@@ -4,7 +4,7 @@ The printed Algorithm 1 plans one reference before U is known; U is then pulled 
 longer return to it. Here the reference is planned with U in view: it follows U's predicted path, leaves it
 only in a few windows in which S flies, and ends at the goal. U then stays beside the reference by its own
 tube alone, so that S, taking over at any node, starts where it wants to be. Which windows, and on which
-side of an obstacle they lead, is decided by what the schedule is worth. Nothing in the proof changes: any
+side of an obstacle they lead, is decided by the schedule's objective. Nothing in the proof changes: any
 reference will do for Theorem 2, and each candidate passes both algorithms whole.
 """
 
@@ -137,13 +137,13 @@ class ReferenceSearch:
         self.known: dict[bytes, tuple[float, Candidate | None]] = {}
 
     def _priced(self, prices: Array, mask: Mask | None = None) -> None:
-        """Price departures from U's path, and book what its hand-overs need beside S's windows, if any."""
+        """Price departures from U's path, and tighten for its hand-overs beside S's windows, if any."""
         self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
         limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
         self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
 
     def _book(self, mask: Mask) -> None:
-        """Book what S needs, beyond its own tube, after hand-overs in all steps outside the windows."""
+        """Tighten by S's errors, beyond its own tube, after hand-overs in all steps outside the windows."""
         row, cells = np.arange(self.K), np.minimum(np.arange(self.asked.cells), self.K - 1)
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)

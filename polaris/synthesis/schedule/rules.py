@@ -46,7 +46,7 @@ class SwitchingRules:
     max_switches : int, optional
         Largest number of switches. One is reserved for the return to S, and 0 leaves S alone.
     weights : tuple of float
-        Worth of one step under each experimental controller, in their order of preference.
+        Objective of one step under each experimental controller, in their order of preference.
     beam : int
         Schedules that `look_ahead` keeps per step, number of switches and controller.
     delta_v_price : float
@@ -73,7 +73,7 @@ class SwitchingRules:
             positive("schedule.weights", weight, "-")
 
     def mode_values(self, modes: int) -> tuple[float, ...]:
-        """Return the worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
+        """Return the objective of a step under each mode: 0 under S, 1 where no weight is given."""
         given = (0.0, *self.weights)[:modes]
         return given + (1.0,) * (modes - len(given))
 

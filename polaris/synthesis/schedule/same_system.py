@@ -82,7 +82,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
 
 
 def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
-    """Check what a controller of a class of one's own returns: sets of the right shapes that hold the start.
+    """Check the tube of a user-defined controller: sets of the right shapes that contain the start.
 
     Raises `ScenarioError` if it is no tube from that start over one step.
     """

@@ -99,7 +99,7 @@ class Schedule:
     branches: KnownBranches | None = None
 
     def _brief(self) -> Mapping[str, object]:
-        """Return what a session and a notebook show."""
+        """Return the entries that a session and a notebook show."""
         approach = self.approach if self.guarantee == "proved" else None
         return {
             "guarantee": self.guarantee,
@@ -206,7 +206,7 @@ class Schedule:
 
     @cached_property
     def approach(self) -> GoalDistance:
-        """Return what is proven of the goal: reached or not, and by when."""
+        """Return the proven distance to the goal: reached or not, and by when."""
         return self.tail.approach()
 
     @cached_property
@@ -217,7 +217,7 @@ class Schedule:
 
     @cached_property
     def upkeep(self) -> Upkeep | None:
-        """Bound on what S spends after T, for ever, and on how long the tank lasts, where that is proven."""
+        """Bounds on S's spending after T, for ever, and on the lifetime of the tank, where proven."""
         return self.tail.upkeep(self.spending)
 
     @cached_property

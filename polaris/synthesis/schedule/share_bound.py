@@ -37,7 +37,7 @@ class ShareBound:
     """
 
     share: float
-    objective: float  # the same of the shares of all modes, each weighted by the worth of its steps
+    objective: float  # the same of the shares of all modes, each weighted by the objective of its steps
     programs: int = 0  # linear programs solved and flights looked at
     demands: int = 0  # sets of steps that were proven too few
     ended: str = "none"  # reached, effort_limit or none
@@ -106,7 +106,7 @@ class Master:
         return fewest, tuple(int(mode) for mode in flown.argmax(axis=1))
 
     def objective_bound(self, objectives: Sequence[float]) -> float:
-        """Proven bound on the mean worth of a step, by that of each mode; 0 if there is no schedule."""
+        """Proven bound on the mean objective of a step, by that of each mode; 0 if there is no schedule."""
         largest = max(objectives)
         least = self._cheapest([1.0 - objective / largest for objective in objectives])[0]
         return largest * max(1.0 - least / self.K, 0.0)

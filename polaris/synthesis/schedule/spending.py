@@ -100,7 +100,7 @@ class Spell:
 
 
 def _noise(law: AffineController, commands: Array, i: int) -> Array:
-    """Bound what estimates add to a command in period i of a step, after commands within bounds, (m,)."""
+    """Bound the estimate noise in a command of period i of a step, after commands within bounds, (m,)."""
     return law.noise_after(commands[:i])  # Proposition 7 (b)
 
 

@@ -96,7 +96,7 @@ def with_safety(search: ScheduleSearch, safety: Safety) -> ScheduleSearch:
 
 
 def best_share(search: ScheduleSearch, first: Schedule, recourse: bool) -> Schedule:
-    """Return the most worthy of a schedule and those with other shares of thrust booked for errors of S."""
+    """Return the best of a schedule and those with other shares of thrust reserved for errors of S."""
     best, problem = first, search.safety.problem
     errors = problem.system.thrusters.table(problem.system.m).max()
     shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())

@@ -48,7 +48,7 @@ def craft_loop(system: Craft, h: float) -> Loop:
 
 
 def assumed(system: Craft, h: float) -> Assumptions:
-    """Return what is assumed of a system and of all its sources, its law renewed every h [s]."""
+    """Return the assumptions on a system and on all its sources, with a law renewed every h [s]."""
     prompt, observer, each = system.without_delay, system.observer, system.nozzles or system.on_time
     return Assumptions(
         system.w_max,

@@ -51,18 +51,18 @@ class Estimate:
         return replace(loop.with_channels(*channels), navigated=offset)
 
     def _share(self, u: Array, added: Array) -> Array:
-        """Return what commands u (..., m) add to errors of estimates, (..., n)."""
+        """Return the part of estimate errors that grows with commands u (..., m), shape (..., n)."""
         assert self.grown is not None
         return np.asarray(self.grown(u) @ added.T)
 
 
 def state_offset(system: Craft, h: float) -> Array:
-    """Bounds on what jitter and pulses displace states by as they are measured, shape (n,)."""
+    """Bounds on the state offset by jitter and pulses at the time of measurement, shape (n,)."""
     return when_measured(system.timing, h, system.state_offset_at_nodes - system.carried_away)
 
 
 def step_errors(system: Craft) -> Array:
-    """Bounds on what estimates are off by in each step, and ever after, beside the loop's own, (K + 1, n)."""
+    """Bounds on the estimate errors of each step and ever after, beside the loop's own, (K + 1, n)."""
     if system.error_by_step is None or (remembers(system) and system.observer is not None):
         return np.zeros((1, system.n))  # first errors of an observer are states of the loop
     return np.asarray(system.error_by_step - system.error_by_step.min(axis=0))

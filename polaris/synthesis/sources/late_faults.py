@@ -20,7 +20,7 @@ def touched(seconds: float, h: float) -> int:
 
 
 def wrong_thrust(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
-    """Bound what wrong thrust adds to the loop state until S flies, whoever flies meanwhile, shape (J, N).
+    """Bound the effect of wrong thrust on the loop state until S flies, under any law, shape (J, N).
 
     One row for each kind of wrong thrust. Commands that are made without the thruster take effect as late as
     any do. Where a box stands for estimates, commands that do not know of it go on for as long as estimates
@@ -38,7 +38,7 @@ def wrong_thrust(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Ar
 
 
 def undetected(system: Craft, gain: Array, h: float) -> Array:
-    """Bound what wrong thrust adds to the states by the time that predictions know of it, shape (n,)."""
+    """Bound the effect of wrong thrust on the states until predictions know of it, shape (n,)."""
     loop, pushed = Loop.from_plant(system.A, system.B, h), [h] * _late(system, h)
     faults = (fault for fault in system.transients if len(fault.thrust))
     added = (_added(system, fault, loop, pushed, gain)[-1].max(axis=0) for fault in faults)
@@ -53,7 +53,7 @@ def _late(system: Craft, h: float) -> int:
 def _added(
     system: Craft, fault: Transient, loop: Loop, pushed: list[float], gain: Array | None = None
 ) -> Array:
-    """Bound what a fault has added to the loop state by the end of each period, shape (periods + 1, J, N).
+    """Bound the effect of a fault on the loop state by the end of each period, shape (periods + 1, J, N).
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _added(
 
 
 def _entering(loop: Loop, rows: Array, length: float, M: Array) -> Array:
-    """Bound what units of rates M (n, m) add along rows (..., N) at the end of a period [s], (..., m)."""
+    """Bound the effect of unit rates M (n, m) in the last `length` [s] on rows (..., N), shape (..., m)."""
     added, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
     for a, b, E in loop.enter:
         if b > begins:
@@ -108,5 +108,5 @@ def _entering(loop: Loop, rows: Array, length: float, M: Array) -> Array:
 
 
 def _within(loop: Loop, M: Array) -> Array:
-    """Bound what units of rates M (n, m) add to states of the plant within a period, shape (n, m)."""
+    """Bound the effect of unit rates M (n, m) on the plant's states within a period, shape (n, m)."""
     return discretize(np.abs(loop.A), np.abs(M), loop.h)[1] * (1 + ROUNDING)

@@ -66,7 +66,7 @@ def outage_errors(
 
 
 def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
-    """Bound what estimates of an observer that misses an outage make of the state, shape (n,).
+    """Bound the state's change by estimates of an observer that misses an outage, shape (n,).
 
     They are compared with those it would have made if only as many periods had been missed as may be, with
     measurements as close to what it expects as their errors allow (docs/theory.md, Proposition 8 (c)).

@@ -108,7 +108,7 @@ class AffineLaw:
 
     @cached_property
     def noise(self) -> Array:
-        """Bound on what errors of estimates add to a command in a cell, shape (m,)."""
+        """Bound on the part of a command due to estimate errors in a cell, shape (m,)."""
         return self.noise_after(())
 
     def noise_after(self, before: Sequence[Array] | Array) -> Array:
@@ -156,7 +156,7 @@ class AffineLaw:
 
     @cached_property
     def within_period(self) -> Array:
-        """Bound on what measurable values add to the plant within a period of a cell, shape (n,)."""
+        """Bound on the effect of measurable values on the plant within a period of a cell, shape (n,)."""
         return within_period(self.closed.loop, self.channels())
 
     @cached_property

@@ -14,8 +14,8 @@ from ...model.errors import ScenarioError
 from .feedback import Feedback
 
 LEFT_OVER, WITH_PROFILE = 1e-3, 1e-5
-"""Share of an error (contraction norm) below which one ball collects all limits, without a profile and with
-one: it is constant from then on. Smaller: more rows."""
+"""Share of an error (contraction norm) below which one ball collects all limits, without a feedback bound and
+with one: it is constant from then on. Smaller: more rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class Contraction:
     delta : float
         Planning step [s].
     level : float, optional
-        Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
-        of thrusters grow with it (`feedback_bound`). Without it they are booked for all
-        that the thrusters have, at all times.
+        Share of the thrust limits at which S's feedback bound after a hand-over starts to fall, where errors
+        of thrusters grow with it (`feedback_bound`). Without it tightenings allow for all
+        the errors of full thrust, at all times.
     """
 
     system: Craft
@@ -82,17 +82,17 @@ class Contraction:
 
     @cached_property
     def transitions(self) -> Array:
-        """``phi^l`` for l = 0 ... memory + 1, shape (settling + 2, n, n)."""
+        """``phi^l`` for l = 0 ... settling + 1, shape (settling + 2, n, n)."""
         return powers(self.flow.phi, self.settling + 1)
 
     @cached_property
     def decay(self) -> Array:
-        """``norm(W phi^l W^-1, 2)`` for l = 0 ... memory + 1."""
+        """``norm(W phi^l W^-1, 2)`` for l = 0 ... settling + 1."""
         return self.flow.norms(self.settling + 1)
 
     @cached_property
     def decay_before(self) -> Array:
-        """Return `decay` one period earlier: what weighs the bookings on both sides of a node."""
+        """Return `decay` one period earlier, the weight of intersample bounds on both sides of a node."""
         return np.concatenate([self.decay[:1], self.decay[:-1]])
 
     @cached_property
@@ -112,7 +112,7 @@ class Contraction:
         return self.period_gain * (self.accumulated + 1.0)
 
     def curvature(self, rows: Array) -> Array:
-        """Booking between nodes per unit of ``norm(W e)``, for each row, shape (..., r).
+        """Intersample bound of each row per unit of ``norm(W e)``, shape (..., r).
 
         ``(h^2/8) sup_s norm(row M''(s) W^-1, 2)``, with ``M'' = A_x e^{A_x s} A_c``.
         """
@@ -121,7 +121,7 @@ class Contraction:
         return np.asarray(flow.h**2 / 8 * np.linalg.norm(bend, axis=-1))
 
     def per_size(self, rows: Array) -> Array:
-        """Return what errors need along rows over the next period, per unit of ``norm(W e)``, shape (r,)."""
+        """Return the tightening of rows over the next period, per unit of ``norm(W e)``, shape (r,)."""
         return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
 
     def forgotten(self, rows: Array, radius: float) -> Array:

@@ -1,4 +1,4 @@
-"""Feedback bound: what S's feedback commands at most after a hand-over (docs/theory.md, Proposition 4)."""
+"""Feedback bound: largest command of S's feedback after a hand-over (docs/theory.md, Proposition 4)."""
 
 from collections.abc import Callable
 
@@ -7,20 +7,20 @@ import numpy as np
 from ...model.system import Array
 
 ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
-SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
+SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and the share added to it then
 SLOWER = 1.5  # ratio of decay times: demand of sets that U leaves to that of a ball
 
 
 def feedback_bound(
     norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]
 ) -> Array:
-    """Bound on what S's feedback commands so many periods after a hand-over, shape (settling + 2, m) [N].
+    """Bound on S's feedback in each period after a hand-over, shape (settling + 2, m) [N].
 
     Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
-    what errors demand that start with `level`, to what disturbances and the errors of the commands themselves
-    demand for ever: each round allows for the errors of the one before. `norms` is what a ball of errors
-    demands, period by period; `left` is added to the level and still left of it beyond the settling
-    horizon; `pushed` bounds what the rows of the commands need under a profile, noise of estimates
+    the feedback of errors that start with `level`, to the level that disturbances and the commands' errors
+    sustain: each round allows for the errors of the one before. `norms` is the feedback of a ball of errors,
+    period by period; `left` is added to the level and remains of it beyond the settling
+    horizon; `pushed` bounds the tightening of the rows of the commands under a feedback bound, estimate noise
     included.
     """
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]

@@ -9,7 +9,7 @@ from .affine_law import AffineLaw
 
 
 def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
-    """Bow of an unclipped tube after each node, shape (q, n).
+    """Intersample bound of an unclipped tube after each node, shape (q, n).
 
     `start` is a stack of q sets, loop states about the law's own reference at the nodes; k the planning step.
     """
@@ -17,7 +17,7 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
 
 
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
-    """Bow of a tube whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
+    """Intersample bound of a tube with clipped commands, shape (q, n); arguments as `affine_bow`."""
     loop, mu, u_max, B = law.closed.loop, law.own.nu[k], law.system.u_max, np.abs(law.system.B)
     command = (law.closed.K @ start).extent + np.maximum(np.abs(mu) - u_max, 0)
     push = np.minimum(command, u_max + np.abs(mu))

@@ -1,4 +1,4 @@
-"""Bound on what S spends in a long flight, by a storage function (docs/theory.md, Proposition 14 (d))."""
+"""Bound on S's spending in a long flight, by a storage function (docs/theory.md, Proposition 14 (d))."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -139,7 +139,7 @@ class Inputs:
 
     @cached_property
     def spends(self) -> Array:
-        """Return what a unit of each command spends, errors of thrusters included, shape (m,) or (2 m,)."""
+        """Return the spending per unit of each command, thruster errors included, shape (m,) or (2 m,)."""
         craft, errors, weights = self.craft, self.craft.on_time, self.craft.weights
         both = errors.summed(np.eye(craft.m)) @ weights
         if not self.matrix:
@@ -256,7 +256,7 @@ class Inputs:
 
 
 def carried_across(loop: Loop, craft: Craft) -> Array:
-    """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
+    """Return the largest loop-state change by shares of carried impulses in other inputs, shape (N, k)."""
     moves = craft.timing.carried_impulse > 0 and np.any(craft.on_time.bit)
     return loop.made * craft.on_time.bit if moves else loop.made[:, :0]
 

@@ -247,14 +247,14 @@ class ClosedLoop:
         return np.asarray(plant + self.loop.B @ (self.loop.applied - self.K))
 
     def pushed(self, channel: Channel) -> Array | None:
-        """Return what a unit of a channel's value adds to the input of its period, shape (m, k)."""
+        """Return the map from a channel's value to the input of its period, shape (m, k)."""
         if channel.noise is None:
             return channel.push
         answer = -self.gain @ channel.noise
         return np.asarray(answer if channel.push is None else answer + channel.push)
 
     def sampled(self, channel: Channel) -> Array:
-        """Return what a unit of a channel's value adds to the next loop state, rates apart, shape (N, k)."""
+        """Return the map from a channel's value, without its rate, to the next loop state, shape (N, k)."""
         moved = np.zeros((self.loop.N, len(channel.size))) if channel.sample is None else channel.sample
         if channel.noise is not None:
             moved = moved - self.loop.held @ self.gain @ channel.noise
@@ -285,7 +285,7 @@ class ClosedLoop:
         return np.asarray(total)
 
     def held_map(self, channel: Channel) -> Array:
-        """Return what a unit of a constant value adds to the next loop state in a period, shape (N, k)."""
+        """Return the map from a channel's value, constant in a period, to the next loop state, (N, k)."""
         moved = self.sampled(channel)
         if channel.rate is not None:
             moved = moved + sum(carried @ mean for carried, mean, _ in self.loop.part_maps) @ channel.rate

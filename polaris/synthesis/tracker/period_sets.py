@@ -52,7 +52,7 @@ def sampled_added(closed: ClosedLoop, channels: Sized) -> Array:
 
 
 def within_period(loop: Loop, channels: Sized) -> Array:
-    """Bound what measurable values have added to the plant at any instant of the period, shape (n,)."""
+    """Bound the effect of measurable values on the plant at any instant of the period, shape (n,)."""
     total, size_A = np.zeros(loop.n), np.abs(loop.A)
     for channel, size in channels:
         if channel.rate is not None:
@@ -62,7 +62,7 @@ def within_period(loop: Loop, channels: Sized) -> Array:
 
 
 def held_rates(closed: ClosedLoop, channels: Sized) -> Array:
-    """Bound what values that hold for a period add to the rate of the plant's states, shape (n,)."""
+    """Bound the rate of the plant's states due to values that hold for a period, shape (n,)."""
     B, total = np.abs(closed.loop.B), np.zeros(closed.loop.n)
     for channel, size in channels:
         if (push := closed.pushed(channel)) is not None:

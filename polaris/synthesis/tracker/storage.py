@@ -1,4 +1,4 @@
-"""Bound on what a flight under linear laws spends, by a storage of its own in every period.
+"""Bound on the spending of a flight under linear laws, by one storage function per period.
 
 See docs/theory.md, Proposition 14 (c). Any weights give a bound. They are chosen by *relaxed flights*, in
 which every number is a vector. The worst of these is found by ascent, and spends nearly as much as the best
@@ -67,7 +67,7 @@ class Weights:
 def storage(steps: Sequence[LinearStep], weights: Sequence[Weights]) -> Iterator[Storage | None]:
     """Yield the storage at the start of each step, the last step first, until it is None.
 
-    What is spent from the start of a step until the end is at most its cost, and ``z' P z / 2 + p z``.
+    The spending from the start of a step until the end is at most its cost, and ``z' P z / 2 + p z``.
     """
     after: Storage | None = Storage.from_matrix(np.zeros_like(steps[-1].inputs[0].F))
     for step, weight in zip(reversed(steps), reversed(weights), strict=True):
@@ -98,7 +98,7 @@ def largest(after: Storage, start: Zonotope) -> float:
 
 
 def bound(steps: Sequence[LinearStep], weights: Sequence[Weights], start: Zonotope) -> float:
-    """Bound the sum of what all periods spend from loop states in a set about its centre [N]; or infinity."""
+    """Bound the total spending of all periods from loop states in a set about its centre [N]; or infinity."""
     *_, first = storage(steps, weights)
     return np.inf if first is None else largest(first, start)
 
@@ -136,7 +136,7 @@ class RelaxedFlight:
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
     def ascend(self) -> list[Weights]:
-        """Return the weights of the flight that spends most: the sizes of what its values are worth."""
+        """Return the weights of the flight that spends most: the sizes of its values' prices."""
         spent, weights = -np.inf, list[Weights]()
         for _ in range(ASCENTS):
             commands = self.commands()

@@ -83,7 +83,7 @@ class Tightening:
         return np.asarray(rows @ self.transitions)
 
     def remainder(self, rows: Array) -> Array:
-        """Return what rows need, per unit of the norm at a hand-over, at any lag from N on, shape (r,)."""
+        """Return the tightening of rows at lags from N on, per unit of the norm at a hand-over, (r,)."""
         sizes = np.abs(self.carried(rows)) @ self.v
         least = np.minimum(self.factor * sizes.max(axis=0), self._growth * sizes[-2])
         return np.asarray(least * (1 + ROUNDING))
@@ -108,7 +108,7 @@ class Tightening:
         return np.vstack([before, bound[: len(bound) - len(before)]])
 
     def from_rest(self, rows: Array, bound: Array | None = None) -> Array:
-        """Return what the channels add along rows by node L = 0 ... N + 1, and at any later one, (N + 3, r).
+        """Return the tightening of rows by all channels at node L = 0 ... N + 1 and later, (N + 3, r).
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Tightening:
         return np.asarray(np.linalg.solve(rest, each) * (1 + ROUNDING))
 
     def response(self, channel: Channel, rows: Array, plant: Array) -> "Response":
-        """Return what a channel adds along rows (r, states), `plant` (r, n) being those of the plant."""
+        """Return the response of rows (r, states) to a channel; `plant` (r, n) is their part in the plant."""
         carried, N, reach = self.carried(rows), self.horizon, self._reach_of(channel)
         older = np.abs(carried[N]) @ reach
         rates = self.carried(self.closed.rates)
@@ -174,7 +174,7 @@ class Tightening:
         return Response(self.closed.gains(channel, carried[: N + 1]), older, between)
 
     def noise(self, bound: Array | None = None) -> Array:
-        """Return what noise adds to a command of its own period, shape (m,)."""
+        """Return the bound on the noise in a command of the same period, shape (m,)."""
         channels = self.closed.loop.channels
         parts = [self.closed.noise(channel) @ self.largest(channel, bound) for channel in channels]
         return np.asarray(np.sum([np.zeros(self.closed.loop.m), *parts], axis=0))
@@ -255,13 +255,13 @@ class Response:
     between: Array
 
     def at_nodes(self, sizes: Array) -> Array:
-        """Return what sizes (count, k), period by period from rest, add at every node, (count + 1, r)."""
+        """Return the tightening at every node by sizes (count, k) per period from rest, (count + 1, r)."""
         added, N = summed(self.gains, sizes), len(self.gains) - 1
         added[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
         return np.asarray(added * (1 + ROUNDING))
 
     def ever(self, size: Array, until: int = 0, count: int = 1) -> Array:
-        """Return what one size (k,), for ever until periods before a node, adds from it on, (count, r)."""
+        """Return the tightening from a node on by a size (k,) until `until` periods before it, (count, r)."""
         since = np.concatenate([np.cumsum(self.gains[-2::-1], axis=0)[::-1], 0 * self.gains[:1]])
         ages = np.minimum(until + np.arange(count), len(since) - 1)
         return np.asarray((since[ages] + self.older) @ size * (1 + ROUNDING))

@@ -83,7 +83,7 @@ class Tracking(Contraction):
 
     @cached_property
     def noise(self) -> Array:
-        """Bound on what estimates add to a command of the same period, those of `commands` apart, (m,)."""
+        """Bound on the estimate noise in a command of the same period that `commands` omits, shape (m,)."""
         return np.asarray(self.tightening.noise(self.system.u_max))
 
     @property
@@ -93,7 +93,7 @@ class Tracking(Contraction):
 
     @cached_property
     def step_errors(self) -> Array:
-        """Bounds on what estimates are off by in each step and ever after, beside the loop's, (K + 1, n)."""
+        """Bounds on the estimate errors of each step and ever after, beside the loop's own, (K + 1, n)."""
         return step_errors(self.system)
 
     @cached_property
@@ -158,9 +158,9 @@ class Tracking(Contraction):
 
     @cached_property
     def feedback_bound(self) -> Array | None:
-        """Bound on what S's feedback commands after a hand-over, period by period, shape (settling + 2, m).
+        """Bound on S's feedback after a hand-over, period by period, shape (settling + 2, m).
 
-        None where errors of thrusters do not depend on it, or are booked for more.
+        None where errors of thrusters do not depend on it, or are bounded for full thrust.
         """
         if self.level is None or not self.system.proportional:
             return None
@@ -214,9 +214,9 @@ class Tracking(Contraction):
         return unmade(self.tightening.closed, blind.close(self.gain), system.u_max, self.remembered, count)
 
     def difference_tightening(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
-        """Return what differences of loop states need along rows up to l periods later.
+        """Return the tightening of rows by differences of loop states, up to l periods later.
 
-        Shape (settling + 3, r, sets), by age and ever after, what lies between nodes included.
+        Shape (settling + 3, r, sets), by age and ever after, with the intersample bound.
         """
         limits, plant = self.tightening, rows[:, : self.system.n]
         norms = [np.max(each.support(np.eye(self.loop.N)) / limits.v) for each in sets]
@@ -229,7 +229,7 @@ class Tracking(Contraction):
         return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
 
     def transient_tightening(self, rows: Array) -> Array:
-        """Return what faults isolated late need along rows up to l periods later, (settling + 3, r)."""
+        """Return the tightening of rows by transient faults, up to l periods later, (settling + 3, r)."""
         if not self.transients:
             return np.zeros((self.settling + 3, len(rows)))
         return np.asarray(self.difference_tightening(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
@@ -246,7 +246,7 @@ class Tracking(Contraction):
         return feedback_bound[np.minimum(np.arange(count), len(feedback_bound) - 1)]
 
     def _by_age(self, tightenings: Array) -> Array:
-        """Needs by node and ever after, (N + 3, ...), for the periods of the memory and ever after."""
+        """Return tightenings (N + 3, ...), by node, for the settling horizon and ever after."""
         count = min(self.settling + 2, len(tightenings) - 1)
         ever = tightenings[count:].max(axis=0)
         return np.concatenate(
@@ -254,14 +254,14 @@ class Tracking(Contraction):
         )
 
     def responses(self, rows: Array, feedback_bound: Array | None) -> Array:
-        """Return what rows need at node L after a hand-over, the state then apart, and ever after.
+        """Return the tightening of rows at node L after a hand-over and ever after, without the handed state.
 
         Parameters
         ----------
         rows : ndarray, shape (r, n) or (r, N)
             Of the tracking error, or of the loop state.
         feedback_bound : ndarray, shape (settling + 2, m), optional
-            Bound on what is commanded since; the limits of the thrusters without one.
+            Bound on the commands since; the limits of the thrusters without one.
 
         Returns
         -------
@@ -270,7 +270,7 @@ class Tracking(Contraction):
         return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(feedback_bound)))
 
     def settled_tightening(self, rows: Array) -> Array:
-        """Return what rows need for ever once S has commanded no more than the end of its profile, (r,)."""
+        """Return the tightening of rows for ever once S keeps to the end of its feedback bound, (r,)."""
         rows, limits = self.whole(rows), self.tightening
         last = self._since(self.feedback_bound)[-1]
         older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(
@@ -283,7 +283,7 @@ class Tracking(Contraction):
 
     @property
     def long(self) -> int:
-        """Periods after a hand-over from which on `settled_need` bounds what disturbs."""
+        """Periods after a hand-over from which on `settled_tightening` bounds the disturbance."""
         return self.settling + self.tightening.horizon + 2 + self.lag
 
     @property
@@ -293,13 +293,13 @@ class Tracking(Contraction):
 
     @cached_property
     def whole_transitions(self) -> Array:
-        """``F^l`` for l = 0 ... memory + 1, shape (settling + 2, N, N)."""
+        """``F^l`` for l = 0 ... settling + 1, shape (settling + 2, N, N)."""
         if self.system.n == self.loop.N:
             return self.transitions
         return powers(self.tightening.closed.F, self.settling + 1)
 
     def handed(self, rows: Array) -> Array:
-        """Return what rows need at nodes per unit of every loop state beside the error that is handed over.
+        """Return the tightening of rows at nodes per unit of every loop state beside the handed error.
 
         Shape (settling + 3, r, N - n), by age and ever after.
         """
@@ -308,22 +308,22 @@ class Tracking(Contraction):
         return self._by_age(np.concatenate([np.abs(limits.carried(rows))[..., n:], ever[None]]))
 
     def handed_between(self, rows: Array) -> Array:
-        """Return what `handed` leaves out over the periods next to a node, for rows of the error, (r, n)."""
+        """Return the intersample bound to add to `handed` next to a node, for rows of the error, (r, n)."""
         rates = self.handed(self.tightening.closed.rates)
         before = np.concatenate([rates[:1], rates[:-1]])
         return np.asarray(self.tightening.curvature(rows) @ np.maximum(rates, before))
 
     def disturbance(self, rows: Array, faults: bool = True) -> Array:
-        """Return what rows need besides the state at a hand-over, by age and ever after, (settling + 3, r).
+        """Return the tightening of rows without the handed state, by age and ever after, (settling + 3, r).
 
-        Entry L belongs to node L after the hand-over. Between two nodes a row needs at most the chord of
+        Entry L belongs to node L after the hand-over. Between two nodes a tightening is at most the chord of
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
         without the `noise` of their own period.
         """
         return self._tightenings(rows, self.feedback_bound, faults)
 
     def _tightenings(self, rows: Array, feedback_bound: Array | None, faults: bool = True) -> Array:
-        """Bound what rows need under commands within a profile, see `disturbance`."""
+        """Bound the tightening of rows under commands within a feedback bound, see `disturbance`."""
         plant = rows[:, : self.system.n]
         tightenings = (
             self.responses(rows, feedback_bound)
@@ -335,5 +335,5 @@ class Tracking(Contraction):
         return tightenings
 
     def response(self, channel: Channel, rows: Array) -> Response:
-        """Return what a channel adds along rows of the error or of the loop state, (r, n) or (r, N)."""
+        """Return the response to a channel of rows of the error or of the loop state, (r, n) or (r, N)."""
         return self.tightening.response(channel, self.whole(rows), rows[:, : self.system.n])
