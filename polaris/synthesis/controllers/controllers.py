@@ -97,7 +97,7 @@ class AffineController(AffineLaw):
     name : str
         Name in tables and figures.
     system : Craft or LinearSystem
-        What it controls.
+        Controlled system.
     gain : ndarray, shape (m, n)
         Lambda_U.
     reference : Reference
@@ -111,7 +111,7 @@ class AffineController(AffineLaw):
     """
 
     def propagate(self, start: Zonotope, k: int) -> TubeSegment:
-        """Reachable set over step k, with errors of the thrusters as large as what is commanded in it allows.
+        """Reachable set over step k, with errors of the thrusters as large as its commands allow.
 
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
         holds every flight: none can be the first to exceed it.
@@ -144,7 +144,7 @@ class AffineController(AffineLaw):
         return law
 
     def _flown(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
-        """Reachable set over step k, and what is commanded at most in it, shape (m,).
+        """Reachable set over step k, and the largest commands in it, shape (m,).
 
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
         same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
@@ -166,7 +166,7 @@ class AffineController(AffineLaw):
             commanded = self._at_most(nodes, intersample, k)
         elif excess > 0 and not self.clips:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
-        # The two references are stored states: what separates them is known up to their round-off.
+        # The two references are stored states: their distance is known up to their round-off.
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         states = nodes + zeta
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))

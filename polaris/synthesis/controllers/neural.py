@@ -42,7 +42,7 @@ class NeuralController:
     name : str
         Name in tables and figures.
     system : Craft or LinearSystem
-        What it controls.
+        Controlled system.
     policy : Policy
     reference, own : Reference
         The safe reference, and the one that the policy reads (the same object if shared).
@@ -95,7 +95,7 @@ class NeuralController:
 
     @cached_property
     def sight(self) -> Array:
-        """Return the derivative of what is read by the motion of bodies, shape (r, 2d per body)."""
+        """Return the derivative of the policy's inputs by the motion of bodies, shape (r, 2d per body)."""
         unit = np.eye(self.obstacle_motion[0].shape[-1])
         return self._slopes(np.zeros((len(unit), self.system.n)), unit)
 
@@ -137,7 +137,7 @@ class NeuralController:
         own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
         bodies, C = self.obstacle_motion[0], np.abs(self.loop.C)
         read = self._stack(own, safe, times, nu, bodies)
-        # The two references are stored states: what is made of them is known up to their round-off.
+        # The two references are stored states: their inputs are known up to their round-off.
         off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * bodies)
         off = np.abs(off) + self.reference.rounding[:cells, None] @ C.T
         return read, off + gamma(self.system.n + 4) * (np.abs(read) + np.abs(safe) @ C.T)
@@ -165,7 +165,7 @@ class NeuralController:
         return np.asarray(self.policy.network(self._read(k, own, x, later, told)) * self.policy.output_scale)
 
     def pullback(self, k: int, own: Array, x: Array, weights: Array, later: float = 0.0) -> Array:
-        """Gradient of ``weights . command`` by what is read, shape (..., r), for weights (..., m)."""
+        """Gradient of ``weights . command`` by the policy's inputs, shape (..., r), for weights (..., m)."""
         read = self._read(k, own, x, later)
         return self.policy.network.pullback(read, weights * self.policy.output_scale)
 
@@ -201,7 +201,7 @@ class NeuralController:
     def commanded(self, nodes: Zonotope, intersample: Array, k: int) -> tuple[Array, Array]:
         """Command in step k, its middle and spread at every node [N], shapes (q+1, m).
 
-        `nodes` are errors about the law's own reference. What is commanded at a node is held from there on.
+        `nodes` are errors about the law's own reference. The command at a node is held from there on.
         """
         error, spread = nodes + self.offset[k], self.sight * self.obstacle_motion[1][k, :, None]
         known = zip(*(part[k] for part in self.reference_input), spread, strict=True)
@@ -228,5 +228,5 @@ def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
 
 
 def reduced(z: Zonotope) -> Zonotope:
-    """Reduce a set that has too many generators to few: reducing wraps what turns, so it is done late."""
+    """Reduce a set with too many generators to few; done late, as it over-approximates rotating sets."""
     return z if z.order_count <= ORDER * z.dim else z.reduce(ORDER / 3)

@@ -245,7 +245,7 @@ def errors_alone(tracking: Tracking, axis: int, other: Craft) -> float:
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
-    """Plan; if that fails in a scene about as small as the planner's solver tolerance, say so."""
+    """Plan; if that fails in a scene about as small as the clearance added for the solver, say so."""
     try:
         return plan(asked, options)
     except (SynthesisInfeasible, NotCertified) as error:

@@ -20,7 +20,7 @@ from .recoverable import Margin, RecoverableSet, slack_share
 class BallSets(RecoverableSet):
     """Balls ``norm(W e) <= r`` about the reference (eqs. 11 and 12 as docs/theory.md, Lemma 2, has them).
 
-    The radius weighs the clearance at every later time by what is left of the error by then. The least
+    The radius weighs the clearance at every later time by the share of the error left by then. The least
     radius is that of the constant ball, from the smallest clearance over all time.
     """
 
@@ -29,7 +29,7 @@ class BallSets(RecoverableSet):
 
     @cached_property
     def _tightenings(self) -> tuple[Array, Array]:
-        """Need of every row per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
+        """Tightening of rows per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
         bounds, tracking, limits = self.bounds, self.clearance.tracking, self.clearance.limits
         if states := [body.name for body in self.clearance.unsafe if body.of_state]:
             rule = f"must be 'polytope', as {states[0]} limits velocities, which balls do not bound"

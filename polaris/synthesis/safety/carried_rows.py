@@ -17,11 +17,11 @@ BLOCK = 768  # rows that are multiplied at once; more: products leave the cache
 
 @dataclass(frozen=True, eq=False)
 class CarriedRows:
-    """Table ``row F^l`` of every row and age, with what is added to it (docs/theory.md, Theorem 3).
+    """Table ``row F^l`` of every row and age, with its tightening (docs/theory.md, Theorem 3).
 
     Entry l of a table belongs to node l after a loop state was handed over to S. Over the period between two
-    nodes a row needs at most the chord of their entries. Sets are those of the loop state, or of the
-    tracking error ``x - xi`` where the rest of it may be whatever any law leaves (`Tracking.whole_state`).
+    nodes a tightening is at most the chord of their entries. Sets are those of the loop state, or of the
+    tracking error ``x - xi`` where the rest may be any state that a law leaves (`Tracking.whole_state`).
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class CarriedRows:
 
     @cached_property
     def handed(self) -> Array:
-        """Need, and that between nodes alone, per unit of loop states beside the error, by age.
+        """Tightening, and its intersample part, per unit of loop states beside the error, by age.
 
         Shape (2, settling + 3, r, N - n).
         """
@@ -71,7 +71,7 @@ class CarriedRows:
 
     @cached_property
     def beside_errors(self) -> Array:
-        """Need of what may be handed over beside a true error, whatever law has flown, (settling + 3, r)."""
+        """Tightening by the states handed over beside a true error, after any law, (settling + 3, r)."""
         tracking = self.tracking
         size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.state_offset))
         own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.curvature * size
@@ -79,7 +79,7 @@ class CarriedRows:
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need of everything but the state handed over, by age and ever after, shape (settling + 3, r)."""
+        """Tightening by all but the handed state, by age and ever after, shape (settling + 3, r)."""
         tracking = self.tracking
         if self.between:
             return tracking.disturbance(self.rows, self.faults)
@@ -88,12 +88,12 @@ class CarriedRows:
 
     @cached_property
     def _upset(self) -> Array:
-        """Need of a fault that is isolated late up to l periods after it begins, shape (settling + 3, r)."""
+        """Tightening by a transient fault up to l periods after it begins, shape (settling + 3, r)."""
         return self.tracking.transient_tightening(self.rows) * self.faults
 
     @cached_property
     def curvature(self) -> Array:
-        """Need between nodes per unit of ``norm(W e)``, shape (settling + 2, r)."""
+        """Intersample bound per unit of ``norm(W e)``, shape (settling + 2, r)."""
         curvature = self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
         return np.asarray(curvature * self.between)
 
@@ -105,13 +105,13 @@ class CarriedRows:
 
     @cached_property
     def beyond(self) -> Array:
-        """Need beyond the settling horizon per unit of ``norm(W e)``, shape (r,)."""
+        """Tightening beyond the settling horizon per unit of ``norm(W e)``, shape (r,)."""
         size = self.tracking.per_size(self.plant) if self.between else self.sizes[0]
         return np.asarray(size * self.tracking.decay[-1])
 
     @cached_property
     def settled_tightening(self) -> Array:
-        """Need at nodes for ever once S has settled, a fault included, shape (r,)."""
+        """Tightening at nodes for ever once S has settled, a fault included, shape (r,)."""
         return np.asarray(self.tracking.settled_tightening(self.rows) + self._upset[-1])
 
     def long_after(self, start: Zonotope) -> Array:

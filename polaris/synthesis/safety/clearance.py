@@ -27,7 +27,7 @@ class Clearance:
     Parameters
     ----------
     tracking : Tracking
-        S, and what is known of its error.
+        S, and the bounds on its error.
     reference : Reference
         The safe reference, coasting tail included.
     unsafe : tuple of TimedPolytope
@@ -97,7 +97,7 @@ class Clearance:
         return Feedforward(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array, between: bool = True) -> Array:
-        """Return the tightening of rows by the time of the flight, (cells, q + 1, r) (`Feedforward`)."""
+        """Return the feedforward tightening of rows, shape (cells, q + 1, r) (`Feedforward`)."""
         return self._scheduled.response(rows, between)
 
     @cached_property
@@ -137,7 +137,7 @@ class Clearance:
 class Limits:
     """Rows r of the loop state z with ``r z <= available``: facets, then commands of either sign.
 
-    Commands are limited by the thrusters, and once more by what errors of thrusters are booked for, if that
+    Commands are limited by the thrusters, and once more by the level that thruster errors assume, if that
     is less. Arrays of shape (2, periods, r) hold where every period begins, and where it ends.
     """
 

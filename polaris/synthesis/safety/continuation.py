@@ -55,7 +55,7 @@ class PathRows:
 
     @cached_property
     def path(self) -> Array:
-        """Need of the path at both ends of every period, in the tail ever after, (2, periods + 1, r)."""
+        """Tightening by the path at both ends of each period, in the tail ever after, (2, periods + 1, r)."""
         clearance, plant = self.clearance, self.table.plant
         tightening = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
         tightening = np.concatenate([tightening, np.stack([tightening[1, -1:]] * 2)], axis=1)
@@ -80,7 +80,7 @@ class LimitsAhead:
     """Tightenings and clearances of a stack of sets along the limits ahead, shape (sets, entries).
 
     A tightening along the first entries, twice as many as `near` has, is the bound by the norm until it
-    is worked out; what is pushed by disturbances is apart. The last entries, `beyond`, stand for all
+    is worked out; the part due to disturbances is separate. The last entries, `beyond`, stand for all
     times beyond the settling horizon.
     """
 
@@ -91,7 +91,7 @@ class LimitsAhead:
     clearance: Array
     where: Where
     exact: Callable[[NDArray[np.int_]], Array]
-    """Exact tightenings of the table's entries with some indices, before what is pushed."""
+    """Exact tightenings of the table's entries with some indices, without the part `pushed`."""
 
     def __post_init__(self) -> None:
         self._worked_out = np.zeros(self.near.shape[1], dtype=bool)
@@ -148,7 +148,7 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need besides the state, round-off of the reference included, by age, shape (settling + 3, r)."""
+        """Tightening besides the state, with the reference's round-off, by age, shape (settling + 3, r)."""
         tracking, table = self.clearance.tracking, self.table
         tightening = table.disturbance + self.clearance.round_off(table.plant)
         if tracking.feedback_bound is not None:  # a bound that falls is the first one, of which more is taken
@@ -160,7 +160,7 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def beside_errors(self) -> Array:
-        """Need besides a true error, whatever law has flown, by age, shape (settling + 3, r)."""
+        """Tightening besides a true error, after any law, by age, shape (settling + 3, r)."""
         return self.disturbance + self.table.beside_errors
 
     @cached_property
@@ -235,7 +235,7 @@ class Continuation(RecoverableSet):
         return self._left(ahead), ahead.tightening, ahead.clearance, ahead.where
 
     def _left(self, ahead: "LimitsAhead") -> Array:
-        """Return the slack as shares of the clearance; a met limit of `booked` commands is no tightest one."""
+        """Return the slack as shares of the clearance; a limit of `booked` that is met is no tightest one."""
         share, rows = slack_share(ahead.tightening, ahead.clearance), ahead.where[2]
         share[np.isinf(ahead.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share

@@ -15,11 +15,11 @@ from ..tracker.tracking import Tracking
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
 
 Effects = list[tuple[Channel, Response]]
-"""Channels, and what each adds along some rows."""
+"""Channels, and the response of some rows to each."""
 
 
 class Feedforward:
-    """Tightening by the time of the flight: by errors of the reference's commands, and of some estimates.
+    """Tightening by flight time: errors of the reference's commands, and of estimates in some steps.
 
     The former cause errors of thrusters. The latter are by how much estimates may be off more than in the
     best known step.
@@ -121,7 +121,7 @@ def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
 
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:
-    """Bound on the errors of what S applies along a reference, right after it takes over, shape (m,) [N]."""
+    """Bound on the errors of S's thrust along a reference, right after it takes over, shape (m,) [N]."""
     system, commanded = tracking.system, tracking.system.u_max
     if tracking.feedback_bound is not None:
         scheduled = Feedforward(tracking, reference, reference.cells).commanded.max(axis=0)

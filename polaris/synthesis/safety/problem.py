@@ -81,23 +81,23 @@ class Problem:
     weight : {"auto", "identity"} or array_like
         Weight of the norm of Lemma 1.
     objective : {"margin_then_fuel", "distance", "fuel"}
-        What the planner seeks: the extra margin and then least velocity change; most distance; least fuel.
+        Goal of the planner: the extra margin and then least velocity change; most distance; least fuel.
     extra_margin : float
-        Clearance [m] wanted beyond what S's own tube needs: the clearance left to U.
+        Clearance [m] wanted beyond the tightening by S's own tube: the slack left to U.
     thrust_reserve : float
-        Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
+        Share of the thrust limits, in [0, 1), that the reference leaves beyond the tightening by S's tube.
     thrust_share : float, optional
         Share of the thrust limits, in (0, 1], that S's feedback may demand when it takes over: errors of
-        thrusters are booked for so much, and for less and less from there on. Without it `synthesize` tries
+        thrusters are bounded for it, and for less and less from there on. Without it `synthesize` tries
         some and keeps the best; `get_safety` takes the least of them.
     planner : PlannerOptions
         Solver, time limit, gap.
     gains : tuple of ndarray
         Gains of the experimental controllers, so that a period that is not given is short enough for them.
     abort : DriftRequirement or None
-        What is asked of the drift should all thrust stop; None for nothing.
+        Requirement on the drift should all thrust stop; None for nothing.
     powered : PoweredAbort or None
-        What is asked of an abort with thrust; None for nothing.
+        Requirement on an abort with thrust; None for nothing.
     tank : float or None
         Velocity change [m/s] that there is propellant for, if that is known.
     allocation : Allocation or None

@@ -51,7 +51,7 @@ class GoalDistance:
 
 @dataclass(frozen=True)
 class Arrival(GoalDistance):
-    """Proof of the goal, and bound on what is spent until then."""
+    """Proof of the goal, and bound on the spending until then."""
 
     delta_v: float  # velocity change until then, at most [m/s]
 
@@ -90,7 +90,7 @@ def slack_factor(tracking: Tracking) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Nearness:
-    """Distance of flights under S from the goal of its problem, and what counts as reached."""
+    """Distance of flights under S from the goal of its problem, and the tolerance to reach it."""
 
     safety: Safety
     faults: bool = False  # True if a fault that is isolated late may occur, where any is declared

@@ -26,8 +26,8 @@ def is_as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
 class Objective:
     """Objective of a schedule: the time of U, less velocity change and switches, as shares of the horizon.
 
-    Less share, or without errors more velocity change, than the printed algorithms' schedule lowers the value
-    `WORSE` times as much: it is hardly ever preferred. With errors velocity change counts at its price alone.
+    Less share than the printed algorithms' schedule, or without errors more velocity change, costs `WORSE`
+    times the difference: it is hardly ever preferred. With errors velocity change counts at its price alone.
     """
 
     rules: SwitchingRules  # weights, prices and budget
@@ -51,7 +51,7 @@ class Objective:
         return self.rules.prices(self.scale)
 
     def value(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
-        """Return the value by the prices, less what is worse than with the printed algorithms' schedule."""
+        """Return the value by the prices, less a penalty for losses to the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
         return self.prices(shares, delta_v, switches) - WORSE * (less + more)

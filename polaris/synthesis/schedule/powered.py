@@ -1,4 +1,4 @@
-"""Powered abort: from whatever instant of a step S flies to a named orbit, in time and within a budget.
+"""Powered abort: from any instant of a step S flies to a named orbit, in time and within a budget.
 
 Where the orbit is not the schedule's own goal, S flies on along the reference until a branch leaves it, which
 was planned beforehand; one branch serves the steps before it for as long as all is proven of them.
@@ -148,7 +148,7 @@ class BranchSearch:
 
     @cached_property
     def corrections(self) -> Corrections:
-        """Bounds on S's corrections, along whatever branch."""
+        """Bounds on S's corrections, along any branch."""
         return Corrections(self.safety.tracking)
 
     def branches(self, k: int) -> Iterator[AbortBranch | str]:
@@ -203,7 +203,7 @@ class BranchSearch:
         return AbortBranch(b, proven, self.corrections)
 
     def _wanted(self, asked: PlanProblem, taken: Sequence[Takeover], tail: int) -> PlanProblem:
-        """Return the planning problem of a branch, with what S needs where it may take over."""
+        """Return the planning problem of a branch, with S's tightening wherever it may take over."""
         safety, tracking, system = self.safety, self.safety.tracking, asked.system
         b, q = taken[-1].k + 1, tracking.feedback.nodes_per_cell
         chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]

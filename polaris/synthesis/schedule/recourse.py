@@ -38,7 +38,7 @@ from .objective import Mask, Objective
 from .schedule import Schedule
 
 STICKING = (20.0, 3.0)
-"""Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
+"""Prices of a departure from U's path, in units of its fuel's cost, at which windows are looked for."""
 SOFT = 5.0  # the same where U's own command leaves S no clearance above it: the reference goes on with less
 DEPARTS = 1e-2  # share of full thrust from which on a departure from U's path is one
 SHORT = 1e4  # price of a lacking length, beside that of fuel
@@ -86,9 +86,9 @@ def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Ma
 class ReferenceSearch:
     """Windows for S along the path of one law, and the least velocity change with each.
 
-    `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
-    It keeps what S needs after any hand-over by U, whose tube is that from the start; with errors and sets to
-    stay inside it is renewed by each window. Without errors it keeps what S needs from the start and, beyond
+    `printed` is the printed algorithms' result; the reference follows the law's path outside the windows.
+    It keeps S's tightening after any hand-over by U, whose tube is from the start; with errors and sets to
+    stay inside it is renewed by each window. Without errors it keeps that from the start and, beyond
     it, U's own tube, which fades.
     """
 

@@ -1,4 +1,4 @@
-"""The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
+"""The result of Algorithm 2: modes per step, tubes, margins, and guarantees."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -232,7 +232,7 @@ class Schedule:
         rows, beside = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
         flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
         largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
-        least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # whatever is commanded
+        least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # under any commands
         bounds = {
             "settled": None if self.upkeep is None else self.tail.estimate(tracking.settling + 2),
             "experimental": np.max(largest, axis=0) + beside if flown else None,
@@ -309,7 +309,7 @@ class Schedule:
 
         The proof needs it to be at least 0 under an experimental controller only. Under S it may be
         negative: the set reached is enclosed afresh at every node, and S, once it has taken over from a
-        recoverable set, is safe whatever that enclosure says.
+        recoverable set, is safe regardless of that enclosure.
         """
         return np.array([step.margin.value for step in self.steps])
 

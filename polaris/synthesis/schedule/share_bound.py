@@ -1,4 +1,4 @@
-"""Bound on the share of time that any schedule could leave to U: what U's own path already forbids.
+"""Bound on the share of time that any schedule could leave to U, given the conflicts of U's own path.
 
 Without disturbance and from the middle of the initial set, a flight must keep clear of the unsafe sets at the
 ends of all steps: where U flies it moves as U's law has it, where S flies by any thrust within the limits.
@@ -30,8 +30,8 @@ ROWS, STEPS = 20_000, 500
 class ShareBound:
     """Proven bound on the share of the time under experimental controllers, over all schedules of a scene.
 
-    No schedule that keeps clear of the unsafe sets as perceived has more, along whatever reference and with
-    whatever safety controller, on the same steps and by the same dwell time and cap. It is ``reached`` where
+    No schedule that keeps clear of the unsafe sets as perceived has more, along any reference and with
+    any safety controller, on the same steps and by the same dwell time and cap. It is ``reached`` where
     as many steps under S as the bound leaves could not be refuted; else the effort ran out, or nothing was to
     bound.
     """

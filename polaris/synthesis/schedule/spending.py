@@ -34,9 +34,9 @@ class Spell:
     law: Controller
     tube: TubeSegment
     k: int
-    middle: Array  # size of what is commanded along the middle of the tube [N], (q, m)
-    most: Array  # bound on what is applied on average in every period [N], (q, m)
-    commands: Array | None = None  # bound on what is commanded, where the law is affine [N], (q, m)
+    middle: Array  # size of commands along the middle of the tube [N], (q, m)
+    most: Array  # bound on the mean thrust in every period [N], (q, m)
+    commands: Array | None = None  # bound on commands, where the law is affine [N], (q, m)
 
     @classmethod
     def from_tube(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":

@@ -21,7 +21,7 @@ from .rules import CHECKED, SwitchingRules
 from .schedule import Schedule, Step
 from .search import PartialSchedule, ScheduleSearch
 
-LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
+LARGE = 0.15  # errors of thrusters, as a share of commands, from which on less feedback is tried too
 DEARER = (0.0, 0.3, 3.0)  # added in turn to the price of velocity change while no schedule keeps the budget
 
 
@@ -241,7 +241,7 @@ class Reflown(Sequence[Step]):
 
 
 def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule]:
-    """Yield the schedule along a reference that clears unsafe sets by what U lacked along the first one."""
+    """Yield the schedule along a reference that adds the clearance that U lacked along the first one."""
     problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
     refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)
     lack = max((margin.tightening - margin.clearance for margin in refused), default=0.0)
@@ -255,7 +255,7 @@ def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule
 def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
     """Return the longest beginning of a schedule after which S alone keeps the rules.
 
-    Of several the most worthy: budget of velocity change, and what is required of the drift.
+    Of several the best by objective: budget of velocity change, and what is required of the drift.
     `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
     references; `NotCertified` if not even S alone keeps the budget along any of them.
     """

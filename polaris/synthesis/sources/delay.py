@@ -18,9 +18,9 @@ WHOLE = 1e-9  # share of a period by which a delay may differ from a whole numbe
 class Delay:
     """Commands rest on the state of `seconds` before, predicted under the commands in force since.
 
-    The prediction does not know what was added to the plant meanwhile. The loop remembers these additions:
+    The prediction does not know the additions to the plant meanwhile. The loop remembers these additions:
     one state vector per period under way, and one more per period where the delay is no whole number of
-    periods, because a measurement within a period shows what was added before it.
+    periods, because a measurement within a period shows the additions before it.
     """
 
     seconds: float

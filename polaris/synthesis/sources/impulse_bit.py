@@ -12,9 +12,9 @@ from .source import remembers
 
 @dataclass(frozen=True)
 class CarriedImpulse:
-    """Impulses are multiples of a bit; what is left of a command, at most `bit` [N s], adds to the next one.
+    """Impulses are multiples of a bit; the rest of a command, at most `bit` [N s], adds to the next one.
 
-    Errors of magnitude act on what is made, not on what is commanded: the difference moves the plant as a
+    Errors of magnitude act on the impulse made, not on the command: the difference moves the plant as a
     carried impulse times `along` does.
     """
 

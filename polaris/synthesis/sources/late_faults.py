@@ -46,7 +46,7 @@ def undetected(system: Craft, gain: Array, h: float) -> Array:
 
 
 def _late(system: Craft, h: float) -> int:
-    """Return how many periods before a command what was added in them may be unknown."""
+    """Return the number of periods before a command in which additions may be unknown."""
     return touched(system.timing.delay, h) + system.timing.missed
 
 
@@ -60,12 +60,12 @@ def _added(
     pushed : list of float
         For how long [s] thrust is wrong in each period, up to its end.
     gain : ndarray, shape (m, n), optional
-        Of S. Every law answers with no more than the largest gain times what it sees, and with no more than
+        Of S. Every law answers with no more than the largest gain times its input, and with no more than
         twice the limits; a network also with its derivative, a black box with the limits alone. Without it
         nobody answers.
     """
     n, N, h, limits, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
-    own, lead = system.thrusters.table(loop.m).T, system.timing.lead  # errors of what is answered
+    own, lead = system.thrusters.table(loop.m).T, system.timing.lead  # errors of the answers
     led = None if lead is None else np.array(lead.shares).T
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
     if steep is not None and fault.networks is not None:
@@ -94,7 +94,7 @@ def _added(
             plant = plant + answer @ led @ ahead[1].T
         nodes[i + 1 :] += added.transpose(0, 2, 1) * (1 + ROUNDING)
         bounds[i + 1] = nodes[i + 1, :, :N]
-        bounds[i + 1, :, :n] = np.maximum(bounds[i + 1, :, :n], plant)  # at whatever instant of a period
+        bounds[i + 1, :, :n] = np.maximum(bounds[i + 1, :, :n], plant)  # at any instant of a period
     return bounds
 
 

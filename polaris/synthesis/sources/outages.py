@@ -26,7 +26,7 @@ class OutageDifference:
     Attributes
     ----------
     added : list of ndarray, shape (N, g)
-        Generators of what each further period adds to the difference.
+        Generators that each further period adds to the difference.
     start : list of ndarray, shape (N, s)
         Generators of what the states at the start make of it, by the number of periods.
     """
@@ -51,9 +51,9 @@ class OutageDifference:
 def outage_errors(
     system: Craft, fault: Transient, h: float, left: Callable[[Array, list[OutageDifference]], Array]
 ) -> Array:
-    """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (n,).
+    """Bound errors of predictions over a whole outage, and the rest of the first estimate error, (n,).
 
-    S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and sets
+    S steers the prediction, exactly as a loop without disturbance, in which `left` of some rows and sets
     remains (`Tracking.left`). Periods may be missed before and after.
     """
     timing, every = system.timing, np.eye(system.n)

@@ -1,4 +1,4 @@
-"""Thrusters that apply what is commanded up to a share of it, and up to a fixed error."""
+"""Thrusters that apply a command up to a share of it, and up to a fixed error."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class ThrusterErrors:
 
     @classmethod
     def from_system(cls, system: Craft, h: float) -> "ThrusterErrors | None":
-        """Return the errors of thrusters, with what jitter and pulses add to each input."""
+        """Return the errors of thrusters, with the effect of jitter and pulses on each input."""
         return None if system.thrusters.exact else cls(system.thrusters)
 
     def extend(self, loop: Loop) -> Loop:

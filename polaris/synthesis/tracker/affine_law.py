@@ -30,7 +30,7 @@ LOOP_ALONE = {
 LESS = 0.9  # share of what channels make that is foreseen of it; more: levels of commands above those needed
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 ORDER, CLIPPED = 30.0, 6.0
-"""Generators per dimension of the error of what channels add by a node of a step; of sets where commands may
+"""Generators per dimension of the set that channels add by a node of a step; of sets where commands may
 be clipped, twice as many with errors."""
 
 
@@ -39,7 +39,7 @@ class AffineLaw:
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`.
 
     Its loop state is S's: the error and whatever else the flight computer remembers. `most` (m,) bounds its
-    commands, `off` (n,) what estimates are off by beside the loop's own errors.
+    commands, `off` (n,) the estimate errors beside the loop's own.
     """
 
     name: str
@@ -82,7 +82,7 @@ class AffineLaw:
 
     @cached_property
     def error(self) -> Array:
-        """Bounds on the errors of what is applied, shape (m,), as long as commands are within `most`."""
+        """Bounds on the errors of thrust, shape (m,), as long as commands are within `most`."""
         return self.system.input_error(self.gain, self.system.u_max if self.most is None else self.most)
 
     @cached_property
@@ -151,7 +151,7 @@ class AffineLaw:
 
     @cached_property
     def held_rates(self) -> Array:
-        """Bound on the rate of the plant's states by what holds for a period of a cell, shape (n,)."""
+        """Bound on the rate of the plant's states by values that hold for a period of a cell, shape (n,)."""
         return held_rates(self.closed, self.channels())
 
     @cached_property
@@ -172,7 +172,7 @@ class AffineLaw:
         return np.hstack(added)
 
     def _early(self, i: int) -> list[Array]:
-        """Generators, at node i, of what commands before the cell add to channels that remember them."""
+        """Generators, at node i, of the effect of commands before the cell on channels with a lag."""
         generators = []
         for c in self.closed.loop.channels if self.most is not None else ():
             more = self.sizes(c, None) - self.sizes(c, self.most)
@@ -227,7 +227,7 @@ class AffineLaw:
 
 
 def raised(most: Array, commanded: Array, u_max: Array) -> Array:
-    """Return the least levels of commands, no less than those given, that hold what is commanded, (m,)."""
+    """Return the least levels of commands, no less than those given, that hold all commands, (m,)."""
     above = np.searchsorted(LEVELS, np.minimum(commanded / u_max, 1.0))
     return np.asarray(np.maximum(most, LEVELS[above] * u_max))
 

@@ -1,4 +1,4 @@
-"""Channels through which uncertainty enters a loop, and what they add along rows of its state."""
+"""Channels through which uncertainty enters a loop, and their effect along rows of its state."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from reach.numerics.linear import discretize, growth
 
 Array = NDArray[np.float64]
 Share = Callable[[Array], Array]
-"""Half-widths of a box (..., k) under bounds on the size of what is commanded (..., m)."""
+"""Half-widths of a box (..., k) under bounds on the size of commands (..., m)."""
 
 
 @dataclass(frozen=True, eq=False)

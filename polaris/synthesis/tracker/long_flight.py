@@ -40,20 +40,20 @@ class Storage:
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Values that enter a loop under one law in every period, and what its commands spend.
+    """Values that enter a loop under one law in every period, and the spending of its commands.
 
     Attributes
     ----------
     F, K : ndarray, shapes (N, N), (m, N)
         Transition of the loop state, and the command ``-K z`` beside its middle.
     enter, own : ndarray, shapes (N, k), (m, k)
-        What values add to the next loop state and to the command. Those of a `group` (k,) have a 2-norm up to
+        Maps from values to the next loop state and the command. Those of a `group` (k,) have a 2-norm up to
         one. The last ones are errors of thrusters [N], in the same order for each part of the period: first
         those that do not grow with the deviation of commands, then those that do.
     held : int
         Number of the values before those.
     craft : Craft
-        Source of the errors of thrusters and of the weights of what is spent.
+        Source of the errors of thrusters and of the weights of the spending.
     matrix : bool
         True if the loop state ends with a constant matrix of errors of thrusters. Commands are then twice as
         many: what is applied about the middle but for errors of the deviation, and the deviation. Errors
@@ -83,7 +83,7 @@ class Inputs:
 
         Commands are up to the first of `most` (m,), and up to the second in the periods that errors remember.
         Estimates are off by some `off` (n,) besides, and rounding moves the error by `moved` (n,) in every
-        period. With `bands` (m,) commands are off by as much, input by input, instead of what estimates add.
+        period. With `bands` (m,) commands are off by as much, input by input, instead of by estimate noise.
         """
         error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
         tops = np.minimum(most[0], craft.u_max)
@@ -121,7 +121,7 @@ class Inputs:
     def about(self, loop: Loop, middle: Array) -> "Inputs":
         """Return the inputs of a loop that holds the matrix of its craft, commands having a middle (m,)."""
         (m, N), held, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
-        turned = np.eye(m)[:, rows] * middle[columns]  # what the matrix makes of the middle
+        turned = np.eye(m)[:, rows] * middle[columns]  # the matrix times the middle
         applied = turned * (rows == columns) if self.craft.timing.carried_impulse else turned
         late, number = carried_across(loop, self.craft), self.group[held - 1] + 1
         enter = np.insert(self.enter, [held], late - self.F @ late, axis=1)
@@ -238,7 +238,7 @@ class Inputs:
         return Storage((P + P.T) / 2, h[:N] + both[:N, N], after.cost + float(cost + both[N, N]) / 2)
 
     def lasting(self) -> tuple[Array, float] | None:
-        """Return rows whose sum of squares is twice a storage that lasts, and what a period costs [N]."""
+        """Return rows whose sum of squares is twice a storage that lasts, and the cost of a period [N]."""
         r, b = self.worst
         for attempt in range(ATTEMPTS):
             scale, P = np.where(np.arange(len(b)) < self.held, LOOSER**attempt, 1.0), np.zeros_like(self.F)

@@ -38,9 +38,9 @@ class Loop:
     free : ndarray, shape (N, N)
         Transition without commands.
     held : ndarray, shape (N, m)
-        What a unit of command, held for a period, adds.
+        Map from a command, held for a period, to the next loop state.
     applied : ndarray, shape (m, N)
-        What the loop state adds to what is applied, beside the command. The flight computer does not know
+        Map from the loop state to the thrust beside the command. The flight computer does not know
         of it.
     known : ndarray, shape (n, N)
         The error that the law sees.
@@ -163,9 +163,9 @@ class Loop:
         own : ndarray, shape (s, N + s)
             Transition of q from the loop state and q.
         known : ndarray, shape (n, s), optional
-            What q adds to the error that the law sees.
+            Map from q to the error that the law sees.
         applied : ndarray, shape (m, s), optional
-            What q adds to what is applied.
+            Map from q to the thrust.
         """
         s = len(own)
         free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), own])
@@ -226,12 +226,12 @@ class ClosedLoop:
 
     @cached_property
     def K(self) -> Array:
-        """Rows of the commands, shape (m, N); a command is ``-K z`` less what noise adds."""
+        """Rows of the commands, shape (m, N); a command is ``-K z`` less the noise."""
         return np.asarray(self.gain @ self.loop.known)
 
     @cached_property
     def open_transition(self) -> Array:
-        """Transition without commands, of what is applied beside them too, shape (N, N)."""
+        """Transition without commands but with the thrust beside them, shape (N, N)."""
         return np.asarray(self.loop.free + self.loop.made @ self.loop.applied)
 
     @cached_property
@@ -292,7 +292,7 @@ class ClosedLoop:
         return np.asarray(moved)
 
     def noise(self, channel: Channel) -> Array:
-        """Size of what a unit of a channel's value adds to a command of its period, shape (m, k)."""
+        """Size of a command's change per unit of a channel's value in its period, shape (m, k)."""
         if channel.noise is None:
             return np.zeros((self.loop.m, len(channel.size)))
         return norms(self.gain @ channel.noise, channel.ball)

@@ -1,4 +1,4 @@
-"""Sets of what the channels of a loop add in one period, as generators."""
+"""Sets that the channels of a loop add in one period, as generators."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -24,9 +24,9 @@ def spread(channel: Channel, size: Array, columns: int) -> Array:
 
 
 def rates_added(loop: Loop, channels: Sized) -> Array:
-    """Return generators of what measurable values add to the next loop state by the plant's rate, (N, g).
+    """Return generators of the effect of measurable values on the next loop state via rates, (N, g).
 
-    What a part of the period adds to the plant enters all loop states at once, with the same generators: the
+    The effect of a part of the period on the plant enters all loop states with the same generators: the
     mean of the values lies in their set, the rest is bounded (docs/theory.md, Proposition 9 (c)).
     """
     columns = [np.zeros((loop.N, 0))]
@@ -43,7 +43,7 @@ def rates_added(loop: Loop, channels: Sized) -> Array:
 
 
 def sampled_added(closed: ClosedLoop, channels: Sized) -> Array:
-    """Return generators of what values that hold for a period add to the next loop state, (N, g)."""
+    """Return generators of the effect of values that hold for a period on the next loop state, (N, g)."""
     columns = [np.zeros((closed.loop.N, 0))]
     for channel, size in channels:
         if np.any(size) and (moved := closed.sampled(channel)).any():

@@ -1,4 +1,4 @@
-"""Tightening of limits: what a loop's channels add along rows, from rest and for ever.
+"""Tightening of limits: effect of a loop's channels along rows, from rest and for ever.
 
 For every row r and node i + L after a hand-over at node i (docs/theory.md, Theorem 3):
 
@@ -100,7 +100,7 @@ class Tightening:
         return np.asarray(channel.size + channel.share(np.minimum(bound, self.u_max)))
 
     def remembered_bound(self, channel: Channel, bound: Array) -> Array:
-        """Shift a bound on commands since a hand-over (L, m), which falls, by what a channel remembers.
+        """Shift a bound on commands since a hand-over (L, m), which falls, by the lag of a channel.
 
         Before the hand-over commands are within `u_max` alone.
         """
@@ -211,7 +211,7 @@ class Tightening:
         Returns
         -------
         fixed : ndarray, shape (r,)
-            Whatever the errors at the hand-over.
+            For any errors at the hand-over.
         per_size : ndarray, shape (N + 2, r)
             Per unit of the norm at the hand-over, by lag.
         """
@@ -224,7 +224,7 @@ class Tightening:
             if push is not None:
                 size = np.linalg.norm(push, axis=1) * sizes[0] if channel.ball else np.abs(push) @ sizes
                 rate = rate + np.abs(loop.B) @ size
-            if channel.rate is not None:  # what is added within the period leaves its own chord
+            if channel.rate is not None:  # an addition within the period leaves its own chord
                 gains = curvature @ np.abs(channel.rate)
                 fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
         per_size = np.abs(moved) @ self.v @ curvature.T

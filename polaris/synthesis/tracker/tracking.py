@@ -37,7 +37,7 @@ class Tracking(Contraction):
 
     @cached_property
     def loop(self) -> Loop:
-        """Loop of the craft, of which the tracking error is the first part, under whatever law flies."""
+        """Loop of the craft, of which the tracking error is the first part, under any law."""
         return craft_loop(self.system, self.delta / self.feedback.nodes_per_cell)
 
     @cached_property
@@ -48,7 +48,7 @@ class Tracking(Contraction):
 
     @cached_property
     def tables(self) -> dict[Any, Any]:
-        """Tables of rows carried back through the loop, by what they are of (`CarriedRows.from_tracking`)."""
+        """Tables of rows carried back through the loop, by their key (`CarriedRows.from_tracking`)."""
         return {}
 
     @property
@@ -88,7 +88,7 @@ class Tracking(Contraction):
 
     @property
     def worst_noise(self) -> Array:
-        """Bound on `noise`, errors of whatever step of the flight included, shape (m,)."""
+        """Bound on `noise`, errors of any step of the flight included, shape (m,)."""
         return np.asarray(self.noise + np.abs(self.gain) @ self.step_errors.max(axis=0))
 
     @cached_property
@@ -98,7 +98,7 @@ class Tracking(Contraction):
 
     @cached_property
     def remembered(self) -> Array:
-        """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
+        """Bounds on the loop states beside the tracking error, after any law, shape (N - n,)."""
         n, seen = self.system.n, self.system.observer
         bounds = np.array(self.tightening.from_rest(np.eye(self.loop.N)[n:], self.system.u_max)[-1])
         if seen is not None and self.loop.settled is not None:  # no source after the observer adds states
