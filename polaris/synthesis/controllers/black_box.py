@@ -1,6 +1,6 @@
-"""A controller of which nothing is known but what it answers: its reachable sets come from samples.
+"""A controller known by its answers alone: its reachable sets come from samples.
 
-For every period of a step that the box flies, what it commands is fitted as an affine function of the error
+For every period of a step that the box flies, its command is fitted as an affine function of the error
 with a band about it. Whether commands keep to their bands is what sampled flights are asked
 (`polaris.simulation.sampled`); the rest is proven of every disturbance (docs/theory.md, Theorem 10).
 """
@@ -36,7 +36,7 @@ Before = Sequence[tuple[Zonotope, Controller]]  # of the steps so far: where eac
 
 SAMPLES = 400  # starts that shape the sets of a step; that these hold is asked of other flights
 
-BANDS = 2.0  # by how much the bands are wider than what the samples leave over
+BANDS = 2.0  # width of the bands as a multiple of the samples' residuals
 
 NARROW = 1e-7  # share of its size from which on a state varies enough for a command to be fitted to it
 FARTHEST = 1e60  # states beyond which nothing is computed
@@ -47,7 +47,7 @@ class FittedSegment(TubeSegment):
     """A tube of commands that were fitted to samples."""
 
     fit: Array | None = None
-    """What is applied from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
+    """The thrust from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
     the error there; shape (q, m, n + 2)."""
 
     def outside(self, errors: Array, inputs: Array, moved: Array) -> Array:
@@ -78,7 +78,7 @@ class BlackBox:
         Of the samples.
     memory : bool
         Whether answers depend on what was asked earlier in a flight. Bands are then fitted to flights
-        from the start on; what is said of them assumes neither.
+        from the start on; claims about them assume neither.
     fits : mapping
         Bands that are known already, by step, as in `FittedSegment.fit`: nothing is asked for these.
 
@@ -166,7 +166,7 @@ class BlackBox:
         return self.tracking.feedback.nodes_per_cell
 
     def _fitted(self, start: Zonotope, k: int, before: Before) -> Array:
-        """Affine functions and bands about what is commanded from all over a set, its corners too."""
+        """Affine functions and bands about the commands from all over a set, its corners too."""
         system, rng, q = self.system, np.random.default_rng([self.seed, k]), self._q
         first, laws = before[0][0] if before else start, [*(law for _, law in before), self]
         b = rng.uniform(-1, 1, (SAMPLES, first.order_count))

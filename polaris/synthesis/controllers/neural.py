@@ -160,7 +160,7 @@ class NeuralController:
     ) -> Array:
         """Thrust command before clipping, shape (..., m), some seconds after the start of step k.
 
-        What is told of bodies (..., 2d per body) is the middle of what it may be if it is left out.
+        Obstacle data (..., 2d per body) are the middle of their range if they are left out.
         """
         return np.asarray(self.policy.network(self._read(k, own, x, later, told)) * self.policy.output_scale)
 

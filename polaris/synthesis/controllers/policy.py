@@ -16,12 +16,12 @@ from ...model.scene.satellite import SatelliteObstacle
 from ...model.tolerances import ROUNDING
 
 OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
-"""What may be read of an obstacle, absolute or less the chaser's own; its name follows after a colon."""
+"""Readable values of an obstacle, absolute or less the chaser's own; its name follows after a colon."""
 
 
 @dataclass(frozen=True, eq=False)
 class Senses:
-    """Everything that a policy may read, from the state and what it is told of bodies."""
+    """Everything that a policy may read, from the state and the obstacle data."""
 
     system: Craft
     bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
@@ -30,7 +30,7 @@ class Senses:
     def from_inputs(
         cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
     ) -> "Senses":
-        """Return the senses that inputs need in a scene; names the field if an input is none of them."""
+        """Return the senses that inputs require in a scene; names the field if an input is none of them."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
         senses = cls(system, tuple(known[name] for name in named if name in known))
@@ -48,7 +48,7 @@ class Senses:
         return plain | {f"{kind}:{body.name}": d for body in self.bodies for kind in OF_BODY}
 
     def parts(self, own: Array, x: Array, time: Array, nu: Array, told: Array) -> dict[str, Array]:
-        """Inputs by name: a reference's state and input, a time, and what is told (..., 2d per body)."""
+        """Inputs by name: a reference's state and input, a time, and obstacle data (..., 2d per body)."""
         inputs, d = {"error": own - x, "state": x, "time": time, "reference_input": nu}, self.system.d
         for j, body in enumerate(self.bodies):
             for i, rows in enumerate((self.system.position, self.system.velocity)):
@@ -58,7 +58,7 @@ class Senses:
         return inputs
 
     def state_boxes(self, h: float, count: int) -> tuple[Array, Array]:
-        """Box of what may be told at times h [s] apart: middle and half-widths, (count, 2d per body)."""
+        """Box of obstacle data at times h [s] apart: middle and half-widths, (count, 2d per body)."""
         boxes = [body.state_boxes(self.system, h, count) for body in self.bodies]
         none = np.zeros((count, 0))
         return np.hstack([none, *(c for c, _ in boxes)]), np.hstack([none, *(half for _, half in boxes)])
@@ -86,7 +86,7 @@ class Policy:
     network : reach.networks.network.Network
         Its precision is that in which it is evaluated on board.
     inputs : tuple of str
-        What z is made of, in order: "error" (own reference - x), "state", "time" (start of the step [s]),
+        Entries of z, in order: "error" (own reference - x), "state", "time" (start of the step [s]),
         "reference_input" (of the own reference); of an obstacle b "position:b" [m], "velocity:b" [m/s],
         and "relative_position:b", "relative_velocity:b", the same less the chaser's own.
     input_scale : ndarray, shape (r,)
@@ -100,7 +100,7 @@ class Policy:
     output_scale: Array
 
     def check(self, senses: Senses, field: str) -> None:
-        """Refuse, with the fields of a scenario's table `field`, what does not fit a system."""
+        """Refuse, with the fields of a scenario's table `field`, a policy that does not fit a system."""
         read, outputs = sum(senses.sizes[name] for name in self.inputs), senses.system.m
         if self.network.inputs != read:
             rule = f"must give the {self.network.inputs} inputs of the network, but give {read}"

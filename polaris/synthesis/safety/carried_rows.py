@@ -145,7 +145,7 @@ class CarriedRows:
     ) -> Array:
         """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
 
-        Elementwise, (sets, n), the intersample bound bounds what lies between each node and its neighbours.
+        Elementwise, (sets, n), the intersample bound bounds the states between each node and its neighbours.
         """
         exact, n = self.carried[lag, row], self.tracking.system.n
         centre = sets.c @ exact.T

@@ -171,7 +171,7 @@ class Continuation(RecoverableSet):
 
     def _later(self, node: int) -> int:
         """Node from which on limits lie beyond the settling horizon, seen from a node."""
-        # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
+        # After the tail the reference repeats it: at any node, the whole tail lies ahead again.
         clearance = self.clearance
         return min(node + clearance.tracking.settling, clearance.planned * clearance.q)
 
@@ -282,7 +282,7 @@ class Continuation(RecoverableSet):
         return Margin(value, limits.name(when // q, limit), time, needed, available)
 
     def holds(self, k: int, nodes: Zonotope, intersample: Array) -> bool:
-        """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
+        """Return True if a tube over cell k is inside: only cases left open by the norm are worked out."""
         first, intersample, nodes = (
             k * self.clearance.q,
             at_nodes(intersample),

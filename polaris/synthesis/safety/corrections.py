@@ -1,7 +1,7 @@
 """Bound on S's corrections over a whole flight along one path (docs/theory.md, Proposition 15 (d)).
 
-A correction is what S commands beside the inputs of its path. One part answers to what disturbs in every
-period: a storage function bounds its mean. The other part answers to what happens once or is known before
+A correction is S's command beside the inputs of its path. One part answers to disturbances in every
+period: a storage function bounds its mean. The other part answers to single errors and those known before
 the flight: sums of impulse responses bound it.
 """
 
@@ -32,7 +32,7 @@ class Corrections:
 
     @cached_property
     def _inputs(self) -> Inputs:
-        """Values that enter in every period of whatever step, under any commands."""
+        """Values that enter in every period of any step, under any commands."""
         tracking, system = self.tracking, self.tracking.system
         off = tracking.step_errors.max(axis=0)
         return Inputs.from_loop(
@@ -90,7 +90,7 @@ class Corrections:
         return float(self._inputs.spends @ self._amplified @ sums) * (1 + ROUNDING)
 
     def _later(self, sizes: Array, count: int) -> Array:
-        """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N,), (m,)."""
+        """Sums of the rest, beyond the settling horizon, of loop states up to some sizes (N,), (m,)."""
         limits = self.tracking.tightening
         rest = limits.remainder(limits.closed.K) * np.max(sizes / limits.v)
         return np.asarray(rest * max(count - limits.horizon, 0))
@@ -120,9 +120,9 @@ class Corrections:
         return self._spent(self._summed @ size + self._later(size, count))
 
     def late_fault_thrust(self, count: int) -> float:
-        """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
+        """Bound the thrust of a transient fault, and of the answers to it [N].
 
-        Until then every command answers to no more than what it has moved by then. What an observer that
+        Until isolation every command answers to no more than the motion by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
         """
         system, h, largest = self.tracking.system, self.tracking.flow.h, 0.0
@@ -138,7 +138,7 @@ class Corrections:
         return largest
 
     def _faults(self) -> Iterator[tuple[Transient, OutageDifference, float]]:
-        """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""
+        """Return faults, the effect of each kind of wrong thrust on the loop state, and its sum [N]."""
         left = iter(self.tracking.transients)
         for fault in self.tracking.system.transients:
             wrong = fault.wrong(self.tracking.system.thrusters).sum(axis=1) if len(fault.thrust) else [0.0]

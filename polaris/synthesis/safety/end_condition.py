@@ -103,7 +103,7 @@ def prove_end(
     sets: tuple[TimedPolytope, ...],
     start: Margin,
 ) -> EndCondition:
-    """Decide what is proven after T from the margin `start` of Theta, every limit of the tail included."""
+    """Decide the proof after T from the margin `start` of Theta, every limit of the tail included."""
     T, delta = planned * tracking.delta, tracking.delta
     until = (planned + tail) * delta
     if not start.inside:

@@ -41,7 +41,7 @@ class Safety:
     Attributes
     ----------
     problem : Problem
-        What was asked.
+        Problem to solve.
     tracking : Tracking
         Gain Lambda, error dynamics, contraction norm.
     bounds : ErrorBounds
@@ -59,7 +59,7 @@ class Safety:
     start_margin : Margin
         How far Theta is inside the first recoverable set.
     end : EndCondition
-        What is proven after T.
+        Proof for the time after T.
     seconds : mapping
         Wall time by stage.
     cut_by_clock : tuple of str
@@ -134,7 +134,7 @@ def get_safety(
     SynthesisInfeasible
         If no safe reference exists, or Theta is not inside the first recoverable set.
     NotCertified
-        If none was found in the time given, or what was found failed its re-check.
+        If none was found in the time given, or its plan failed its re-check.
     """
     given = {"initial_set": initial_set, "unsafe": unsafe, "K": K, "delta": delta, "Q": Q, "R": R}
     problem = as_problem(problem, given, options)

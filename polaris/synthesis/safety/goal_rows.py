@@ -1,4 +1,4 @@
-"""The goal as rows of lengths: what a velocity counts for, and how far states are from it."""
+"""The goal as rows of lengths: the length that a velocity counts for, and distances of states from it."""
 
 import numpy as np
 

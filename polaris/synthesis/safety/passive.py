@@ -1,4 +1,4 @@
-"""Passive safety: where the chaser drifts if all thrust stops, at whatever instant of a step.
+"""Passive safety: where the chaser drifts if all thrust stops, at any instant of a step.
 
 The drift is no `Continuation`: it has facets of its own for every start, because with those of S, one for
 each time, far fewer steps are clear.
@@ -103,13 +103,13 @@ class FreeFlight:
 
     @cached_property
     def _rows(self) -> tuple[Array, Array, Array]:
-        """Rows ``-n C e^{A t}`` of all sets, what bends in a part per state, what disturbs by its end."""
+        """Rows ``-n C e^{A t}`` of sets, intersample bound of a part per state, disturbance at its end."""
         system, h = self.system, self.delta / self.parts
         rows = -np.vstack([np.zeros((0, system.n)), *(item.rows(system) for item in self.sets)])
         flow, carried = LinearFlow.continuous(system.A, system.D, system.w_max, h), rows @ self._powers
         curvature = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
         pushed = flow.disturbance_support(rows, len(carried) - 1)[1:]
-        if (biases := system.biases).size:  # constant all along: what one does may cancel
+        if (biases := system.biases).size:  # constant all along: the effect of one may cancel
             ends = np.cumsum(carried[:-1] @ flow.input_map(biases), axis=0)
             ends = np.abs(np.concatenate([0 * ends[:1], ends])).sum(axis=-1)
             bent = np.abs(carried[:-1] @ system.A) @ flow.growth @ np.abs(biases).sum(axis=1)

@@ -36,7 +36,7 @@ class Margin:
         Time [s] at which the limit bites, under S; for a limit beyond the settling horizon, the start of
         its step.
     tightening, clearance : float
-        What the set needs there and what there is, disturbance included, in m or N.
+        Tightening and clearance there, disturbance included, in m or N.
     """
 
     value: float
@@ -91,7 +91,7 @@ class RecoverableSet(ABC):
     def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
         """Margin of a stack of sets at nodes that follow one another from `first` on.
 
-        Elementwise, (sets, n), the intersample bound bounds what lies between each node and its neighbours.
+        Elementwise, (sets, n), the intersample bound bounds the states between each node and its neighbours.
         """
 
     @abstractmethod
@@ -104,7 +104,7 @@ class RecoverableSet(ABC):
 
 
 def directed(value: float, form: str, up: bool = False) -> str:
-    """Text of a proven number in a form as ``.4g``: rounded up (what is needed) or down (what is left)."""
+    """Text of a proven number in a form as ``.4g``: rounded up (tightening) or down (slack)."""
     if not np.isfinite(value):
         return f"{value:{form}}"
     with localcontext() as context:
@@ -129,4 +129,4 @@ def slack_share(tightening: Array, clearance: Array) -> Array:
     """
     some = clearance > 0
     share = np.where(some, np.nextafter(1 - tightening / np.where(some, clearance, 1), -np.inf), -np.inf)
-    return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met
+    return np.asarray(np.where(np.isnan(share), -np.inf, share))  # a share that is not a number is not met

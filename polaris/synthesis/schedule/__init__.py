@@ -1,1 +1,1 @@
-"""Switching schedules: Algorithm 2, the search for better ones, and what is claimed of them."""
+"""Switching schedules: Algorithm 2, the search for better ones, and the claims about them."""

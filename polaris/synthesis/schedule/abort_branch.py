@@ -65,7 +65,7 @@ class AbortStep:
     cell: int = 0  # at whose start the orbit is reached
     delta_v: float = 0.0  # velocity change of S from the abort until then, at most [m/s]
     why: str = ""  # it is not proven
-    short: float = 0.0  # by how much, in the unit of what lacks; 0 if no branch is found
+    short: float = 0.0  # by how much, in the unit of the shortfall; 0 if no branch is found
     budget: str = ""  # what to raise, if only a budget is in the way
 
     @property
@@ -136,7 +136,7 @@ class AbortBranch:
         return (spent + system.carried_impulse / system.mass) * (1 + SPARE)
 
     def _together(self, taken: Takeover, end: int) -> float:
-        """Bound the same by all periods at once since S may have taken over, what is owed apart [m/s]."""
+        """Bound the same by all periods at once since S may have taken over, carried impulse apart [m/s]."""
         mean, system = self.corrections.mean, self.safety.problem.system
         if mean is None:
             return np.inf

@@ -22,7 +22,7 @@ Prove = Callable[[Zonotope, int, int], Zonotope | None]
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Place that a sequence of modes leads to, whatever the rules; what follows is worked out once."""
+    """Place that a sequence of modes leads to, under any rules; its successors are worked out once."""
 
     k: int
     reached: Zonotope

@@ -170,7 +170,7 @@ class ReferenceSearch:
         return self.known[key]
 
     def starts(self) -> list[tuple[Mask, CheckedPath | None]]:
-        """Return windows to begin with, of paths near U's own past every side of what is in its way."""
+        """Return windows to begin with, of paths near U's own past every side of each obstacle."""
         self._priced(np.full(self.K, STICKING[0] * self.unit))
         own = self.search.solve({})
         if own is None:
@@ -212,7 +212,7 @@ class ReferenceSearch:
         """
         tried, first = set(), self.asked
         for mask, guide in self.starts():
-            if not self.fades:  # what one start lacked serves the others
+            if not self.fades:  # the clearance that one start lacked serves the others
                 self._ask(first, self.search.deadline)
             self.search.guide, self.known = guide, {}
             mask = self._descend(mask)
@@ -220,7 +220,7 @@ class ReferenceSearch:
                 continue
             tried.add(mask.tobytes())
             for attempt in range(ATTEMPTS):
-                if self.path(mask)[1] is None:  # with what was lacking, other windows may do
+                if self.path(mask)[1] is None:  # with that clearance, other windows may do
                     mask = self._descend(mask)
                 intended = tuple(np.where(mask, 0, self.mode).tolist())
                 plan = self._certified(self.search.improved(self.path(mask)[1]))
@@ -236,7 +236,7 @@ class ReferenceSearch:
                     mask = mask | (schedule.modes == 0)
 
     def _lacks(self, plan: Plan, intended: tuple[int, ...], schedule: Schedule | None) -> bool:
-        """Ask for what the flight along a plan lacks if flown as intended; whether it lacks anything."""
+        """Add the clearance that the flight along a plan lacks if flown as intended; True if it lacks any."""
         short = schedule is not None and self._inset(schedule)
         if schedule is not None and tuple(schedule.modes.tolist()) == intended:
             return short
@@ -266,7 +266,7 @@ class ReferenceSearch:
         return short or any(np.any(lack > 0) for _, lack in parts)
 
     def _short(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
-        """Ask for what U lacked where it was meant to fly, near the limit; whether it lacked anything."""
+        """Add the clearance that U lacked where meant to fly, near the limit; True if it lacked any."""
         safety, reached, names = schedule.safety, schedule.safety.start, [u.name for u in self.asked.unsafe]
         lacking = np.zeros((len(names), self.K, 1))
         for k, step in enumerate(schedule.steps):

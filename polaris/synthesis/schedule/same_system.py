@@ -1,7 +1,7 @@
 """Checks that the parts of a schedule speak of one system, one time grid and one reference.
 
 A tube says nothing about a flight under other limits, other disturbances or another period. What comes
-out of one `Problem` belongs together by construction; what is assembled by hand, or taken from another
+out of one `Problem` belongs together by construction; a part assembled by hand, or taken from another
 scenario, is looked at here before anything is proven with it.
 """
 
@@ -31,7 +31,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
 
     Its kind of recoverable set and its share of thrust may be others than the problem asks for.
 
-    Raises `ScenarioError`, naming the part, what it has, and what it must have.
+    Raises `ScenarioError`, naming the part, its value, and the required value.
     """
     _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
     _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
@@ -49,7 +49,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
 
     Of a class of one's own only what it shows can be compared: `system`, `reference`, `tracking`, `own`.
 
-    Raises `ScenarioError`, naming the controller, what it has, and what it must have.
+    Raises `ScenarioError`, naming the controller, its value, and the required value.
     """
     if not isinstance(getattr(controller, "name", None), str) or not callable(
         getattr(controller, "propagate", None)

@@ -68,7 +68,7 @@ class Schedule:
     Attributes
     ----------
     safety : Safety
-        What it was made from.
+        Safety that it was made from.
     controllers : tuple of Controller
         Indexed by mode.
     steps : sequence of Step
@@ -83,7 +83,7 @@ class Schedule:
         Objective of a flight at the scenario's prices, a function of its shares of the time by mode, its
         velocity change [m/s] and its number of switches; known where references were planned with U in view.
     sampled_bound : SampledBound, optional
-        What sampled flights say of the steps that black boxes fly.
+        Results of sampled flights for the steps that black boxes fly.
     branches : KnownBranches, optional
         Branches of aborts with thrust that were planned before; others are planned when they are asked for.
     """
@@ -169,7 +169,7 @@ class Schedule:
         return int(np.count_nonzero(np.diff(self.modes)))
 
     def keeps(self, rules: SwitchingRules) -> bool:
-        """Return True if it keeps the budget, and what is required of the drift after all thrust stops."""
+        """Return True if it keeps the budget, and the requirement on the drift after all thrust stops."""
         return self.affords(rules) and (self.passive is None or self.passive.kept)
 
     def affords(self, rules: SwitchingRules) -> bool:
@@ -279,7 +279,7 @@ class Schedule:
     def spent(self) -> float:
         """Velocity change [m/s] that is proven never to be exceeded until the goal, or T if it is not proven.
 
-        This is what a budget, `SwitchingRules.delta_v_max`, is held against.
+        This is compared with a budget, `SwitchingRules.delta_v_max`.
         """
         until_end = self.spending.schedule * (1 + slack_factor(self.safety.tracking))
         return self.spending.goal if self.approach.reached is True else until_end

@@ -72,7 +72,7 @@ class ScheduleSearch:
         fits: bool = False,
         clock: StageClock | None = None,
     ) -> "ScheduleSearch":
-        """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
+        """Take controllers and rules from the scenario where not given; refuse any that do not fit.
 
         What does not belong together is refused because its tubes would mean nothing; a safety that has just
         been made from the scenario `fits`.
@@ -177,7 +177,7 @@ class ScheduleSearch:
         return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)
 
     def schedule(self, branch: PartialSchedule) -> Schedule:
-        """Return the schedule that a complete branch stands for, with what it rests on."""
+        """Return the schedule that a complete branch stands for, with its proofs."""
         if self.progress and self.rules.strategy == "greedy":
             self.progress(branch.k, branch.k)
         return Schedule(self.safety, self.controllers, branch.steps, branch.reached)

@@ -130,7 +130,7 @@ def best_schedule(search: ScheduleSearch, recourse: bool) -> Schedule:
 def arriving(search: ScheduleSearch, first: Schedule) -> tuple[ScheduleSearch, Schedule]:
     """Return another schedule that is proven to arrive, with no less of U, if the first one is not.
 
-    Its reference ends inside the goal, by all that the first one's flights may be off, or by what they lack.
+    Its reference ends inside the goal, by all that the first one's flights may be off, or by their shortfall.
     """
     safety, approach = first.safety, first.approach
     goal, lack = safety.problem.goal.conditions, approach.distance * (1 + CHECKED) - approach.tolerance
@@ -215,7 +215,7 @@ class Reflown(Sequence[Step]):
 
     @classmethod
     def from_schedule(cls, search: ScheduleSearch, schedule: Schedule) -> Schedule:
-        """Return a schedule without its tubes, but with what was worked out to compare it."""
+        """Return a schedule without its tubes, but with the values that compare it."""
         steps = cls(with_safety(search, schedule.safety), tuple(schedule.modes.tolist()))
         light = replace(schedule, steps=steps)
         known = {"modes", "approach", "spending", "delta_v_middle", "passive"} & vars(schedule).keys()
@@ -255,7 +255,7 @@ def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule
 def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
     """Return the longest beginning of a schedule after which S alone keeps the rules.
 
-    Of several the best by objective: budget of velocity change, and what is required of the drift.
+    Of several the best by objective: budget of velocity change, and the requirement on the drift.
     `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
     references; `NotCertified` if not even S alone keeps the budget along any of them.
     """

@@ -97,7 +97,7 @@ class UndisturbedFlights:
     def _under(self, law: AffineController, k: int, d: Zonotope, error: Array) -> tuple[Array, Array, Array]:
         """Deviation from the law's own reference after step k, and how errors grow in it.
 
-        `error`, shape (n,), is what round-off may have added to d.
+        `error`, shape (n,), bounds the round-off in d.
         """
         mu, q = law.own.nu[k], law.feedback.nodes_per_cell
         nodes = law.powers @ d
@@ -168,7 +168,7 @@ class _Clear:
         self.lp = GrowingLP(ones, 0 * ones, ones)
 
     def impossible(self) -> bool:
-        """Return True if a node is inside a set whatever is flown, or all choices of facets are refuted."""
+        """Return True if a node is inside a set in every flight, or all choices of facets are refuted."""
         return self.never or bool(self.ways or len(self.only[1])) and self._refuted()
 
     def _state(self, a: Array, tightening: Array) -> None:

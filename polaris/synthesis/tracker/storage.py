@@ -136,7 +136,7 @@ class RelaxedFlight:
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
     def ascend(self) -> list[Weights]:
-        """Return the weights of the flight that spends most: the sizes of its values' prices."""
+        """Return the weights of the flight that spends most: sizes of its spending's gradients by values."""
         spent, weights = -np.inf, list[Weights]()
         for _ in range(ASCENTS):
             commands = self.commands()
