@@ -124,7 +124,7 @@ class BlackBox:
         cause = None
         try:
             commands = np.array(answer)
-        except Exception as error:  # whatever it is: a tensor that is part of a graph, rows of other lengths
+        except Exception as error:  # of any kind: a tensor that is part of a graph, rows of other lengths
             commands, cause = np.zeros(0), error
         if commands.shape != shape or commands.dtype.kind not in "fiu" or not np.all(np.isfinite(commands)):
             rule = f"must return finite numbers, one row of {shape[1]} for each of {shape[0]} states"

@@ -45,7 +45,7 @@ class StageClock:
         self._last = now
 
     def with_earlier(self, before: Mapping[str, float]) -> dict[str, float]:
-        """Return the stages of earlier work and those timed here; ``other`` is what passed since the last."""
+        """Return the stages of earlier work and those timed here; ``other`` is the time since the last."""
         self.lap("other")
         return {name: before.get(name, 0.0) + self.laps.get(name, 0.0) for name in [*before, *self.laps]}
 
@@ -55,7 +55,7 @@ class Attempts:
 
     The last only where nothing but the time after T stands in the way, and no plan is given. `plan`, `margin`
     (of `start`, Theta about the reference, in the first recoverable set) and `cut_by_clock` are those of the
-    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end,
+    last attempt, `end` that of the last one with a tail; `unsafe` the perceived sets until the tail's end,
     and as far as drifts are followed.
     """
 
@@ -157,7 +157,7 @@ class Attempts:
         yield planned, np.zeros(problem.system.n)
 
     def record(self, reference: Reference, recoverable: RecoverableSet) -> bool:
-        """Take down what an attempt proves; whether it is more than the next one could."""
+        """Record the proof of an attempt; return True if it is more than the next one could give."""
         self.margin = recoverable.margin_at(0, self.start)
         if reference.cells > self.problem.K:
             self.end = prove_end(

@@ -32,7 +32,7 @@ class CarriedRows:
     faults : bool
         True if a fault that is isolated late may occur, where any is declared.
     between : bool
-        False if needs are those at nodes alone.
+        False if tightenings are those at nodes alone.
     """
 
     tracking: Tracking
@@ -99,7 +99,7 @@ class CarriedRows:
 
     @cached_property
     def sizes(self) -> Array:
-        """``norm(row phi^l W^-1)``: need at nodes per unit of ``norm(W e)``, shape (settling + 2, r)."""
+        """``norm(row phi^l W^-1)``: tightening at nodes per unit of ``norm(W e)``, (settling + 2, r)."""
         own = self.carried[..., : self.tracking.system.n]
         return np.asarray(np.linalg.norm(own @ self.tracking.W_inverse, axis=-1))
 
@@ -184,7 +184,7 @@ class SetTightening:
         return np.asarray(self.tightening[np.clip(ages, 0, len(self.tightening) - 1)])
 
     def over_cells(self, cells: int, q: int, node: int = 0) -> Array:
-        """Return the largest need within every planning cell of a set handed over at a node, (cells, r)."""
+        """Return the largest tightening in each planning cell by a set handed over at a node, (cells, r)."""
         ages = np.arange(q + 1) - node
         return np.asarray(self.at_ages(np.arange(cells)[:, None] * q + ages).max(axis=1))
 

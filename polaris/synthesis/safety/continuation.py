@@ -266,7 +266,7 @@ class Continuation(RecoverableSet):
         sets = self.clearance.tracking.whole_state(sets)
         at, sizes = first + np.arange(len(intersample)), self._sizes(sets, intersample)
         shares = self._shares(at, sets, intersample, sizes, COARSE)
-        if not shares[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
+        if not shares[0].min() < 1 - COARSE:  # limits left out may be tighter than this one
             spare = max((1 - float(shares[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
             shares = self._shares(at, sets, intersample, sizes, spare)
         share, tightening, clearance, (end, period, row) = shares

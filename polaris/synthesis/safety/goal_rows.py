@@ -45,7 +45,7 @@ def velocity_times(problem: Problem, rows: Array) -> Array:
 
 
 def _weights(problem: Problem, rows: Array) -> Array:
-    """Weights of the goal's rows: for what length velocities count, see `Arrival.velocity_time`."""
+    """Weights of the goal's rows: the lengths that velocities count for, see `Arrival.velocity_time`."""
     seconds = velocity_times(problem, rows)
     if problem.goal_velocity_tolerance is not None:
         assert problem.goal_tolerance is not None  # checked on construction

@@ -222,7 +222,7 @@ class PassiveSafety:
     def witness(self) -> dict[str, Any] | None:
         """Return the step from which the drift enters an unsafe set, or is soonest not shown to stay clear.
 
-        None if it is clear from all. ``distance_m`` is what is proven of the distance then (negative: by how
+        None if it is clear from all. ``distance_m`` is the proven distance then (negative: by how
         much sets overlap), and ``middle_m`` that of the undisturbed drift from the middle of where thrust may
         stop: if it is not positive, the drift does enter.
         """

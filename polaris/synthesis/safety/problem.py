@@ -32,7 +32,7 @@ class PoweredAbort:
     """Requirement on S from every instant of the schedule: reach an orbit, safely."""
 
     goal: Goal | None = None  # the orbit; None for the schedule's own goal
-    tolerance: float | None = None  # what counts as reached [m], as `Problem.goal_tolerance`
+    tolerance: float | None = None  # distance that counts as reached [m], as `Problem.goal_tolerance`
     within: float | None = None  # time that it may take [s]; needed with an orbit of its own
     budget: float | None = None  # velocity change that S may spend on it [m/s]
     required: bool = False  # whether a schedule with a step from which it is not proven is refused
@@ -101,7 +101,7 @@ class Problem:
     tank : float or None
         Velocity change [m/s] that there is propellant for, if that is known.
     allocation : Allocation or None
-        Thrusters that make the inputs in every fault, where that is what their limits come from.
+        Thrusters that make the inputs in every fault, if the limits come from them.
     """
 
     system: Craft
@@ -198,7 +198,7 @@ def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: fl
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
 
 
-ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # what a bare system needs besides
+ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # arguments that a bare system requires besides
 
 
 def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:

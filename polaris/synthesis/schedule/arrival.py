@@ -28,7 +28,7 @@ with time, in its own way."""
 class GoalDistance:
     """Distance from the goal, S flying from T on.
 
-    Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
+    Lengths are the goal's own: each of its conditions is scaled so that the distance is in metres
     (`polaris.planning.goals.GoalConditions`). A velocity counts as the length that it makes in
     `velocity_time`.
     """
@@ -40,7 +40,7 @@ class GoalDistance:
     distance: float  # bound on how far a flight may be from the goal then, or at its best if not proven [m]
     tolerance: float
     """Largest distance that counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or the
-    need of S to hold a goal, if that is more."""
+    tightening by S at a goal, if that is more."""
     drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
     velocity_time: float | None
     """Time [s] in which a velocity makes the length that it counts as: tolerance by velocity tolerance, or
@@ -62,13 +62,13 @@ class Spending:
 
     schedule: float  # until T [m/s]
     goal: float  # until the node of `GoalDistance` [m/s]
-    settled: float | None  # until S has forgotten what it took over [m/s]; None where nothing is said of it
+    settled: float | None  # until the error at the hand-over has decayed [m/s]; None where no bound is given
     weights: Sequence[Weights | None]  # for each step, those of the tail included
 
 
 @dataclass(frozen=True)
 class Upkeep:
-    """Cost of flying on under S after T, once S has forgotten what it took over."""
+    """Cost of flying on under S after T, once the error at the hand-over has decayed."""
 
     settled: float  # from when on [s]
     spent: float  # velocity change until then, at most [m/s]
@@ -127,7 +127,7 @@ class Nearness:
         return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
     def distance(self, states: Array, tightening: Array, size: float = ROUNDING) -> Array:
-        """Return the distance of flights about states (nodes, n) that need so much along the rows [m]."""
+        """Return the distance of flights about states (nodes, n) under tightenings of the rows [m]."""
         rows, sides = self.rows
         rounded = size * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         over = states @ rows.T - sides + tightening + rounded
@@ -160,7 +160,7 @@ class Tail(Nearness):
 
         The disturbance is followed along every row from the hand-over on: the set at T encloses what it has
         done until then by generators, which no row sees quite so small. Where errors grow with commands, the
-        sets that S flies may need less than those that any hand-over allows, for as long as S remembers.
+        sets that S flies may tighten less than those of any hand-over, within the settling horizon.
         """
         tracking, rows = self.safety.tracking, along.rows
         each = [along.tightenings(handed, self.T, self.T + nodes)[0] for handed in self.held]
@@ -278,7 +278,7 @@ class Tail(Nearness):
 
     @property
     def settling(self) -> int:
-        """Number of periods after T until S has forgotten what it took over."""
+        """Number of periods after T until the error at the hand-over has decayed."""
         return self.safety.tracking.settling + 2
 
     @cached_property

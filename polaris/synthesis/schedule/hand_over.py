@@ -1,4 +1,4 @@
-"""Clearance that S needs wherever an experimental controller may hand over to it, for the planner to keep."""
+"""Tightening by S wherever an experimental controller may hand over to it, for the planner to keep."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

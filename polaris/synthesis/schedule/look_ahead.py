@@ -4,7 +4,7 @@ Every sequence of modes that is looked at has been proven step by step, as Algor
 the search decides only which of them are looked at. It keeps the best schedules for each number of
 switches apart, so that one which has paid for a switch is not displaced by one which has not, and it
 searches under stricter dwell times too. Neither depends on the rules asked for, which only pick among
-what was found: loosening a rule never makes the result worse.
+earlier results: loosening a rule never makes the result worse.
 """
 
 from collections.abc import Callable, Iterator
@@ -114,7 +114,7 @@ class LookAhead:
         return path
 
     def _search(self, root: _Place, dwell: int, cap: int, bars: list[float]) -> Iterator[list[_Path]]:
-        """Beam search under one dwell time; yields what every step adds, and raises the bars by it.
+        """Beam search under one dwell time; yields the paths that every step adds, and raises the bars by it.
 
         A path is flown for a whole dwell time where it changes its mode: all that wait may change again.
         It is given up where U for all the rest would not take it over the bar of its switches. What waits
@@ -147,9 +147,9 @@ class LookAhead:
             yield added
 
     def _kept(self, groups: dict[tuple[int, int], list[_Path]]) -> list[_Path]:
-        """Return the beam: of each group the most worthy and the nearest, and some in between.
+        """Return the beam: of each group the best by objective and the nearest, and some in between.
 
-        Those beside which another is as worthy and as near, with no more switches, are left out first.
+        Paths are left out first if another is as good and as near, with no more switches.
         """
         kept: list[_Path] = []
         fronts: dict[int, list[tuple[float, float]]] = {}
@@ -198,7 +198,7 @@ def _merit(path: _Path) -> tuple[float, int]:
 
 
 def _raise(bars: list[float], paths: list[_Path]) -> None:
-    """Note what was found; S alone may follow each of them to the end."""
+    """Note the objectives of paths; S alone may follow each of them to the end."""
     for path in paths:
         for s in range(path.spent, len(bars)):
             if bars[s] >= path.objective:

@@ -328,7 +328,7 @@ class ReferenceSearch:
 def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
     """Modes and laws with a path of their own that a reference can follow; a network's is that of its slope.
 
-    What is planned with a stand-in is proven with the law itself, or flown by S.
+    A plan with a stand-in is proven with the law itself, or flown by S.
     """
     for mode, given in enumerate(printed.controllers[1:], start=1):
         law = given.slope if isinstance(given, NeuralController) else given

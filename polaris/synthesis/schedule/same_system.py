@@ -23,11 +23,11 @@ from ..safety.get_safety import Safety, get_safety
 from ..safety.problem import Problem
 
 UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed", "_levels")
-"""Fields that no proof rests on: what was asked, how it was found, and what is only told or remembered."""
+"""Fields that no proof rests on: the problem's request, its search, and reports or caches."""
 
 
 def check_safety(safety: Safety, problem: Problem) -> None:
-    """Refuse a `Safety` that is not what Algorithm 1 makes of a problem along the same plan.
+    """Refuse a `Safety` that differs from Algorithm 1's of a problem along the same plan.
 
     Its kind of recoverable set and its share of thrust may be others than the problem asks for.
 
@@ -47,7 +47,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
 def check_controller(controller: Controller, safety: Safety) -> None:
     """Refuse an experimental controller over another system, time grid or safe reference.
 
-    Of a class of one's own only what it shows can be compared: `system`, `reference`, `tracking`, `own`.
+    Of a user-defined class only its attributes can be compared: `system`, `reference`, `tracking`, `own`.
 
     Raises `ScenarioError`, naming the controller, its value, and the required value.
     """
@@ -109,7 +109,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
 
 
 def _same_parts(field: str, given: Any, wanted: Any) -> None:
-    """Refuse what is not of the same kind with the same parts, its arrays to rounding, as what is wanted."""
+    """Refuse a value that differs from the required one in kind or parts, its arrays beyond rounding."""
     if given is wanted:
         return
     if is_dataclass(wanted):

@@ -173,7 +173,7 @@ class Schedule:
         return self.affords(rules) and (self.passive is None or self.passive.kept)
 
     def affords(self, rules: SwitchingRules) -> bool:
-        """Return True if it keeps the budget; what bounds it best is looked at only if it must be."""
+        """Return True if it keeps the budget; the tightest bound is computed only if it must be."""
         return rules.delta_v_max is None or rules.affords(self._spent_apart) or rules.affords(self.spent)
 
     @cached_property

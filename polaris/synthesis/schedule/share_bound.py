@@ -20,7 +20,7 @@ from .rules import SwitchingRules
 from .schedule import Schedule
 from .undisturbed import FREE, Held, UndisturbedFlights
 
-NODES = 2000  # most nodes of an integer program; what it has proven until then is used
+NODES = 2000  # most nodes of an integer program; its bound until then is used
 SLACK = 1e-4  # steps by which its bound is lowered, for its tolerances
 ROWS, STEPS = 20_000, 500
 """Most rows that state the dwell time, and most steps of a schedule, for which an integer program is made."""

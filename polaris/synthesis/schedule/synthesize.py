@@ -112,7 +112,7 @@ def best_share(search: ScheduleSearch, first: Schedule, recourse: bool) -> Sched
 
 
 def best_schedule(search: ScheduleSearch, recourse: bool) -> Schedule:
-    """Return the schedule of one `Safety`, or with recourse the most worthy that it leads to."""
+    """Return the schedule of one `Safety`, or with recourse the best that it leads to."""
     printed = switching_logic(search)
     search.clock.lap("schedule")
     best = printed
@@ -162,7 +162,7 @@ def switching_logic(search: ScheduleSearch) -> Schedule:
 
 
 def with_recourse(search: ScheduleSearch, printed: Schedule) -> Schedule:
-    """Return the most worthy schedule: the printed one, or one along a reference planned with U in view.
+    """Return the best schedule: the printed one, or one along a reference planned with U's path known.
 
     Each candidate passes both algorithms whole. First come those that keep the budget of velocity change,
     then those proven safe for as long as the printed one, then those that are proven to arrive (`Objective`).

@@ -1,7 +1,7 @@
 """Feasibility test for undisturbed flights: U's law in some steps and any thrust in others.
 
-What moves is a zonotope whose generators are shared by all instants: the thrust of free steps in parts, and
-what a clipped command may differ from its band. Where every choice of facets is refuted, no flight keeps
+The flight is a zonotope whose generators are shared by all instants: the thrust of free steps in parts and
+the difference of a clipped command from its band. Where every choice of facets is refuted, no flight keeps
 clear (docs/theory.md, Proposition 13).
 """
 

@@ -28,7 +28,7 @@ class OutageDifference:
     added : list of ndarray, shape (N, g)
         Generators that each further period adds to the difference.
     start : list of ndarray, shape (N, s)
-        Generators of what the states at the start make of it, by the number of periods.
+        Generators of the effect of the states at the start, by the number of periods.
     """
 
     added: list[Array]

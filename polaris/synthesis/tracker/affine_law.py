@@ -27,7 +27,7 @@ LOOP_ALONE = {
     *("held_rates", "within_period", "added_clipped"),
 }
 """Properties of an affine law that rest on its loop, not on its references."""
-LESS = 0.9  # share of what channels make that is foreseen of it; more: levels of commands above those needed
+LESS = 0.9  # foreseen share of the levels that channels make; more: levels of commands above those needed
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 ORDER, CLIPPED = 30.0, 6.0
 """Generators per dimension of the set that channels add by a node of a step; of sets where commands may
@@ -38,7 +38,7 @@ be clipped, twice as many with errors."""
 class AffineLaw:
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`.
 
-    Its loop state is S's: the error and whatever else the flight computer remembers. `most` (m,) bounds its
+    Its loop state is S's: the error and all other states of the flight computer. `most` (m,) bounds its
     commands, `off` (n,) the estimate errors beside the loop's own.
     """
 
@@ -205,7 +205,7 @@ class AffineLaw:
         return rows, growths
 
     def foreseen(self, d: Zonotope, k: int) -> Array:
-        """Foresee which level of commands a cell's tube needs at least, shape (m,).
+        """Foresee the least level of commands for a cell's tube, shape (m,).
 
         `d` are loop states about the law's own reference. The least level where a command may be clipped.
         """
@@ -235,7 +235,7 @@ def raised(most: Array, commanded: Array, u_max: Array) -> Array:
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
     """Enclose the next loop state from states d about the law's own reference, whose input is mu (m,).
 
-    Returned with the set are the slopes of the band, shape (m,): what the set rests on, and a certificate
+    Returned with the set are the slopes of the band, shape (m,): the set rests on them, and a certificate
     repeats.
     """
     phi, known, push, slope = clipped_map(law, d, mu)

@@ -33,7 +33,7 @@ class ErrorBounds:
     gamma_position, gain_position : float
         Of the error of position, ``norm(C e(t), 2)`` [m].
     gamma_input, gain_input : ndarray, shape (m,)
-        Of what S adds to each input, ``|Lambda_i e(t)|`` [N].
+        Of S's feedback on each input, ``|Lambda_i e(t)|`` [N].
     method : str
         ``lyapunov`` or ``envelope``.
     """

@@ -56,7 +56,7 @@ class Inputs:
         Source of the errors of thrusters and of the weights of the spending.
     matrix : bool
         True if the loop state ends with a constant matrix of errors of thrusters. Commands are then twice as
-        many: what is applied about the middle but for errors of the deviation, and the deviation. Errors
+        many: the thrust about the middle but for errors of the deviation, and the deviation. Errors
         that grow do so with the deviation alone.
     """
 

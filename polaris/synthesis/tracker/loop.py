@@ -1,11 +1,11 @@
 """State of a sampled tracking loop and the channels through which uncertainty enters it.
 
-The loop state ``z`` holds the tracking error ``e = x - xi`` in its first n entries, then whatever else the
+The loop state ``z`` holds the tracking error ``e = x - xi`` in its first n entries, then all else that the
 flight computer remembers: additions that no measurement has shown yet, the observer's error, carried
 impulses.
 From node to node, under a command ``u`` that is held for a period h,
 
-    z+ = free z + held u + sum over channels of what they add in the period.
+    z+ = free z + held u + sum over channels of their additions in the period.
 
 A law with gain Lambda commands ``u = -Lambda (known z + noise)`` beside the input of its reference.
 """
@@ -45,20 +45,20 @@ class Loop:
     known : ndarray, shape (n, N)
         The error that the law sees.
     enter : tuple of (float, float, ndarray)
-        Parts of a period (start and end [s]) and how what is added to the plant in them, carried to the end
-        of the period, enters the loop state, shape (N, n). The parts cover the period.
+        Parts of a period (start and end [s]) and how additions to the plant in them, carried to the end
+        of the period, enter the loop state, shape (N, n). The parts cover the period.
     carry : ndarray, shape (n, n)
         Carries an error of the last measurement to the instant at which the command takes effect.
     shown : ndarray, shape (n, N)
         Additions to the plant, out of the loop state, that the next measurement shows for the first time,
         carried to the instant of that measurement.
     shown_now : tuple of ndarray, shape (n, n) each
-        The same of what is added in the parts of the period itself.
+        The same for additions in the parts of the period itself.
     channels : tuple of Channel
     offset, offset_at_nodes, navigated : ndarray, shape (n,)
         Largest distance of the true state from the modelled one: ever, at nodes, counted by navigation.
     settled : ndarray, shape (n,), optional
-        Bounds on the last n states, errors of an observer, whatever law has flown.
+        Bounds on the last n states, errors of an observer, after any law.
     """
 
     A: Array
@@ -139,7 +139,7 @@ class Loop:
     def uneven(self) -> Array:
         """Bound on the effect of errors of inputs about their means, per unit of their rms, shape (N, m).
 
-        The plant is moved by at most ``(h^2/2) |A| E |B|``; what the first part of a period adds enters in
+        The plant is moved by at most ``(h^2/2) |A| E |B|``; the addition in a period's first part enters in
         another way than the rest.
         """
         size, (*first, last) = growth(self.A, self.h) @ np.abs(self.B), [E for _, _, E in self.enter]
@@ -241,7 +241,7 @@ class ClosedLoop:
 
     @cached_property
     def rates(self) -> Array:
-        """Rows of the plant's rate at a node, ``A e + B (what is applied)``, shape (n, N)."""
+        """Rows of the plant's rate at a node, ``A e + B (thrust)``, shape (n, N)."""
         plant = np.zeros((self.loop.n, self.loop.N))
         plant[:, : self.loop.n] = self.loop.A
         return np.asarray(plant + self.loop.B @ (self.loop.applied - self.K))
@@ -272,7 +272,7 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (..., k), or (..., 1) for a ball
-            ``gains @ sizes`` is the support of what the channel adds along each row.
+            ``gains @ sizes`` is the support of the channel's effect along each row.
         """
         total: Array | float = 0.0
         if channel.sample is not None or channel.noise is not None or channel.push is not None:

@@ -132,7 +132,7 @@ class Tightening:
             gains, constant = self.closed.gains(channel, carried[:-1]), channel.constant
             if constant is None:
                 constant = np.zeros(1)
-            else:  # the largest so far, so that needs do not fall
+            else:  # the largest so far, so that tightenings do not fall
                 response = np.abs(np.cumsum(carried[:-1] @ self.closed.held_map(channel), axis=0))
                 sums[1:] += np.maximum.accumulate(response @ constant, axis=0)
             if channel.share is None or bound is None or np.ndim(bound) == 1:

@@ -139,7 +139,7 @@ class Tracking(Contraction):
             Of dimension n, or N: these are returned as they are.
         others : ndarray, shape (N - n,), optional
             Bounds on the other loop states at the start of a flight. Without them those count that there may
-            be whatever law has flown, and errors are those of true states.
+            be after any law, and errors are those of true states.
         """
         n, N = self.system.n, self.loop.N
         if sets.dim == N:
