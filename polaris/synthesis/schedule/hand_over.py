@@ -1,4 +1,4 @@
-"""Tightening by S wherever an experimental controller may hand over to it, for the planner to keep."""
+"""Tightening by S's errors wherever an experimental controller may hand over to it, for the planner."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
