@@ -53,7 +53,7 @@ class _Rounded(NamedTuple):
 
 
 def observer_rounding(document: Document, tables: Tables, precision: str, rest: float) -> float:
-    """Bound on what rounding changes of any command [N], by that of all but the observer's estimate.
+    """Bound on the rounding error of any command [N], by that of all but the observer's estimate.
 
     The exact observer is told the exact law's commands, which differ by as much from those that are flown.
     Raises `ScenarioError` if such differences may grow.
@@ -114,7 +114,7 @@ def _terms(*tables: Table) -> Array:
 
 
 def _unmeasured(A: Exact, B: Exact, h: Decimal, delay: Decimal, count: int) -> list[Exact]:
-    """Return what a command of 1, 2, ... periods before makes of a state after its measurement."""
+    """Return the change of a state after its measurement by a command 1, 2, ... periods before."""
     pushed = list[Exact]()
     for age in range(count):
         part = min(h, max(delay - age * h, Decimal(0)))
@@ -142,7 +142,7 @@ def _maps(
 
 
 def _commands(rounded: _Rounded, gain: Array, first: Array, differing: float) -> float:
-    """Bound on what rounding of an estimate makes of commands [N], by every pattern of missed periods.
+    """Bound on errors of commands by rounding of an estimate [N], for every pattern of missed periods.
 
     Commands are off by `differing` [N] besides half the law. Errors of observers are bounded by Proposition 7
     of docs/theory.md.

@@ -74,7 +74,7 @@ def _size(prospect: Permission, apart: Array) -> float:
 
 
 def _tightenings(prospect: Permission, apart: Array) -> Array:
-    """Return what is booked of every row so many nodes after the decision, shape (lags, r)."""
+    """Return the tightening of every row so many nodes after the decision, shape (lags, r)."""
     recovery, n = prospect.recovery, prospect.grid.system.n
     size, facets = _size(prospect, apart), len(recovery.intersample)
     tall = prospect.demand.tall
@@ -156,7 +156,7 @@ def _kinds(rows: Array, facets: int) -> tuple[Array, NDArray[np.intp], Array]:
 def _rounding(
     tables: Tables, exact: tuple[Array, Array, Array, Array], inputs: Array, off: Array, count: int, u: float
 ) -> Array:
-    """Bound on what rounding changes of a value along a row, and of its sum with a tightening, (count, r)."""
+    """Bound on the rounding error of a value along a row, and of its sum with a tightening, (count, r)."""
     (held, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
     apart, fed = np.array(tables.apart), np.abs(inputs).max(axis=0)
     given = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))

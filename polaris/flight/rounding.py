@@ -23,9 +23,9 @@ def exact(values: Any) -> Exact:
 
 
 def stated_rounding(document: Document, tables: Tables, precision: str) -> float:
-    """Bound on what rounding on board changes of any command [N], for states within the range.
+    """Bound on the error of any command by rounding on board [N], for states within the range.
 
-    What it makes of an observer's estimates is apart. Every entry is followed at its largest, part by part.
+    Rounding of an observer's estimates is apart. Every entry is followed at its largest, part by part.
     """
     with localcontext() as context:
         context.prec = DIGITS
@@ -39,7 +39,7 @@ def stated_rounding(document: Document, tables: Tables, precision: str) -> float
 
 
 def gap_error(document: Document, tables: Tables, precision: str) -> Array:
-    """Bound on what rounding on board changes of a state's error, for states within the range, (n,)."""
+    """Bound on the change of a state's error by rounding on board, for states within the range, (n,)."""
     with localcontext() as context:
         context.prec = DIGITS
         errors = [error for error, _ in _gaps(document, tables, precision)]

@@ -1,1 +1,1 @@
-"""Model of the world: systems, obstacles, distances, and basics that every other room needs."""
+"""Model of the world: systems, obstacles, distances, and basics that every other package uses."""

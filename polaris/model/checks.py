@@ -89,7 +89,7 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
 
 
 def of_kind(field: str, value: object, kind: type | UnionType, made_by: str = "") -> None:
-    """Check what an argument is; `made_by` says where such a thing comes from."""
+    """Check the type of an argument; `made_by` names the function that returns such a value."""
     if not isinstance(value, kind):
         names = " or a ".join(one.__name__ for one in get_args(kind) or (kind,))
         rule = f"must be a {names}" + (f", as {made_by} returns" if made_by else "")

@@ -232,7 +232,7 @@ class Craft(LinearSystem):
 
     @property
     def carried_impulse(self) -> float:
-        """Return what may be left of impulses from before, of all inputs [N s], with its errors."""
+        """Return the largest carried impulse of all inputs [N s], with its errors."""
         sides = 1 if self.nozzles is None else 2  # each way thrusters of their own
         return self.longest * self.on_time.made(sides * self.m * self.timing.carried_impulse)
 

@@ -198,7 +198,7 @@ class Nozzles:
 
     @property
     def fired(self) -> tuple[float, ...]:
-        """Bound on what pulses of thrusters asked at once make in every input [N]; none if they are held."""
+        """Bound on every input by pulses of all thrusters at once [N]; none if commands are held."""
         if not self.pulsed:
             return ()
         return tuple(self.allocation.at_once(self.largest * self.allocation.limits[:, None]).tolist())

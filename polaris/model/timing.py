@@ -76,8 +76,8 @@ class Timing:
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()
-    """Bounds on what a unit of errors of thrusters, of up to so many periods before a command, adds to the
-    error of the estimate it rests on and no measurement has shown: periods and numbers (n, k)."""
+    """Bounds on the unmeasured error of the estimate that a command rests on, per unit thruster error of up
+    to so many periods before: periods and numbers (n, k)."""
 
     @property
     def instant(self) -> bool:
@@ -118,7 +118,7 @@ class Observer:
         return -np.diff(self.by_age, axis=0)
 
     def by_command(self, error: Array) -> Array | float:
-        """Return what errors of thrusters (m,) make that are not older than the last of the ages, (n,)."""
+        """Return the estimate error (n,) by thruster errors (m,) not older than the last of the ages."""
         return 0.0 if self.by_age is None else np.asarray((self.by_age[0] - self.by_age[-1]) @ error)
 
     @property

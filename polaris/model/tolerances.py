@@ -1,6 +1,6 @@
 """Every tolerance of the package, in one place: what it protects and which way it errs.
 
-A tolerance that guards a proof is *booked*: added to what must be satisfied, never subtracted.
+A tolerance that guards a proof *tightens* a condition: it is added, never subtracted.
 """
 
 ROUNDING = 1e-9
@@ -11,7 +11,7 @@ orders of magnitude to spare. Errs towards "unsafe".
 """
 
 REFERENCE = 1e-12
-"""Relative round-off of a reference's states from one step to the next, booked on the error at the end of
+"""Relative round-off of a reference's states from one step to the next, added to the error at the end of
 every step: a controller that is unstable alone makes it grow, if nothing else is there to grow."""
 
 SOLVER_FEASIBILITY = 1e-7

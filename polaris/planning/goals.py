@@ -32,7 +32,7 @@ class GoalConditions:
 
     @property
     def inequalities(self) -> bool:
-        """True if some conditions may be met with room to spare."""
+        """True if some conditions may be met with slack."""
         return len(self.g) > 0 or len(self.one_of) > 0
 
     def residual(self, x: Array) -> float:
@@ -79,7 +79,7 @@ class Goal(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Inset(Goal):
-    """A goal whose inequalities a plan must meet with room to spare; equalities stay as they are."""
+    """A goal whose inequalities a plan must meet with slack; equalities stay as they are."""
 
     goal: Goal
     clearance: tuple[Array, ...]  # [m], of the rows of G, then of those of each group

@@ -107,7 +107,7 @@ class PlanRows:
         return maps[0], maps[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
 
     def options(self, key: Key) -> Disjunction:
-        """The facets of unsafe set i to stay beyond in cell k, with what is booked at present.
+        """The facets of unsafe set i to stay beyond in cell k, with their present tightening.
 
         The key (-1, group) means the rows of one of the goal's disjunctions.
         """
@@ -122,18 +122,18 @@ class PlanRows:
         )
 
     def _allowance(self, i: int, cells: Any) -> Array:
-        """Length [m] booked on the rows of some cells of unsafe set i, shape (cells, R, F).
+        """Tightening [m] of the rows of some cells of unsafe set i, shape (cells, R, F).
 
-        Control points that no input moves are known exactly: only what a re-check asked for is booked.
+        Control points that no input moves are known exactly: only a re-check tightens them.
         """
         asked = self.booking[i][cells][:, None]
         moved = self._moved[i] | (np.asarray(cells)[:, None, None] > 0)
         return np.asarray(asked + np.where(moved, self._modelled[i], 0.0))
 
     def surplus(self, path: Reference) -> tuple[Array, ...]:
-        """Room [m] of a path, coasting included, beyond what the rows of a cell ask for without extra.
+        """Slack [m] of a path, coasting included, at the rows of a cell without extra tightening.
 
-        Shapes (cells, F), one per unsafe set. A facet with room keeps all of its rows: `options` with
+        Shapes (cells, F), one per unsafe set. A facet with slack keeps all of its rows: `options` with
         the states known.
         """
         P, Q, share = self.control_points
@@ -170,7 +170,7 @@ class PlanRows:
 
     @cached_property
     def _modelled(self) -> list[Array]:
-        """Length [m] booked on every facet of each unsafe set."""
+        """Tightening [m] of every facet of each unsafe set."""
         book = 2 * self._remainder(self.segments)
         return [SOLVER_BOOK_M + np.abs(normals) @ book for normals in self._normals]
 

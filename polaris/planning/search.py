@@ -166,7 +166,7 @@ class PathSearch:
         return out
 
     def confirmed(self, path: Candidate, seen: CheckedPath) -> bool:
-        """Exact re-check of a path that lacks nothing. Where it fails, more length is booked."""
+        """Exact re-check of a path that lacks nothing. Where it fails, the tightening grows."""
         problem, fine = self.rows.problem, True
         check = recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
         for i, surplus in enumerate(check.surplus):

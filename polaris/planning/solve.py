@@ -21,7 +21,7 @@ from .tree import SearchOutcome, branch
 MARGIN_SHARE = 0.75
 """Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
 
-BOOKED_MOST = 0.05  # largest length [m] booked on any row for which "no solution exists" is still said
+BOOKED_MOST = 0.05  # largest tightening [m] of any row for which "no solution exists" is still said
 
 MARGIN_TRADE = 1e-4
 """If the full margin is out of reach: share of it that may be traded for a velocity change as
@@ -167,7 +167,7 @@ class Planner:
     def _none_because(self, explain: Callable[[PlanRows, float], NoReturn]) -> NoReturn:
         if self.effort.remaining_s <= 0:
             self._out_of_time()
-        # The program keeps a booked length from every facet. While that is small, "no solution" is an
+        # The program tightens every facet by a length. While that is small, "no solution" is an
         # answer; where re-checks have forced it up, it only says that this program has none.
         booked = max((float(b.max()) for b in self.rows.booking), default=0.0)
         if booked > BOOKED_MOST:

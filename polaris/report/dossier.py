@@ -114,7 +114,7 @@ class Dossier:
         return self.verdict.outcome == VERIFIED and all(leg.claim["kind"] == "proved" for leg in self.legs)
 
     def answers(self, evidence: Evidence) -> list[str]:
-        """Return what the run says, values or sentences of the guarantee, and of which legs each."""
+        """Return the run's answers, values or sentences of the guarantee, and the legs of each."""
         file, _, path = evidence.address.partition(": ")
         if file == "check":
             return [self.verdict.outcome if path == "outcome" else sha256(self.run.path / "certificate.json")]

@@ -77,7 +77,7 @@ class FilterInput:
     timed: bool = True
 
     def fallback(self) -> str | None:
-        """Return what was missing, in words; None if nothing."""
+        """Return the missing or odd parts of the input, in words; None if there are none."""
         if self.whole:
             return None
         parts = [*self.odd]
@@ -94,7 +94,7 @@ def listed(chosen: NDArray[np.bool_]) -> str:
 
 
 class InputCheck:
-    """Check what a filter is handed; remember the last good states and the thrusts since.
+    """Check of a filter's input, with the last good states and the thrusts since.
 
     Times are taken as they come, and what is odd about one is said in `FilterInput.odd`:
 

@@ -1,7 +1,7 @@
 """Recoverable sets laid out for speed: one matrix for all times, one window of limits per decision.
 
 An error at a node is recoverable if S, taking over there, keeps clear of every unsafe set and of its
-thrust limits from there on. Every condition reads ``row phi^l e + booked <= limit(node + l)``, and neither
+thrust limits from there on. All conditions read ``row phi^l e + tightening <= limit(node + l)``, and neither
 the rows nor the bookings depend on time: a decision is one product of a tall matrix with the error, one
 with the reciprocals of the limits (a window of one array), and one maximum.
 
@@ -84,7 +84,7 @@ class Recovery:
 
     @cached_property
     def matrix(self) -> Array:
-        """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
+        """``[row phi^l, tightening per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
         carried, booked = self.sets.table.carried[..., : tracking.system.n], self.sets.table.curvature.copy()
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
@@ -172,7 +172,7 @@ class Recovery:
 
     @cached_property
     def taken(self) -> Array:
-        """Share of the clearance that the jump needs, flat as `reciprocals`."""
+        """Share of the clearance that the jump uses, flat as `reciprocals`."""
         return np.asarray(self._jump.reshape(-1) * self.reciprocals)
 
     def window(self, node: int) -> Array:
@@ -229,7 +229,7 @@ class Recovery:
         """`far` at all nodes; shares of the clearance used without any error, and per unit of ``norm(W e)``.
 
         `intersample` and `_bent` count here too: U may take over when S has flown for longer than
-        the memory, and the facets of the node where it does were met by this condition alone.
+        the settling horizon, and the facets of the node where it does were met by this condition alone.
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.intersample)

@@ -134,7 +134,7 @@ def _samples(schedule: Schedule) -> dict[str, Any]:
 
 
 def _choices(schedule: Schedule) -> dict[str, Any]:
-    """Return what was found besides: a share of thrust, and other references with the modes along them."""
+    """Return the further choices: a share of thrust, and other references with the modes along them."""
     tracking, data = schedule.safety.tracking, dict[str, Any]()
     if tracking.feedback_bound is not None:
         data["thrust_share"] = tracking.level

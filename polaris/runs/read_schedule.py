@@ -115,7 +115,7 @@ def certificate_of(folder: Path) -> Document:
 
 
 def _asks(scenario: ScheduleScenario, given: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
-    """Return what is asked of black boxes; one that is not given is refused once it flies."""
+    """Return the command functions of black boxes; one that is not given is refused once it flies."""
     if given:
         return given
 

@@ -203,9 +203,9 @@ def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) 
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:
-    """Return what a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
+    """Return the addition to the adjoint (R, n) by a network that held its command at states x (R or 1, n).
 
-    And how much what it is told of bodies counts, (R, 2d per body), per what is not known. A black box is
+    And the weight of its input from bodies, (R, 2d per body), per half-width of that input. A black box is
     taken for the affine function that it was fitted with, where it was.
     """
     law, (k, place) = flight.schedule.controllers[number], divmod(step, flight.steps_per_cell)

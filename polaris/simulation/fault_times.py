@@ -79,7 +79,7 @@ class FaultTimes:
         return np.asarray(before | (self.lost & self.on(k)))
 
     def added(self, u: Array, step: int) -> Array:
-        """Return what a failing thruster adds to commands u, which ask of it what lies along it."""
+        """Return the thrust a failing thruster adds to commands u, which ask of it their part along it."""
         size = np.maximum(np.sum(self.thrust**2, axis=1), 1e-300)
         asked = np.clip(np.sum(u * self.thrust, axis=1) / size, 0.0, 1.0)
         level = np.where(self.share < 0, 1.0, -self.share * asked)

@@ -50,13 +50,13 @@ class Firing:
 
     @cached_property
     def ways(self) -> Array:
-        """Return what a unit of thrust of each thruster makes of every input, (N, m)."""
+        """Return the share of every input in a unit of thrust of each thruster, (N, m)."""
         layout = self.system.nozzles
         return np.eye(self.system.m) if layout is None else layout.allocation.directions
 
     @cached_property
     def fired(self) -> Array:
-        """Return the thrust of pulses, (N,); empty where what is commanded is held."""
+        """Return the thrust of pulses, (N,); empty where commands are held."""
         layout, timing = self.system.nozzles, self.system.timing
         return (
             np.array(timing.pulse_thrust) if layout is None or not layout.pulsed else layout.allocation.limits
@@ -96,9 +96,9 @@ class Firing:
         return np.asarray(np.einsum("rab,rb->ra", shares, made) + fixed)
 
     def size(self, u: Array) -> Array:
-        """Return what counts of velocity change while inputs u (R, m) are applied, (R,) [N].
+        """Return the thrust that counts as velocity change while inputs u (R, m) are applied, (R,) [N].
 
-        Of a layout the thrust of every thruster, and what is applied beside it.
+        For a layout, the thrust of every thruster and the inputs applied beside it.
         """
         if (layout := self.system.nozzles) is None:
             return np.asarray(np.abs(u).sum(axis=1))

@@ -111,7 +111,7 @@ class Integrator(Firing):
             self.code.start(runs)
 
     def commanded(self, number: int, k: int, at: int, x: Array) -> Array:
-        """Return what `command` does, or the answer of flight code, which is handed U's command."""
+        """Return the value of `command`, or the answer of flight code, which is handed U's command."""
         u, step = self.command(number, k, at, x), k * self.steps_per_cell + at
         if self.code is None:
             return u
@@ -143,7 +143,7 @@ class Integrator(Firing):
     def _obstacle_motion(
         self, law: NeuralController, k: int, passed: float, step: int, runs: int
     ) -> Array | None:
-        """Return what a network is told of bodies some seconds after the start of cell k, (R, ...)."""
+        """Return a network's readings of bodies some seconds after the start of cell k, (R, ...)."""
         if self.bodies:
             seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
             return law.senses.seen(k * law.reference.delta + passed, seen, runs)

@@ -17,7 +17,7 @@ from ..numerics.checks import Array, check_fields, finite_fields
 from ..numerics.errors import ReachError
 from ..short_repr import short_repr
 
-SLACK = 16 * float(np.finfo(float).eps)  # relative rounding booked on the values a band is made from
+SLACK = 16 * float(np.finfo(float).eps)  # relative rounding allowance on the values a band is made from
 
 
 @dataclass(frozen=True)

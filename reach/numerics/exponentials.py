@@ -19,7 +19,7 @@ REACH = 3.0  # norm of ``A t`` up to which Taylor's series of the action is summ
 CANCELLED = float(np.exp(2 * REACH) / (8 * REACH))
 """Factor, per norm of ``A t``, by which such a series rounds more than a product: its terms grow to
 ``exp(REACH)`` before they sum to what may be ``exp(-REACH)``."""
-FLUSHED = 1e-15  # share of the sizes of all states that is booked along with each row for what was cut off
+FLUSHED = 1e-15  # share of the sizes of all states that is added to each row for the terms cut off
 FULL = 500  # entries a row up to which products with a sparse exponential are cheaper than its action
 THIN = 1 / 4
 """Share of all entries up to which an exponential counts as sparse: of a fuller one products are slow."""

@@ -13,7 +13,7 @@ Whole = NDArray[np.object_]
 
 
 def gamma(terms: int) -> float:
-    """Relative error of a sum of so many products, with room to spare (Higham 2002, section 3.1)."""
+    """Relative error of a sum of so many products, with a margin (Higham 2002, section 3.1)."""
     return float((terms + 4) * np.finfo(float).eps)
 
 

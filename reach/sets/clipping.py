@@ -96,7 +96,7 @@ def _narrow(Z: Zonotope, H: Array, low: Array, high: Array, meets: Flags) -> tup
 def _strip(
     Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: Flags
 ) -> tuple[Zonotope, bool]:
-    """Intersect with one strip by one more generator, where worth it; rounding is booked in the strip."""
+    """Intersect with one strip by one more generator, where worth it; rounding widens the strip."""
     a = (h[..., None, :] @ Z.G)[:, 0]
     d, reach = (Z.c * h).sum(axis=-1), np.abs(a).sum(axis=1)
     low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)

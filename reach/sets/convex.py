@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class ConvexSet(Protocol):
     """A closed convex set that can be asked for its furthest point in a direction.
 
-    The sets of this library also book their rounding and have operators, see `SetOperators`.
+    The sets of this library also include their rounding and have operators, see `SetOperators`.
     """
 
     @property
@@ -121,15 +121,15 @@ class SetOperators(ConvexSet, ABC):
     def _furthest(self, D: Array) -> Array: ...
 
     def support_up(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never below the true value, shape (..., r)."""
+        """Support with its rounding included: never below the true value, shape (..., r)."""
         return self._rounded_support(as_vector(directions, self.dim), 1)
 
     def support_down(self, directions: ArrayLike) -> Array:
-        """Support with its rounding booked: never above the true value, shape (..., r)."""
+        """Support with its rounding included: never above the true value, shape (..., r)."""
         return self._rounded_support(as_vector(directions, self.dim), -1)
 
     def _rounded_support(self, D: Array, way: int) -> Array:
-        """Support with its rounding booked upwards (1) or downwards (-1)."""
+        """Support with its rounding included upwards (1) or downwards (-1)."""
         return np.asarray(self.support(D) + way * gamma(self.terms) * weighed(D, self.extent))
 
     def interval_hull(self) -> Interval:
@@ -223,7 +223,7 @@ class SetOperators(ConvexSet, ABC):
         if F.shape != (self.dim, self.dim) or not np.linalg.cond(F) < 1e12:
             raise ReachError(f"frame must be an invertible {self.dim} x {self.dim} matrix")
         R = np.linalg.inv(F)
-        # x = F y; what y - R x can be is booked: |F^-1| |1 - F R| |x|, first order doubled.
+        # x = F y; the range of y - R x is added: |F^-1| |1 - F R| |x|, first order doubled.
         left = np.abs(np.eye(self.dim) - F @ R) + gamma(self.dim) * (np.abs(F) @ np.abs(R))
         extent = self.interval_hull().extent
         booked = 2 * np.abs(R) @ (left @ extent) + gamma(self.dim) * np.abs(R) @ extent

@@ -43,7 +43,7 @@ class DerivedSet(SetOperators):
         return bool(np.all(np.isfinite(self.extent)))
 
     def _with_rounding(self, values: Array, D: Array, way: int, terms: int) -> Array:
-        """Values with their rounding booked; infinite ones stay, and those of unbounded sets are unproved."""
+        """Values with their rounding added; infinite ones stay, and those of unbounded sets are unproved."""
         with np.errstate(invalid="ignore"):
             booked = values + way * gamma(terms) * weighed(D, self.extent)
         return np.asarray(np.where(np.isposinf(values), np.inf, booked))

@@ -24,7 +24,7 @@ class NormBracket:
     Attributes
     ----------
     lower, upper : float
-        Rounding booked. Equal to rounding unless the search was cut short or is only sufficient.
+        Rounding included. Equal to rounding unless the search was cut short or is only sufficient.
     point : ndarray, shape (n,)
         Point of the set whose norm is `lower`.
     """

@@ -165,7 +165,7 @@ class HPolytope(SetOperators):
         -------
         level : ndarray, shape (r,)
         residual : ndarray, shape (r, n)
-            Both with rounding booked.
+            Both with rounding included.
         """
         m = len(self.b)
         level = multipliers @ self.b + gamma(m) * (multipliers @ np.abs(self.b))

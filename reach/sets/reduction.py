@@ -25,7 +25,7 @@ TINY = 1e-300
 
 @checked
 def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
-    """Enclose zonotopes by ones with at most ``order * n`` generators each, rounding booked.
+    """Enclose zonotopes by ones with at most ``order * n`` generators each, rounding included.
 
     Units may differ between axes: lengths are compared in half-widths of the interval hull.
 

@@ -1,11 +1,11 @@
-"""Bounds on what a linear system adds along rows carried backwards, step by step.
+"""Bounds on the effect of a linear system's inputs along rows carried backwards, step by step.
 
 The support of the set reached at time t in a direction d needs one row only, ``r(t) = d e^{A t}``:
 
     rho(d, X_t) = rho(r(t), X_0) + int_0^t rho(r(s) B, U) ds
 
 (Le Guernic and Girard 2010). Everything here follows from it and from two facts: a support function
-is convex in its row, and a smooth row bends away from its chord over a step h by no more than
+is convex in its row, and a smooth row departs from its chord over a step h by no more than
 ``h^2/8`` times its second derivative. So the bounds are of second order in h, on the integral (its
 trapezoid from above) and between the nodes alike.
 """
@@ -35,7 +35,7 @@ class Overflow(Unresolved):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Bounds over m steps of one length, for r rows and p input sets; rounding is not booked yet."""
+    """Bounds over m steps of one length, for r rows and p input sets; rounding is not included yet."""
 
     rows: Array  # d e^{A t} at the nodes in the balanced coordinates, (m+1, r, n)
     first: Array  # support of the initial set at the nodes, (m+1, r)

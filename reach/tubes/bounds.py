@@ -1,4 +1,4 @@
-"""Blocks of steps put together: sums, shifts of every input set, and the rounding that is booked."""
+"""Blocks of steps put together: sums, shifts of every input set, and the rounding allowance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RowBounds:
     lower: Array  # and attained value, (K+1, r)
     intersample: Array  # how far the first part exceeds the lines that join the nodes, (K, r)
     bend: Array  # and how far the response to the inputs does, (K, r)
-    rounding: Array  # booked rounding of the sum of the two parts, (K+1, r)
+    rounding: Array  # rounding allowance of the sum of the two parts, (K+1, r)
     driven: Array  # the part of `first` that a nominal input causes, (K+1, r)
     kinks: Array  # by how much the slope of that part jumps at the nodes, (K+1, r)
     rows: Array | None = None  # d e^{A t} at the nodes, if they were to be kept, (K+1, r, n)
@@ -166,7 +166,7 @@ def _totals(steps: Array, starts: list[int]) -> Array:
 
 
 def _bends(bend: Array, starts: list[int]) -> Array:
-    """Bow of the integral between nodes, shape (K, r): the rates at both ends of every set's lags."""
+    """Intersample bound of the integral, shape (K, r): the rates at both ends of every set's lags."""
     K, pieces, r = bend.shape
     out = np.zeros((K, r))
     for i in range(pieces):

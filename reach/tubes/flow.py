@@ -238,7 +238,7 @@ def merged(blocks: Array, most: int) -> Array:
     """Generators (n, g) of a set that holds the sum of those of periods (L, n, g), up to `most` as one.
 
     What a period adds hardly turns from one to the next: with a mean direction c of several generators,
-    ``sum_l g_l b_l`` is ``c sum_l b_l`` up to ``sum_l |g_l - c|``, which a box takes, rounding booked.
+    ``sum_l g_l b_l`` is ``c sum_l b_l`` up to ``sum_l |g_l - c|``, which a box takes, rounding included.
     """
     if most == 1:
         return np.hstack(list(blocks))

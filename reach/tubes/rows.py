@@ -12,7 +12,7 @@ from .systems import LinearSystem
 SPARSE = 0.1  # share of entries below which products with A use its sparse form
 DENSE = 300  # states up to which exponentials are formed
 ROUNDING = 16 * np.finfo(float).eps
-"""Booked relative rounding per step and state, see `docs`; never the error of a method."""
+"""Relative rounding allowance per step and state, see `docs`; never the error of a method."""
 SAMPLES = 8  # instants at which the growth of rounding in larger systems is looked at
 WATCHED = 400  # states up to which the growth of rounding is bounded by exponentials over the whole horizon
 

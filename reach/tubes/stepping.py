@@ -212,7 +212,7 @@ def _adaptive(
 
 
 def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None, met: Array) -> Array:
-    """The goal, or else a share of the largest values met, but no finer than what is booked for rounding."""
+    """The goal, or else a share of the largest values met, but no finer than the rounding allowance."""
     share = ROUNDING * adjoint.system.dim
     if goal is None:
         least = share * (block.size[0] + horizon * block.size[1]).max(axis=0)

@@ -16,7 +16,7 @@ PATH_SLACK = 1e-9
 """Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
 
 JUMP_SLACK = 2e-5
-"""Largest step of the reference at T, relative to its size. It is booked; more would not be rounding."""
+"""Largest step of the reference at T, relative to its size. It tightens limits; more is no rounding."""
 
 
 def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
@@ -28,7 +28,7 @@ def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
 
 
 def prolonged(document: Document, path: Path, settling: Settling) -> tuple[Path, list[list[int]]]:
-    """Return the path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
+    """Return the path and its facets; for a claim for ever, until the loop has forgotten its state at T.
 
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
     facet will do, and the one with most clearance is taken.
@@ -53,7 +53,7 @@ def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
 
 
 def check_end(document: Document, path: Path) -> str:
-    """Check that what is claimed of the time after T follows from what is shown; return what it confirms."""
+    """Check that the claim on the time after T follows from the proven facts; return what it confirms."""
     doc, tail = document, document.cells - document.steps
     if doc.horizon == "infinite":
         _closes(doc, path, tail)

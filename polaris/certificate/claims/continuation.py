@@ -1,4 +1,4 @@
-"""S along one path to the end of time: the limits that it keeps, and what errors need along any rows."""
+"""S along one path to the end of time: the limits that it keeps, and the tightening of any rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +23,7 @@ from .recovery import Recovery
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
-    """The safety controller from any of some sets: its loop, how long it remembers, and needs along rows."""
+    """The safety controller from any of some sets: its loop, settling horizon, and tightening of rows."""
 
     document: Document
     craft: Craft
@@ -40,7 +40,7 @@ class Tracker:
         return cls(document, craft, settling, upsets)
 
     def tightenings(self, of: Any, rows: arb_mat) -> Tightening:
-        """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
+        """Return the tightening of rows by errors and a transient fault; `of` names the rows."""
         if of not in self._known:
             doc, tightenings = self.document, Tightening(self.craft, self.settling, rows)
             if doc.transients:
@@ -68,7 +68,7 @@ class HandOver:
     errors: Zonotope
     first: int
     last: int
-    box: arb_mat | None = None  # its size (N, 1), which alone bounds what bends between nodes
+    box: arb_mat | None = None  # its size (N, 1), which alone gives the intersample bound
     _since: dict[tuple[Tightening, int, bool], list[arb]] = field(default_factory=dict, repr=False)
     _intersamples: dict[Tightening, SetIntersample] = field(default_factory=dict, repr=False)
 
@@ -142,7 +142,7 @@ class Continuation:
         return self._caused[key][min(node, len(self._caused[key]) - 1)]
 
     def commanded(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> list[arb]:
-        """Bound S's commands in a period [N]; `needs` are those of `Tracker.commands`."""
+        """Bound S's commands in a period [N]; `tightenings` are those of `Tracker.commands`."""
         doc, m = self.document, len(self.document.u_max)
         cell, ends = (
             period // doc.q,
@@ -153,7 +153,7 @@ class Continuation:
         return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, known, strict=True)]
 
     def spent(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> arb:
-        """Bound on what S spends in a period [N s]."""
+        """Bound on S's spending in a period [N s]."""
         plant = self.tracker.craft.plant
         pairs = zip(plant.u_max, self.commanded(tightenings, handed, period), strict=True)
         return plant.spent([smallest(pair) for pair in pairs])
@@ -165,7 +165,7 @@ class Continuation:
 
     @cached_property
     def further(self) -> tuple[Path, list[list[int]]]:
-        """Return the path and its facets until the loop has forgotten what it was at T."""
+        """Return the path and its facets until the loop has forgotten its state at T."""
         return prolonged(self.document, self.path, self.tracker.settling)
 
     @cached_property
@@ -178,7 +178,7 @@ class Continuation:
 
     @cached_property
     def recovery(self) -> Recovery:
-        """Return the limits of the path against what errors need along their rows."""
+        """Return the limits of the path against the tightening of their rows by errors."""
         path, chosen = self.further
         chosen = [*chosen, *self.facets]
         limits = Limits.for_path(self.document, path, self.tracker.craft, chosen)

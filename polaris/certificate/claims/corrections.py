@@ -1,6 +1,6 @@
 """Bound on S's corrections over a whole flight along one path (docs/theory.md, Proposition 15 (d)).
 
-A correction is what S commands beside the inputs of its path. One part answers to what disturbs in every
+A correction is S's command beside the inputs of its path. One part answers to what disturbs in every
 period: a storage function bounds its mean. The other part answers to what happens once or is known before
 the flight: sums of impulse responses bound it.
 """
@@ -66,7 +66,7 @@ class Corrections:
 
     @cached_property
     def _tightenings(self) -> Tightening:
-        """Needs of commands."""
+        """Tightening of limits on commands."""
         return Tightening(self.tracker.craft, self.tracker.settling, self.tracker.craft.commands)
 
     @cached_property

@@ -144,7 +144,7 @@ class Drifts:
         return powers
 
     def _bookings(self, item: int, facet: int) -> tuple[arb_mat, arb_mat, list[arb]]:
-        """Return of a facet its row ``-n C``, what bends in a part, and what disturbs by the end of each."""
+        """Return a facet's row ``-n C``, its curvature in a part, and the disturbance by the end of each."""
         key = item, facet
         if key not in self._known:
             motion = self._motion
@@ -193,7 +193,7 @@ class Drifts:
     def _clearances(
         self, k: int, o: int, chosen: list[int], states: list[arb_mat], sizes: list[arb_mat]
     ) -> list[arb]:
-        """Room beyond one facet of one unsafe set in every part."""
+        """Clearance beyond one facet of one unsafe set in every part."""
         p, item, clearances = self._claim.parts, self.document.unsafe[o], []
         for j, facet in enumerate(chosen):
             row, curvature, pushed = self._bookings(o, facet)

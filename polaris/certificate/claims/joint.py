@@ -43,7 +43,7 @@ class _Check:
 
     @cached_property
     def off(self) -> list[arb]:
-        """Bounds on what estimates are off at a node after T, twice, as the rows are."""
+        """Bounds on estimate errors at a node after T, twice, as the rows are."""
         doc = self.arrival.document
         known = doc.known_to(doc.steps) or [0.0] * len(doc.A)
         return [arb(x) + y for x, y in zip(known, doc.at_nodes, strict=True)] * 2

@@ -1,4 +1,4 @@
-"""Bound what S spends on average over any number of periods, by a storage function (Proposition 14 (d))."""
+"""Bound S's mean spending over any number of periods, by a storage function (Proposition 14 (d))."""
 
 from __future__ import annotations
 
@@ -175,13 +175,13 @@ class TurnedCommands(MeanCommands):
 
 
 def unknown_inputs(craft: Craft) -> arb_mat:
-    """Return what units of inputs in a period add to the loop state that no law knows of, (N, m)."""
+    """Return the change of the loop state per unit of inputs in a period that no law knows of, (N, m)."""
     each = [enters * motion.gamma * craft.plant.B for enters, motion in craft.spans]
     return sum(each[1:], each[0])
 
 
 def carried_across(craft: Craft) -> arb_mat:
-    """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
+    """Return the largest changes of the loop state by shares of carried impulses in other inputs, (N, k)."""
     bits = craft.plant.without_delay.bits if craft.plant.carried else []
     return (
         unknown_inputs(craft) * diagonal([arb(x) for x in bits]) if any(bits) else arb_mat(craft.F.nrows(), 0)

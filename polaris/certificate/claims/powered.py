@@ -120,7 +120,7 @@ class BranchMotion:
             require(CLAIM, self.branch.tolerance - off, f"{where}: {plain(off)} m off the orbit")
 
     def affords(self, taken: Takeover, budget: float | None, stated: FileClaims) -> None:
-        """Check what S spends against the budget, the tank, and the figure that is told."""
+        """Check S's spending against the budget, the tank, and the stated figure."""
         spent, claimed = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
         limits = {"claimed": claimed, "the budget of": budget, "the tank of": stated.tank}
         for limit, top in limits.items():

@@ -23,7 +23,7 @@ TOLD_SLACK = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Limits, reduced by the jump at the start of the tail, against needs along their rows."""
+    """Limits, reduced by the jump at the start of the tail, against the tightening of their rows."""
 
     document: Document
     limits: Limits

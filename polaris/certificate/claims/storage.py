@@ -1,4 +1,4 @@
-"""Bound what flights under linear laws spend, by a storage in each period (Proposition 14 (c))."""
+"""Bound the spending of flights under linear laws, by a storage in each period (Proposition 14 (c))."""
 
 from __future__ import annotations
 

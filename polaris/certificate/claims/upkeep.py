@@ -76,7 +76,7 @@ def check_estimate(arrival: Arrival, stated: FileClaims, flown: Sequence[FlownSt
 
 
 def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | None:
-    """Bound what is spent from the first of some nodes on: in a period, and once besides, times 1/h [N].
+    """Bound the spending from the first of some nodes on: in a period, and once besides, times 1/h [N].
 
     The last of the nodes stands for all later ones.
     """

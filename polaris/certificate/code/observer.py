@@ -53,13 +53,13 @@ class OnBoard:
 
     @cached_property
     def seen(self) -> arb_mat:
-        """Return what is measured, by the state that is predicted for now."""
+        """Return the map from the state predicted for now to the measured values."""
         assert self.document.observer is not None
         return matrix(self.document.observer["measures"]) * exponential(self.plant.A, -self.delay)[0]
 
     @cached_property
     def later(self) -> list[arb_mat]:
-        """Return what commands of 1, 2, ... periods before make of it that is not measured yet."""
+        """Return the unmeasured effect, mapped by `seen`, of commands 1, 2, ... periods before."""
         h, parts = self.plant.h, list[arb_mat]()
         count = ceil(float((self.delay / h).mid()) * (1 - WHOLE))
         for age in range(max(count, 1)):
@@ -70,7 +70,7 @@ class OnBoard:
 
     @cached_property
     def updates(self) -> list[arb_mat]:
-        """Return what a unit of a difference from the prediction adds, after 0, 1, ... missed periods."""
+        """Return the gain on the difference from the prediction, after 0, 1, ... missed periods."""
         stated = self.document.observer or {}
         ahead = exponential(self.plant.A, self.delay)[0]
         return [ahead * matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
@@ -162,7 +162,7 @@ class OnBoard:
 
 
 def _lost(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat:
-    """Bound what rounding changes of sums of products, by their sizes: a product with 0 rounds nothing.
+    """Bound the rounding error of sums of products, by their sizes: a product with 0 rounds nothing.
 
     Sums begin with a number `before` them, or with none.
     """

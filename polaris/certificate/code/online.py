@@ -60,7 +60,7 @@ class DecisionBound:
 
     @cached_property
     def off(self) -> arb_mat:
-        """Bound on what rounding changes of the error of the estimate, (n, 1)."""
+        """Bound on the change of the estimate error by rounding, (n, 1)."""
         flight = self.flight
         return gap_error(flight.document, self.tables, self.precision, flight.path)
 
@@ -112,7 +112,7 @@ class DecisionBound:
 
     @cached_property
     def within(self) -> list[tuple[list[arb], list[arb]]]:
-        """Needs of the facets in the period under U at its start and its end, for both ends of the share.
+        """Tightening of facets in the period under U at its start and its end, for both ends of the share.
 
         Of both intersample bounds, which are affine in the share, the one that is less at its end counts.
         """
@@ -177,7 +177,7 @@ class DecisionBound:
 
     @cached_property
     def rounding_loss(self) -> list[list[arb]]:
-        """Bound on what rounding changes of the value along every row, node by node."""
+        """Bound on the rounding error of the value along every row, node by node."""
         craft, tightenings, tables = self.flight.tracker.craft, self.flight.recovery.tightenings, self.tables
         n, m, precision = len(tables.apart), len(tables.limit), self.precision
         held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
@@ -210,7 +210,7 @@ class DecisionBound:
         return [one.entries() for one in lost]
 
     def check(self) -> str:
-        """Confirm every number that is booked and every room, and all limits beyond; returns what holds."""
+        """Confirm every tightening and clearance, and all limits beyond; return the confirmation."""
         tables, u = self.tables, UNIT[self.precision]
         for lag, (booked, sized) in enumerate(zip(tables.booked, tables.sized, strict=True)):
             for share in (0, 1):
@@ -287,7 +287,7 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
 
 
 def _check_clearances(decision: DecisionBound) -> None:
-    """Check that each room, as it is computed, is at most that of the limit."""
+    """Check that each clearance, as it is computed, is at most that of the limit."""
     tables, u = decision.tables, UNIT[decision.precision]
     for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.clearance)]):
         for place, met in enumerate(nodes):

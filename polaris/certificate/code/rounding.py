@@ -43,7 +43,7 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
 
 
 def gap_error(document: Document, tables: Tables, precision: str, path: Path) -> arb_mat:
-    """Bound on what rounding changes of a state's error, for states within the range, (n, 1)."""
+    """Bound on the change of a state's error by rounding, for states within the range, (n, 1)."""
     return row_maxima([error for error, _ in _gaps(document, tables, precision, path)])
 
 
@@ -82,7 +82,7 @@ def rounding_factor(count: int, precision: str) -> arb:
 
 
 def least(rows: int, count: int, precision: str) -> arb_mat:
-    """Bound on what so many operations lose by underflow, for some rows."""
+    """Bound on the underflow error of `count` operations, shape (rows, 1)."""
     return column([arb(SMALLEST[precision]) * 2 * (count + 1)] * rows)
 
 

@@ -57,7 +57,7 @@ class Tables:
     apart : list, shape (n,)
         Largest errors for which U may fly.
     booked, sized : list, shape (l, r)
-        What is booked of a limit so many periods after a decision, rounding included, and what more as the
+        Tightening of a limit so many periods after a decision, rounding included, and its increase as the
         error grows from none to the largest.
     clearance : list, shape (c, r, 4)
         Clearance of every cell ahead along a row and against it: at its start, and more in every period.

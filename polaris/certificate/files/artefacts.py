@@ -132,7 +132,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
 
 
 def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> list[str]:
-    """Return what a run folder says besides, and no check confirms."""
+    """Return the further statements of a run folder, which no check confirms."""
     specs = scenario["experimental"]
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
     cheapest = f"unaware plans of {plans} are fuel-optimal (start, dynamics, limits and goal are checked)"
@@ -211,7 +211,7 @@ def check_summary(
 
 
 def _of_model_error(document: Document, stated: dict[str, Any] | None, asked: bool) -> dict[str, bool]:
-    """Return what the model error of a summary must agree with; its bound itself is not derived here."""
+    """Return the conditions on the model error of a summary; its bound itself is not derived here."""
     if stated is None or document.mean_motion is None:
         return {"model_error where the scenario has an orbit": stated is None and not asked}
     bound, parts = stated["bound_m_s2"], math.fsum(stated["parts_m_s2"].values())

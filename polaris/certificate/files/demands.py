@@ -110,7 +110,7 @@ def given_keys(table: Mapping[str, Any], at: str = "") -> Iterator[str]:
 
 
 def unchecked_demands(scenario: Mapping[str, Any]) -> list[str]:
-    """Return what a scenario demands and no check confirms, one line for each group of keys."""
+    """Return the demands of a scenario that no check confirms, one line for each group of keys."""
     known, lines = set(given_keys(scenario)), []
     for demand, tables in UNCHECKED.items():
         keys = [key for key in listed(tables) if key in known]

@@ -86,14 +86,14 @@ class Plant:
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     bias: list[InputSet] = field(default_factory=list)  # inputs that are constant in a whole flight
     unseen: list[tuple[int, arb_mat]] = field(default_factory=list)
-    """Bounds on what a unit error of thrusters, of up to so many periods before a command, adds to errors of
-    estimates, (n, k), where commands of the meantime are told apart."""
+    """Bounds on estimate errors per unit thruster error of up to so many periods before a command, (n, k),
+    where commands of the meantime are told apart."""
     shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
     lead: Lead | None = None  # of pulses that are not centred
 
     @cached_property
     def predicted(self) -> arb_mat:
-        """Bound what a unit error of thrusters adds to a prediction's until it is measured, (n, k)."""
+        """Bound the prediction error per unit of thruster error until it is measured, (n, k)."""
         if not self.unmeasured > 0:
             return arb_mat(self.B.nrows(), self.entering.ncols())
         return replace(self, h=self.unmeasured / PARTS).open.unit_gains(identity(self.B.nrows()), PARTS)
@@ -174,7 +174,7 @@ class Plant:
         return [(i, j, x) for i, row in enumerate(each) for j, x in enumerate(row) if x > 0]
 
     def spent(self, most: Sequence[arb]) -> arb:
-        """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
+        """Bound on the thrusters' spending in a period under commands up to `most`, by their weights."""
         applied = sums(most, self.without_delay.thruster_error(most))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
@@ -253,14 +253,14 @@ class Motion:
         return beside(*means, diagonal(self.uneven(*pushes).entries()))
 
     def uneven(self, *pushes: InputSet) -> arb_mat:
-        """Bound on what varies about the means of pushes adds, ``(h^2/3) |A| sup|e^{A s}| |V v|``, (n, 1)."""
+        """Bound on the effect of pushes beside their means, ``(h^2/3) |A| sup|e^{A s}| |V v|``, (n, 1)."""
         size = column(sums(*(push.along(push.V) for push in pushes)))
         return magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
 
     def push_gain(self, rows: arb_mat, push: InputSet) -> list[arb]:
         """Bound on ``int_0^s |row e^{A r} V v| dr`` for every row, and any s of the period.
 
-        The bound on ``|row e^{A r} V v|`` lies below its chord plus what ``row e^{A r} V`` bends:
+        The bound on ``|row e^{A r} V v|`` lies below its chord plus the curvature of ``row e^{A r} V``:
         the trapezoid rule and ``h^3/12`` times a bound on the second derivative are an upper bound.
         """
         h, V = self.plant.h, push.V
@@ -269,10 +269,10 @@ class Motion:
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
     def constant_gain(self, rows: arb_mat, push: InputSet, later: int) -> list[arb]:
-        """Bound what a constant does along rows, which follow one another by a period, by any time of each.
+        """Bound a constant's effect along rows, which follow one another by a period, by any time of each.
 
         It begins at the start, or up to so many periods `later`. At the ends of periods it is the sum of the
-        rows; between them it leaves the chord by no more than it bends.
+        rows; between them it leaves the chord by no more than `push_curvature`.
         """
         each = (rows * (self.gamma * push.V)).tolist()
         reached = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
@@ -289,7 +289,7 @@ class Motion:
         return gains, rows
 
     def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
-        """Bound what a unit of each error of thrusters alone adds, shape (r, k)."""
+        """Bound the effect along rows of a unit of each thruster error alone, shape (r, k)."""
         units = (InputSet.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
         return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
 

@@ -76,7 +76,7 @@ def _against(facets: list[tuple[UnsafeSet, int]], position: arb_mat) -> arb_mat:
 class Limits:
     """Limits of every cell: distinct rows, and the clearance along them at the nodes."""
 
-    rows: arb_mat  # an error e keeps to a limit if row e <= room
+    rows: arb_mat  # an error e keeps to a limit if row e <= clearance
     targets: list[list[list[NodeLimit]]]  # [cell][node]; one that need not be met at a node is missing there
 
     @classmethod
@@ -107,7 +107,7 @@ class Limits:
         return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
     def less_jump(self, tightenings: Tightening, path: Path) -> Limits:
-        """Return the limits, the tail's reduced by what the jump at its start needs."""
+        """Return the limits, the tail's tightened by the jump at its start."""
         size = magnitude(path.jump)
         cost, late = (
             [tightenings.boxed(size, lag) for lag in range(len(tightenings.carried))],
@@ -142,7 +142,7 @@ class Limits:
 
 
 def levels_of(document: Document, tightenings: Tightening, path: Path) -> list[list[NodeLimit]]:
-    """Return the profile of commands as limits l periods after a hand-over, whatever clearance is left."""
+    """Return the feedback bound as limits on commands l periods after a hand-over, for any clearance."""
     noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
     first = tightenings.rows.nrows() - 2 * len(noise)
     jumps = tightenings.tightening_at_any_time(magnitude(path.jump))[first:]

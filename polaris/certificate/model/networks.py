@@ -133,7 +133,7 @@ class Policy:
         return [*own, Weights(into, none), Layer("clip", low=-1.0, high=1.0), Weights(list(tops), none)]
 
     def reference_input(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
-        """Return what it reads on its reference itself, at node i of step k, and generators of that."""
+        """Return the network's scaled inputs on its reference at node i of step k, and their generators."""
         n = self.plant.A.nrows()
         time = self.plant.h * self.plant.q * k
         parts = {"error": arb_mat(n, 1), "state": base.nodes[i], "time": column([time])}

@@ -50,7 +50,7 @@ class ObstacleBoxes:
         return 2 * self.plant.C.nrows() * len(self.bodies)
 
     def less(self, name: str, x: arb_mat) -> arb_mat:
-        """Return what an input takes of the chaser's states: none, or its negative position or velocity."""
+        """Return the chaser's part of an input: none, or its negative position or velocity."""
         kind, rows = name.partition(":")[0], self.plant.C
         rows = rows * self.plant.A if kind.endswith("velocity") else rows
         return -rows * x if kind.startswith("relative") else arb_mat(rows.nrows(), x.ncols())

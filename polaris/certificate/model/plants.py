@@ -72,9 +72,9 @@ def _constant(D: arb_mat, bias: list[float]) -> tuple[arb_mat, list[arb]]:
 
 
 def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:
-    """Return what units of errors of thrusters so many periods ago add to an observer's predictions, (n, k).
+    """Return an observer's prediction errors per unit of thruster errors of so many periods ago, (n, k).
 
-    As the certificate states it of estimates, carried over whichever age makes the most of it. Leads of
+    As the certificate states them of estimates, carried over the age that makes each largest. Leads of
     pulses add nothing: they are among the observer's own errors at full thrust.
     """
     stated, delay = document.observer or {}, arb(document.timing.get("delay", 0.0))

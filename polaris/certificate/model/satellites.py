@@ -33,7 +33,7 @@ class Satellite:
 
     ``c(t) z_0 + |c(t)| dz + radius`` and, for every input M with its bound a (the disturbance, and its own
     acceleration), ``a int_0^t norm(c(s) M) ds``, with ``c(t) = n C e^{A t}``. Between two instants each term
-    is at most its chord plus what its bend allows.
+    is at most its chord plus its intersample bound.
     """
 
     def __init__(self, document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:

@@ -128,7 +128,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
 
 
 def by_command(document: Document, error: arb_mat) -> arb_mat:
-    """Return what errors of thrusters (m, 1) make of an observer's estimates as far as their age counts."""
+    """Return the estimate error that thruster errors (m, 1) not older than the last of the ages cause."""
     by_age = [matrix(M) for M in (document.observer or {}).get("by_age") or ()]
     return (by_age[0] - by_age[-1]) * error if by_age else arb_mat(len(document.A), 1)
 
@@ -160,7 +160,7 @@ def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
 
 
 def _carried(plant: Plant, age: arb, tops: list[arb]) -> tuple[arb_mat, list[arb]]:
-    """Return what a prediction under commands up to `tops` makes of errors of states, and what it adds."""
+    """Return a prediction's gain on state errors, and the error it adds under commands up to `tops`."""
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n

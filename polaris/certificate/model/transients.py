@@ -64,7 +64,7 @@ def _lasts(fault: dict[str, Any]) -> float:
 def check_attribution(
     document: Document, stored: list[dict[str, Any]] | None, limits: set[str]
 ) -> list[dict[str, Any]] | None:
-    """Check what is told of faults: steps of S, names and times that there are; what is short is no claim."""
+    """Check the fault attribution: steps of S, names and times that exist; shortfalls are no claims."""
     laws, delta = {law.name for law in document.laws[1:]}, document.delta
     for row in (row for fault in stored or [] for row in fault["steps"]):
         k, at = row["step"], row["limit_time_s"]
@@ -115,7 +115,7 @@ def wrong_thrust(document: Document, craft: Craft, networks: list[Policy]) -> li
 def _spread(
     craft: Craft, gain: arb_mat | None, gains: tuple[list[arb_mat], ...], wrong: arb_mat, count: int
 ) -> arb_mat:
-    """Return what inputs that are wrong by so much, (m, 1), in some periods have added to the loop state.
+    """Return the change of the loop state by inputs that are wrong by `wrong` (m, 1) in some periods.
 
     `gain` bounds the answer of any law to what it sees, and twice the limits do; they alone without it.
     """
@@ -164,7 +164,7 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
 
 
 def outage_differences(document: Document, craft: Craft, settling: Settling) -> list[Differences]:
-    """Return what the loss of navigation adds to the loop state; in no more than one of them it is lost."""
+    """Return the differences of the loop state by each loss of navigation; at most one loss occurs."""
     outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
     if document.observer is not None and remembers(document):
         return [_unmade(document, craft, _periods(craft.plant, lasts)) for lasts in outages]
@@ -188,7 +188,7 @@ def _predicted(document: Document, craft: Craft, settling: Settling, lasts: floa
 
 
 def _unlearned(document: Document, craft: Craft, settling: Settling, lasts: float) -> list[arb]:
-    """Return what estimates of an observer that misses an outage make of the state, where a box holds them.
+    """Bound, by a box, the change of the state by estimates of an observer that misses an outage.
 
     They are compared with those it would have made if only as many periods had been missed as may be, with
     measurements as close to what it expects as their errors allow.

@@ -91,9 +91,9 @@ class ObserverErrors:
         return maps
 
     def added(self, noise: Array, w_max: float, E: Array | None) -> list[Array]:
-        """Bounds on what an update adds so many periods later, by its kind, (count + kinds, n) each.
+        """Bounds on the error an update adds so many periods later, by its kind, (count + kinds, n) each.
 
-        Of errors of measurements up to `noise` (r,), of the disturbance, and of rates in a box by columns E.
+        By errors of measurements up to `noise` (r,), by the disturbance, and by rates in a box of columns E.
         """
         system, observer, bounds = self.system, self.observer, list[Array]()
         flow = LinearFlow.continuous(system.A, system.D, w_max, self.h / IN_PERIOD, E)
@@ -105,7 +105,7 @@ class ObserverErrors:
         return bounds
 
     def _summed(self, come: list[Array], known: Array) -> Array:
-        """Bound what updates add by the worst pattern, by periods, errors before within `known`, (., n)."""
+        """Bound errors that updates add in the worst pattern, by periods, first ones in `known`, (., n)."""
         kinds, count = len(self.turned), self.count
         sums = np.zeros((count + kinds, self.system.n))
         each = [more + off @ known for more, off in zip(come, self.turned, strict=True)]
@@ -115,7 +115,7 @@ class ObserverErrors:
         return sums
 
     def largest(self, come: list[Array]) -> Array:
-        """Bound errors under what updates add, long after the start, shape (n,).
+        """Bound errors under those that updates add, long after the start, shape (n,).
 
         Just after a measurement, with every pattern of missed periods that may be.
 
@@ -163,7 +163,7 @@ class ObserverErrors:
         return bounds
 
     def usual(self, settled: Array) -> Array:
-        """Bound what is left of `settled` errors, (n,) positive, until little is, (near + late + 1, n).
+        """Bound the rest of `settled` errors, (n,) positive, until it is small, (near + late + 1, n).
 
         With `late` periods that may be missed. Raises what `largest` does.
         """
@@ -177,9 +177,9 @@ class ObserverErrors:
         return bounds[: near + late + 1]
 
     def fading(self, first: Array, settled: Array) -> Array:
-        """Bound what is left of errors within `first` (n,) so many periods later, and ever after.
+        """Bound the rest of errors within `first` (n,) so many periods later, and ever after.
 
-        Shape (near + 2, n). By every pattern of missed periods; what adds to errors meanwhile is apart. See
+        Shape (near + 2, n). By every pattern of missed periods; errors added meanwhile are apart. See
         `usual`.
         """
         usual, none = self.usual(settled), [0 * self.error_maps[..., 0]] * len(self.turned)
@@ -189,14 +189,14 @@ class ObserverErrors:
         return np.vstack([bounds[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
 
     def _fading_always_measured(self, first: Array, periods: int) -> Array:
-        """Bound the same without missed periods, so many periods later and ever after, (periods + 2, n)."""
+        """Bound the rest without missed periods, so many periods later and ever after, (periods + 2, n)."""
         loop, last, count = self._forgetting
         left = np.abs(powers(loop, periods + count)) @ first * (1 + ROUNDED)
         ever = np.linalg.solve(np.eye(len(first)) - last, left[periods:].max(axis=0)) * (1 + ROUNDED)
         return np.vstack([left[: periods + 1], ever])
 
     def alone(self, moved: Array | float = 0.0) -> list[Array]:
-        """Return what updates add if nothing is commanded, see `added`.
+        """Return the errors that updates add if nothing is commanded, see `added`.
 
         `moved` (n,) bounds by how much states are displaced when they are measured.
         """
@@ -231,7 +231,7 @@ class ObserverErrors:
         return ages, np.array([units, *left[begins]])
 
     def by_step(self, settled: Array, alone: Array, moved: Array | float) -> Array:
-        """Bound what first errors add to `settled` ones (n,) in every step, and ever after, shape (K + 1, n).
+        """Bound the part of first errors beyond `settled` ones (n,) in every step and ever after, (K + 1, n).
 
         Of all estimates that commands in a step may rest on; less than nothing where first errors are smaller
         than those that are `alone`, without errors by commands.

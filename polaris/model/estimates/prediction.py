@@ -43,7 +43,7 @@ def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float
 
 
 def unseen_by(system: Craft, tau: float) -> Array:
-    """Bound what a unit of errors that are `entering` adds to a prediction over tau [s], shape (n, k)."""
+    """Bound the error of a prediction over tau [s] per unit of the errors `entering`, shape (n, k)."""
     if not tau > 0:
         return np.zeros(system.entering.shape)
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
@@ -52,7 +52,7 @@ def unseen_by(system: Craft, tau: float) -> Array:
 
 
 def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
-    """Bound what pulses of the thrust `fired` (m,) add to inputs held for h [s], leads apart.
+    """Bound the errors of inputs held for h [s] by pulses of the thrust `fired` (m,), leads apart.
 
     Errors of the thrusters hold for a period.
 
@@ -149,9 +149,9 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
 
 
 def _older(system: Craft, ages: Sequence[float]) -> list[tuple[int, Array]]:
-    """Return what errors of thrusters, so many periods back, make of predictions by an observer's estimates.
+    """Return errors of an observer's predictions per thruster error of so many periods back, (n, k).
 
-    A unit of each error of thrusters, (n, k), predicted over whichever of some ages [s] makes the most of it.
+    By a unit of each thruster error, predicted over the one of some ages [s] that makes it largest.
     Leads of pulses add nothing: they are among the observer's own errors at full thrust.
     """
     if system.observer is None or system.observer.by_age is None:

@@ -3,7 +3,7 @@
 The safe set is implied by the backup controller: the states from which S keeps every limit to the end.
 In error coordinates S's flight is linear, so the condition that the state at the next decision is in the
 set is a set of linear rows in the input held until then, exact in discrete time: one quadratic program per
-decision. Estimate error, disturbance and the path between nodes are booked as in the online monitor,
+decision. Estimate error, disturbance and the path between nodes tighten limits as in the online monitor,
 and where no input satisfies all rows S itself flies. That makes it a proof, by the same argument.
 """
 

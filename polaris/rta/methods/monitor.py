@@ -126,9 +126,9 @@ class Monitor(Method):
 
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> "Monitor":
-        """A monitor along that safe reference, the schedule's or one of its library, that is worth most.
+        """A monitor along that safe reference, the schedule's or one of its library, of largest objective.
 
-        Of several experimental controllers it lets all fly, or one alone, whatever is worth more. Each is
+        Of several experimental controllers it lets all fly, or one alone, by the larger objective. Each is
         flown beforehand, from the middle of Theta and undisturbed. S must then fly that reference too: that
         of the monitor's own `grid`.
 

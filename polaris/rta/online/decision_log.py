@@ -148,7 +148,7 @@ def restored(value: Any) -> Any:
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """Return what tells whether a file is another one, or was changed; nothing without one."""
+    """Return numbers that differ once a file is replaced or changed; none without a file."""
     with suppress(FileNotFoundError):
         status = path.lstat()
         return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns

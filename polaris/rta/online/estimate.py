@@ -65,7 +65,7 @@ class BoxMotion:
     With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
     t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what
     inputs about their mean and the disturbance add. Durations, up to `longest` [s], are rounded to multiples
-    of ``TIME period``; the rounding is booked. A `ScenarioError` says that the motion is too fast for that.
+    of ``TIME period``; the rounding is included. A `ScenarioError` says that the motion is too fast for that.
     """
 
     def __init__(self, system: Craft, period: float, longest: float) -> None:

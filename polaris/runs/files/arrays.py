@@ -24,7 +24,7 @@ SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "o
 
 
 def set_arrays(schedule: Schedule, slices: SliceData) -> dict[str, Any]:
-    """Return what the recoverable sets are made from, in error coordinates, and slices for figures."""
+    """Return the arrays that define the recoverable sets, in error coordinates, and slices for figures."""
     safety = schedule.safety
     clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
     rows, index = clearance.obstacle_rows

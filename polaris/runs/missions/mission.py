@@ -109,7 +109,7 @@ MOST_RUNS = 20  # flights from end to end that are kept
 
 
 def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return what is claimed of the mission, and of each leg but for its digest."""
+    """Return the claims on the mission, and on each leg but for its digest."""
     legs, total = list[dict[str, Any]](), 0.0
     for i, (flown, leaves) in enumerate(zip(whole.legs, whole.leaves, strict=True)):
         claim, schedule, passive = guarantee(flown.schedule), flown.schedule, flown.schedule.passive

@@ -70,7 +70,7 @@ def visited(schedule: Schedule) -> Region:
 
 
 def _curve(safety: Safety) -> Array:
-    """Bow of the reference between its nodes, shape (cells, q, n)."""
+    """Intersample bound of the reference, shape (cells, q, n)."""
     rates = safety.reference.rates(safety.clearance.nodes)
     return np.asarray(safety.tracking.flow.h**2 / 8 * rates @ np.abs(safety.problem.system.A).T)
 

@@ -40,7 +40,7 @@ def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) 
 
 
 def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answer:
-    """The inner set drawn back through the map, what that can be wrong by booked on every axis.
+    """The inner set drawn back through the map, with the map's error added on every axis.
 
     With W close to the inverse of M and ``F = 1 - W M``, the x with ``M x + v = y`` differs from
     ``W (y - v)`` by ``F x``, and ``|F| s <= t s`` with ``|W (y - v)| <= s`` shows ``|x| <= s / (1 - t)``.
@@ -95,7 +95,7 @@ def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
     """The supports of both sets along every facet normal of the outer one."""
     whole = np.hstack([normals, -normals]).T
     rows = floats(whole.T).T
-    # The rows are the exact normals to one rounding, booked for both sets.
+    # The rows are the exact normals to one rounding, included for both sets.
     turned = gamma(1) * np.abs(rows) @ (outer.extent + inner.extent)
 
     def settle(left: NDArray[np.intp]) -> list[bool | None]:

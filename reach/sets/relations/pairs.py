@@ -79,7 +79,7 @@ def disjoint(X: Any, Y: Any) -> Answer:
 
     Sets with flat faces go through one linear program, sets with an ellipsoid in them through
     Wolfe's nearest points (`reach.sets.relations.distance`). Either finds a direction; a "yes" is said only
-    if the supports of both sets along it, rounding booked, really leave a gap, a "no" only if the point
+    if the supports of both sets along it, rounding included, really leave a gap, a "no" only if the point
     found passes the inequalities of both sets when they are asked again.
 
     Parameters

@@ -89,7 +89,7 @@ class Craft:
         return self.drifts - self.plant.B * self.commands
 
     def noise(self, more: list[arb]) -> list[arb]:
-        """Bounds on what a command may differ from ``-K z``, estimates being off by some `more`, (n)."""
+        """Bounds on the difference of a command from ``-K z``, with estimate errors larger by `more` (n)."""
         return (absolute(self.gain * self.carry) * column(self.missed(more))).entries()
 
     def noise_in(self, document: Document, k: int) -> list[arb]:
@@ -117,7 +117,7 @@ class Craft:
         return errors
 
     def extra(self, document: Document, k: int) -> list[arb]:
-        """Bounds on what estimates are off more in a step than in the loop, shape (n)."""
+        """Bounds on the excess of estimate errors in a step over those in the loop, shape (n)."""
         if self.base is None or not document.error_by_step:
             return [arb(0)] * self.gain.ncols()
         known = zip(document.known_to(k), self.base, strict=True)

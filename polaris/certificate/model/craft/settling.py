@@ -31,7 +31,7 @@ class Settling:
     z: arb_mat  # shape (states, 1)
     c: arb
     feedback_bound: list[list[arb]] = field(default_factory=list)
-    """Bounds on what is commanded l periods after a hand-over, within limits; the last one holds for ever."""
+    """Bounds on S's commands l periods after a hand-over, within limits; the last one holds for ever."""
     rates: list[Any] = field(default_factory=list, repr=False)
     """`Tightening` of ``e'`` and of ``A e'`` at nodes, once they are known."""
 

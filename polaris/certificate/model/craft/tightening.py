@@ -1,4 +1,4 @@
-"""Needs of the safety controller along fixed rows, from a set of loop states to the end of time."""
+"""Tightening of fixed rows under the safety controller, from a set of loop states to the end of time."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Tightening:
 
     @cached_property
     def _steady(self) -> list[list[arb]]:
-        """Needs at node L of what does not depend on commands, L = 0 ... N + 1."""
+        """Tightening at node L by errors that do not depend on commands, L = 0 ... N + 1."""
         first, which = self.alike
         rest = [[arb(0)] * len(first)]
         for gains in self._split(self.craft.varying.supports(self._stacked)):
@@ -112,7 +112,7 @@ class Tightening:
 
     @cached_property
     def responses(self) -> list[list[arb]]:
-        """Needs at node L besides the state at the hand-over, for L = 0 ... N + 1."""
+        """Tightening at node L without the handed state, for L = 0 ... N + 1."""
         feedback_bound, plant, craft = self.settling.feedback_bound, self.craft.plant, self.craft
         if not feedback_bound:
             return self._steady
@@ -145,7 +145,7 @@ class Tightening:
 
     @cached_property
     def settled_tightening(self) -> list[arb]:
-        """Needs besides the state at every node more than N periods after a hand-over."""
+        """Tightening without the handed state at every node more than N periods after a hand-over."""
         craft, first = self.craft, self.settling.feedback_bound[0] if self.settling.feedback_bound else []
         one = identity(craft.F.nrows())
         box = column(craft.supports(one))
@@ -156,7 +156,7 @@ class Tightening:
 
     @property
     def rates(self) -> tuple[Tightening, Tightening]:
-        """Needs of ``e'`` and of ``A e'`` at nodes, which bend the motion between them."""
+        """Tightening of ``e'`` and of ``A e'`` at nodes, which give the intersample bound."""
         known, rates = self.settling.rates, self.craft.rates
         if not known:
             known[:] = [Tightening(self.craft, self.settling, M) for M in (rates, self.motion.A * rates)]
@@ -164,12 +164,12 @@ class Tightening:
 
     @cached_property
     def peak(self) -> list[arb]:
-        """Needs besides the state at any node."""
+        """Tightening without the handed state at any node."""
         return maxima(*self.responses, self.settled_tightening)
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
-        """Needs besides the state at node l = 0 ... N, and ever after; between nodes chords of them hold."""
+        """Tightening without the handed state at node l = 0 ... N, and ever after; chords hold between."""
         craft, plant, feedback_bound = self.craft, self.craft.plant, self.settling.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
         curved = craft.always_bent(self.rows, rates)
@@ -181,7 +181,7 @@ class Tightening:
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
-        """Needs besides the state at node l alone, l = 0 ... N, then at every later one."""
+        """Tightening without the handed state at node l alone, l = 0 ... N, then at every later one."""
         return self._upset([*self.responses[:-1], self.settled_tightening])
 
     def response(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
