@@ -38,7 +38,7 @@ ALLOCATIONS = {
     "the lengths of their directions",
     "nearest": "thrusts within their limits that produce the nearest inputs, of these the least in 2-norm",
 }
-"""Ways to allocate what is commanded to the thrusters of a layout, by kind."""
+"""Ways to allocate commands to the thrusters of a layout, by kind."""
 
 NOTHING_ELSE = (
     "the safety controller flies from then on (in an outage of navigation: from its start), and no second "

@@ -1,4 +1,4 @@
-"""Check one certificate: the file, what it was made from, and the safety argument."""
+"""Check one certificate: the file, its sources, and the safety argument."""
 
 import time
 from collections.abc import Callable
@@ -114,7 +114,7 @@ def _check(
     joint: Joint | None = None,
     code: Path | None = None,
 ) -> list[str]:
-    """Check everything; returns what is trusted besides."""
+    """Check everything; return the assumptions that are trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"unchanged, {document.scenario}, {document.steps} steps of {document.delta:g} s")
     trusted, stated = list(document.assumptions), None

@@ -71,7 +71,7 @@ class CheckedLeg:
 
 
 def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run: CheckRun) -> list[str]:
-    """Check a mission's certificate, whose data was read from JSON; return what is trusted besides."""
+    """Check a mission's certificate, with data read from JSON; return the assumptions trusted besides."""
     if data.get("digest") != digest(data):
         raise Rejected("digest", "the certificate was changed")
     stated = conform(data, KEYS, "format", "certificate")
@@ -113,7 +113,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -> list[CheckedLeg]:
-    """Return the legs; the scenario of each run is what the mission says of it, in the mission's order."""
+    """Return the legs; the scenario of each run is the mission's statement of it, in the mission's order."""
     specs, start, legs = mission.get("legs"), Fraction(0), list[CheckedLeg]()
     if mission.get("kind") != "mission" or not isinstance(specs, list) or len(specs) != len(stated["legs"]):
         raise Rejected("legs", "the certificate has other legs than the mission")
@@ -228,7 +228,7 @@ def _same_craft(one: Document, two: Document, where: str) -> None:
 
 
 def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
-    """Bound the velocity change of a leg until it is left, from what its run claims [m/s]."""
+    """Bound the velocity change of a leg until it is left, from its run's claims [m/s]."""
     goal, upkeep = leg.claim["goal"], leg.claim["upkeep"]
     if goal["reached"] is True and leaves <= goal["by_s"]:
         return arb(goal["delta_v_max_m_s"])
@@ -239,7 +239,7 @@ def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
 
 
 def _sums(legs: list[CheckedLeg], stated: Mapping[str, Any]) -> str:
-    """Check when legs are left, what they spend until then and in all, and for how long they are safe."""
+    """Check when legs are left, their spending until then and in all, and for how long they are safe."""
     total: arb | None = arb(0)
     for i, (leg, known) in enumerate(zip(legs, stated["legs"], strict=True)):
         leaves, doc = known["leaves_s"], leg.document
@@ -283,7 +283,7 @@ def _within(joint: Mapping[str, Any], node: int, leg: CheckedLeg) -> bool:
 
 
 def _no_less(what: str, claimed: float | None, derived: arb | None) -> None:
-    """Refuse a figure that is less than what is derived; null claims nothing."""
+    """Refuse a figure below the derived one; null claims nothing."""
     if claimed is not None and not (derived is not None and derived <= arb(claimed) * (1 + PLACED)):
         shown = "nothing" if derived is None else plain(derived)
         raise Rejected("delta_v", f"{what}: {claimed:g} claimed, {shown} derived")

@@ -1,1 +1,1 @@
-"""Flight code of a proven run: what S, the schedule and the reference become on board."""
+"""Flight code of a proven run: S, the schedule and the reference on board."""

@@ -1,4 +1,4 @@
-"""Observer in the flight code: its tables, and what rounding on board makes of its estimates."""
+"""Observer in the flight code: its tables, and the rounding errors of its estimates on board."""
 
 from dataclasses import replace
 from decimal import Decimal, localcontext

@@ -1,4 +1,4 @@
-"""Calls of the flight code, regular and hostile: what its self-test and the tests hand over."""
+"""Calls of the flight code, regular and hostile: inputs of its self-test and of the tests."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A linear system with what its navigation, timing and thrusters may do wrong."""
+"""A linear system with errors of its navigation, timing and thrusters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .timing import WHOLE, Lead, Observer, Timing, Transient
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Craft(LinearSystem):
-    """A linear system with what its navigation, timing and thrusters may do wrong; by default nothing.
+    """A linear system with errors of its navigation, timing and thrusters; by default none.
 
     It takes the parameters of `LinearSystem`, and besides:
 
@@ -89,7 +89,7 @@ class Craft(LinearSystem):
 
     @property
     def proportional(self) -> bool:
-        """True if errors of what is applied depend on what is commanded."""
+        """True if errors of applied inputs depend on commands."""
         return self.thrusters.proportional or self.timing.lead is not None
 
     @property
@@ -158,7 +158,7 @@ class Craft(LinearSystem):
 
     @property
     def on_time(self) -> Thrusters:
-        """Return the errors of thrusters without what stands for jitter and pulses."""
+        """Return the errors of thrusters without those that stand for jitter and pulses."""
         return self.thrusters if self.timing == Timing() else self.timing.on_time
 
     def as_ideal(self) -> Craft:
@@ -207,12 +207,12 @@ class Craft(LinearSystem):
         return self.B if self.timing.lead is None else np.hstack([self.B, self.A @ self.B])
 
     def proportional_errors(self, most: Array) -> Array:
-        """Return the parts of what is `entering` that grow with commands up to `most` (..., m), (..., k)."""
+        """Return parts of the errors `entering` that grow with commands up to `most` (..., m), (..., k)."""
         part, lead = self.thrusters.part(most), self.timing.lead
         return part if lead is None else np.concatenate([part, lead.part(most)], axis=-1)
 
     def input_error(self, gain: Array, most: Array) -> Array:
-        """Bound the difference of what is applied from what a clipped law commands on the exact state, (m,).
+        """Bound the difference of applied inputs from a clipped law's commands on the exact state, (m,).
 
         Clipped commands, up to `most` (m,), differ no more than unclipped (docs/theory.md, Proposition 5).
         """
@@ -220,11 +220,11 @@ class Craft(LinearSystem):
 
     @property
     def weights(self) -> Array:
-        """Return how much of velocity change a unit of each input counts, (m,): what all thrusters make."""
+        """Return how much of velocity change a unit of each input counts, (m,): the sum of all thrusters."""
         return np.ones(self.m) if self.nozzles is None else self.nozzles.weights
 
     def spent(self, most: Array) -> Array:
-        """Return bounds on what is applied, on average over time, under commands up to `most`, (..., m).
+        """Return bounds on applied inputs, on average over time, under commands up to `most`, (..., m).
 
         Each by its weight: the sum bounds what counts of velocity change.
         """

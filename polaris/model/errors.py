@@ -24,7 +24,7 @@ def quoted(value: object) -> str:
 
 
 def exact(number: float) -> str:
-    """Return a short text that reads back as the very number: a limit is not rounded to what it excludes."""
+    """Return a short text that reads back as the same number: a limit never rounds to a value it excludes."""
     short = f"{number:g}"
     return short if float(short) == number else repr(float(number))
 
@@ -44,7 +44,7 @@ class PolarisError(Exception):
 
 
 class ScenarioError(PolarisError):
-    """A scenario (or an argument) is malformed: names the field, what was given, and the rule."""
+    """A scenario (or an argument) is malformed: names the field, the given value, and the rule."""
 
     exit_code = 2
 
@@ -87,7 +87,7 @@ class SynthesisInfeasible(PolarisError):
 
 
 class NotCertified(PolarisError):
-    """No answer: nothing was found with the effort given, or what was found failed its re-check."""
+    """No answer: nothing was found with the effort given, or the result failed its re-check."""
 
     exit_code = 4
 

@@ -1,4 +1,4 @@
-"""Bounds on the errors of what thrusters apply: of inputs, and of each thruster of a layout."""
+"""Bounds on the errors of applied thrust: of inputs, and of each thruster of a layout."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +13,7 @@ from .system import Array
 
 @dataclass(frozen=True)
 class Thrusters:
-    """Errors of what is applied, at any time and however they change (docs/theory.md, Proposition 5 (b)).
+    """Errors of applied inputs, at any time and however they change (docs/theory.md, Proposition 5 (b)).
 
     With `constant` those that grow with commands are one matrix M in a flight: ``u + M u`` is applied, up to
     `bit`, with ``|M_jj| <= along`` and ``norm(M_jk, k != j) <= across``.
@@ -116,7 +116,7 @@ class Thrusters:
         return np.asarray(slope + weights @ np.array(self.shares) * np.sign(u) if self.shares else slope)
 
     def _with_shares(self, part: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Add what sizes of commands (..., m) make by the table of a layout."""
+        """Add the errors by sizes of commands (..., m) of a layout's table."""
         return np.asarray(part + size @ np.array(self.shares).T if self.shares else part)
 
 

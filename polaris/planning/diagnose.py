@@ -1,4 +1,4 @@
-"""Reasons for no plan: relaxations of the problem, each naming what to relax and by how much."""
+"""Reasons for no plan: relaxations of the problem, each naming the condition to relax and by how much."""
 
 import re
 from dataclasses import replace

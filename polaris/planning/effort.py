@@ -64,7 +64,7 @@ class SearchEffort:
         return cut or (("path search",) if self.remaining_s <= 0 else ())
 
     def allow(self, share: float, spare: Spare) -> Allowance:
-        """A share of what is left; `SPARE_SHARE` of it where the stage is spare."""
+        """A share of the effort left; `SPARE_SHARE` of it where the stage is spare."""
         options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
         limit = options.max_linear_programs if options.solver == "facets" else options.max_nodes
         spare_end, end = (

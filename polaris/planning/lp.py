@@ -20,7 +20,7 @@ FAR = 1e6  # range of what is unlimited: no row of the planner gets as many leng
 
 @cache
 def silent_highspy() -> Any:
-    """Import HiGHS; what its first solver prints to the process's standard output goes nowhere.
+    """Import HiGHS; its first solver's print to standard output is suppressed.
 
     From version 1.16 on the constructor prints a licence notice, before it reads any option. C code prints
     it, so that the file descriptor itself is led elsewhere meanwhile.
@@ -150,7 +150,7 @@ class GrowingLP:
         return np.asarray(weights, dtype=float) if known else np.zeros(self.rows)
 
     def costs(self, a: Array, lack: Array) -> Array:
-        """Lower bounds, shape (J,), on what the optimum loses if one more row has to hold, without solving.
+        """Lower bounds, shape (J,), on the loss of the optimum if one more row has to hold, without solving.
 
         At the optimum just found every variable and slack that is not basic can only move into the
         program, at its reduced cost. Written over these, a new row ``a x >= need`` needs a certain amount of

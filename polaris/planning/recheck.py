@@ -1,4 +1,4 @@
-"""The exact re-check: what a plan really does, in continuous time, from its inputs alone.
+"""The exact re-check: a plan's true motion, in continuous time, from its inputs alone.
 
 Nothing here comes from the planning model. The path in a cell is cut into arcs; on each arc of
 length h the distance to a moving facet is a smooth function of time, whose cubic Hermite interpolant

@@ -83,7 +83,7 @@ class PlanRows:
         return SEGMENTS[-1]
 
     def _remainder(self, q: int) -> Array:
-        """Rough bound per state, (n,), on what a cubic arc over delta / q leaves out; re-checked later."""
+        """Rough bound per state, (n,), on the error of a cubic arc over delta / q; re-checked later."""
         system, h = self.problem.system, self.problem.delta / q
         A3 = np.linalg.matrix_power(system.A, 3)
         reach = np.max(np.abs(self.free), axis=0) * 1.5

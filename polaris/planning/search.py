@@ -26,7 +26,7 @@ ROW_SLACK = 10 * SOLVER_FEASIBILITY
 
 @dataclass(eq=False)
 class Candidate:
-    """A path: input shares z, shape (N,), and what it was made with.
+    """A path: input shares z, shape (N,), and the settings it was made with.
 
     `level` is the value of the margin variable s; `short` the length [m] by which required clearances had to
     be relaxed, 0 for a usable path; `fuel` the velocity change [m/s]; `choice` the facet of every constrained

@@ -135,7 +135,7 @@ class _Tree:
 def split(
     bounds: Mapping[Key, Array], value: float, cut: float
 ) -> tuple[list[tuple[float, dict[Key, int]]], float]:
-    """Children of a node, with their bounds, and the least bound of what needs no child.
+    """Children of a node, with their bounds, and the least bound of the parts that need no child.
 
     Cells with one facet left below the cut get it at once, all in one child. Otherwise the first cell
     is split.

@@ -64,7 +64,7 @@ class Arrival:
         return self.flight.document
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
-        """Refuse a claim that does not hold; returns what was confirmed.
+        """Refuse a claim that does not hold; return the confirmed facts.
 
         Distance, drift and velocity change are those of one node of the tail: the one that is named, if the
         goal is claimed to be reached, else any.
@@ -102,7 +102,7 @@ class Arrival:
         raise refusals[0]
 
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
-        """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
+        """Refuse a schedule that may spend more than the scenario allows; return the confirmed facts."""
         if claim["reached"] is True:
             spent, until = self.delta_v_until(self.node_at(claim["by_s"])), "the goal"
         else:
@@ -167,7 +167,7 @@ class Arrival:
         return sorted(every[: max(late, 1)], key=near)[:MOST]
 
     def require_bound(self, what: str, claimed: float, derived: arb) -> None:
-        """Refuse a bound that is told as less than what is derived, by more than figures are exact to."""
+        """Refuse a stated bound below the derived one by more than figures are exact to."""
         spare = arb(claimed) * (1 + TOLD_SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
@@ -261,14 +261,14 @@ class Arrival:
         return [smallest(pair) for pair in zip(tops, craft.plant.u_max, strict=True)]
 
     def states(self, tightenings: Tightening, node: int) -> list[arb]:
-        """Bounds along rows of the loop state at a node long after T, from boxes of what S took over."""
+        """Bounds along rows of the loop state at a node long after T, from boxes of states handed to S."""
         return self.flight.tightening(
             tightenings, self.boxes, self._first + node, around=True
         )  # not displaced
 
     @cached_property
     def boxes(self) -> tuple[HandOver, ...]:
-        """Boxes of what S took over, at the last hand-over and at T."""
+        """Boxes of states handed to S, at the last hand-over and at T."""
         return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
 
     @cached_property

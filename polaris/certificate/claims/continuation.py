@@ -57,7 +57,7 @@ class Tracker:
 
     @property
     def commands(self) -> arb_mat:
-        """Rows of what it feeds back, of both signs."""
+        """Rows of the feedback commands, of both signs."""
         return above(self.craft.commands, -self.craft.commands)
 
 

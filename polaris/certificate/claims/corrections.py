@@ -47,7 +47,7 @@ class Corrections:
 
     @cached_property
     def _loop(self) -> MeanCommands:
-        """Values that enter in every period of whatever step, under any commands."""
+        """Values that enter in every period of any step, under any commands."""
         doc, craft = self.tracker.document, self.tracker.craft
         steps = (craft.extra(doc, k) for k in range(doc.steps + 1))
         off = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
@@ -99,7 +99,7 @@ class Corrections:
         return sum((s * x for s, x in zip(self._loop.spends, commands.entries(), strict=True)), arb(0))
 
     def _later(self, size: arb_mat, count: int) -> list[arb]:
-        """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
+        """Sums of the rest, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
         more = max(count - self.tracker.settling.periods, 0)
         return [x * more for x in self._tightenings.tightening_after_settling(size)]
 
@@ -145,7 +145,7 @@ class Corrections:
         return self._spent(sums((self._summed * size).entries(), self._later(size, count)))
 
     def late_fault_thrust(self, count: int) -> arb:
-        """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
+        """Bound the thrust of a transient fault and of the commands that answer to it [N].
 
         Until then every command answers to no more than what it has moved by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
@@ -169,7 +169,7 @@ class Corrections:
         return ceil(float((until / h).mid()) * (1 - WHOLE))
 
     def _faults(self) -> Iterator[tuple[dict[str, Any], Differences, arb]]:
-        """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""
+        """Return faults, the change of the loop state by each kind of wrong thrust, and its sum [N]."""
         tracker = self.tracker
         plant, boxes, lost = tracker.craft.plant, iter(tracker.upsets), iter(tracker.outages)
         for fault in tracker.document.transients:

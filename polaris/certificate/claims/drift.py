@@ -158,7 +158,7 @@ class Drifts:
         return self._known[key]
 
     def check(self, least: float | None) -> str:
-        """Check that every drift that the certificate calls clear is; return what was confirmed."""
+        """Check that every drift that the certificate calls clear is; return the confirmed facts."""
         doc, drift = self.document, self._claim
         clearances = [
             clearance

@@ -1,4 +1,4 @@
-"""Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals.
+"""Reachable sets of the schedule: each controller's flights in a step, enclosed over whole intervals.
 
 They are sets of the loop state z of the craft, which begins with the error. What the flight computer
 remembers besides moves by itself, whatever law flies. A law answers to what it sees of z.
@@ -78,7 +78,7 @@ class ControllerModel:
 
     @cached_property
     def feedback_rows(self) -> Directions:
-        """Rows of what it feeds back."""
+        """Rows of the feedback commands."""
         return Directions(self.craft.commands)
 
     def base(self, k: int, path: Path) -> Arc:

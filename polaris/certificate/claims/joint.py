@@ -103,7 +103,7 @@ class _Check:
 
 
 def check_joint(arrival: Arrival, joint: Joint) -> str:
-    """Refuse a joint that does not follow from the sets of the leg; return what was confirmed."""
+    """Refuse a joint that does not follow from the sets of the leg; return the confirmed facts."""
     if not (joint.first or joint.later):
         raise Rejected("joint", "GO must be given at some node")
     return _Check(arrival, joint).run()

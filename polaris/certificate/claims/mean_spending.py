@@ -26,7 +26,7 @@ STRICT, SETTLED, LEAST = 1e-5, 1e-7, 1e-12  # of a storage: growth a period, cha
 
 @dataclass(frozen=True, eq=False)
 class LastingStorage:
-    """Storage that lasts: rows whose sum of squares is twice as large, and what a period costs [N]."""
+    """Storage that lasts: rows whose sum of squares is twice as large, and the cost of a period [N]."""
 
     rows: arb_mat
     cost: arb

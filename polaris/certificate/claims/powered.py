@@ -1,4 +1,4 @@
-"""Powered abort: from whatever instant of a step S reaches an orbit, in time and within a budget.
+"""Powered abort: from any instant of a step S reaches an orbit, in time and within a budget.
 
 S flies on along the reference until a branch leaves it. Everything that is shown of S along the reference is
 shown along each branch, too, from the sets that the schedule reaches in the steps that it serves.
@@ -104,7 +104,7 @@ class BranchMotion:
 
     @cached_property
     def _orbit(self) -> tuple[WeightedRows, Tightening]:
-        """Rows of the orbit, and what errors need along them."""
+        """Rows of the orbit, and their tightening by errors."""
         doc, spec = self.flight.document, self.orbit
         assert spec is not None
         arrival = Arrival(self.flight, (), arb(0))
@@ -160,7 +160,7 @@ class BranchMotion:
         return (total + carried_impulse(plant)) / doc.mass
 
     def _together(self, taken: Takeover, cell: int) -> arb | None:
-        """Bound the same by all periods at once since S may have taken over, what is owed apart [N s]."""
+        """Bound the spending in all periods at once since S may have taken over, dues apart [N s]."""
         corrections, doc = self.corrections, self.flight.document
         if corrections.mean is None:
             return None

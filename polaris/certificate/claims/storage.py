@@ -27,7 +27,7 @@ much weights rise until they are enough, and the least weight and growth."""
 
 @dataclass(frozen=True, eq=False)
 class Storage:
-    """Storage ``y' P y / 2 + p' y`` of a loop state y from the middle, and what is spent beside it [N]."""
+    """Storage ``y' P y / 2 + p' y`` of a loop state y from the middle, and the spending beside it [N]."""
 
     P: arb_mat  # exact
     p: arb_mat  # exact, shape (N, 1)

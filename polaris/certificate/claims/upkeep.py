@@ -28,7 +28,7 @@ from .mean_spending import MeanCommands
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
-    """Check the bound on what S spends for as long as it flies on, and the life of the scenario's tank.
+    """Check the bound on S's spending for as long as it flies on, and the life of the scenario's tank.
 
     By the most that it commands in any period or, if that is not enough, in the mean over periods.
     """
@@ -98,7 +98,7 @@ def _mean(arrival: Arrival, later: range, tops: list[arb]) -> tuple[arb, arb] | 
 def _check(
     arrival: Arrival, claim: dict[str, Any], tank: float | None, tops: list[arb], thrust: tuple[arb, arb]
 ) -> None:
-    """Refuse a claim that does not follow from what commands are at most and what thrust is on average."""
+    """Refuse a claim that does not follow from the largest commands and the mean thrust."""
     doc, plant = arrival.document, arrival.flight.tracker.craft.plant
     rate, once = (part / doc.mass for part in thrust)
     arrival.require_bound("velocity change per second", claim["rate_m_s2"], rate)
@@ -121,7 +121,7 @@ def _check(
 
 
 def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rate: arb) -> None:
-    """Check that the tank lasts as long as is claimed; `until` is what is spent until S has settled."""
+    """Check that the tank lasts as long as is claimed; `until` is the spending until S has settled."""
     T, lasts = arrival.document.steps * arrival.document.delta, claim["lasts_s"]
     beyond = math.inf if lasts is None else lasts
     if T < beyond < claim["settled_s"]:

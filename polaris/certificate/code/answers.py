@@ -105,7 +105,7 @@ class FlightStep:
         return self.answer
 
     def estimate(self, state: list[float], measured: list[float]) -> int:
-        """Take in the estimate, or the observer's from a measurement; returns what is wrong with it."""
+        """Take in the estimate, or the observer's from a measurement; return its faults."""
         fault = 0
         if self.tables.seen and self.last >= 0:
             state = self.predicted()
@@ -213,7 +213,7 @@ class OnlineStep:
         return self.answer
 
     def recoverable(self, node: int, state: Sequence[float], share: float) -> bool:
-        """Return True if S can take over at the next node, whatever flies until then.
+        """Return True if S can take over at the next node under any controller until then.
 
         A decision for U needs at most a share of the clearance at every limit; the first that fails ends it.
         """

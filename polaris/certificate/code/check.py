@@ -27,7 +27,7 @@ MATRICES = 64  # roundings by which transitions may be off, relative to the larg
 
 
 def check_code(document: Document, folder: Path, record: Record) -> list[str]:
-    """Compare the flight code in a folder with the certificate; returns what is trusted besides."""
+    """Compare the flight code in a folder with the certificate; return the assumptions trusted besides."""
     if document.guarantee != "proved":
         raise Rejected("code", f"the guarantee is {document.guarantee}, but must be proved to fly")
     prefix, tables, precision, digest = read_code(folder)
@@ -108,7 +108,7 @@ def _texts(folder: Path) -> tuple[str, dict[str, str]]:
 
 
 def _check_rounding(document: Document, plant: Plant, tables: Tables, precision: str) -> tuple[str, str]:
-    """Confirm the stated bound on errors of commands; returns what it assumes of the world, and the bound.
+    """Confirm the stated bound on errors of commands; return its assumptions on the world, and the bound.
 
     The error does what a disturbance does: the environment must leave as much of the declared bound.
     """

@@ -66,7 +66,7 @@ class DecisionBound:
 
     @cached_property
     def hidden(self) -> arb_mat:
-        """Generators of what the estimate hides of the loop state: its error, and what the loop remembers.
+        """Generators of the loop state that the estimate hides: its error, and states the loop remembers.
 
         Shape (N, k). The states beside the error move by themselves, whatever flies, within `remembered`.
         """
@@ -97,7 +97,7 @@ class DecisionBound:
 
     @cached_property
     def added(self) -> arb_mat:
-        """Generators of what thrust, disturbances and errors add in a period."""
+        """Generators of the thrust, disturbances and errors of a period."""
         craft = self.flight.tracker.craft
         error = craft.plant.thruster_error(craft.plant.u_max)
         return beside(craft.lifted(craft.motion.pushed(self.pushes[0])), *craft.added(error))

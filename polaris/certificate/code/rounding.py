@@ -1,4 +1,4 @@
-"""Rounding on board: how far a command may be off the exact one, and what that takes of disturbances.
+"""Rounding on board: how far a command may be off the exact one, and its share of disturbances.
 
 Sums are bounded in the order of the step function: ``c`` roundings in a row are off by at most
 ``c u / (1 - c u)`` of the sum of magnitudes (Higham 2002, chapter 3), contracted or not, and underflow adds
@@ -18,7 +18,7 @@ from .text import Tables
 UNIT = {"double": 2.0**-53, "float": 2.0**-24}
 """Largest relative error of one rounding, by precision."""
 SMALLEST = {"double": 2.0**-1022, "float": 2.0**-126}
-"""Smallest normal number, by precision: what flushing to zero may lose."""
+"""Smallest normal number, by precision: the largest loss by flushing to zero."""
 
 
 def command_error(document: Document, tables: Tables, precision: str, path: Path) -> arb:
@@ -87,7 +87,7 @@ def least(rows: int, count: int, precision: str) -> arb_mat:
 
 
 def disturbance_taken(document: Document, plant: Plant, error: arb) -> arb | None:
-    """Bound on disturbances that do what errors of commands up to `error` do; None if none does.
+    """Bound on disturbances with the effect of command errors up to `error`; None if none has it.
 
     The thrusters' own errors grow with commands, by their shares.
     """

@@ -1,4 +1,4 @@
-"""The other files of the run folder: hashes, and what the readable ones say about the same numbers."""
+"""The other files of the run folder: hashes, and statements of the readable ones on the same numbers."""
 
 import csv
 import math
@@ -98,7 +98,7 @@ class FileClaims:
 
 
 def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> FileClaims:
-    """Compare the certificate with the files that can be read; returns what remains to be confirmed.
+    """Compare the certificate with the files that can be read; return the claims left to confirm.
 
     A file that says something else is `Rejected` under the claim that it is about, one that cannot be read
     under ``artefacts``.
@@ -274,5 +274,5 @@ def _hold(needed: dict[str, bool], where: str) -> None:
 
 
 def _raised(x: float) -> float:
-    """Return a number moved up by rounding, whatever its sign."""
+    """Return a number of any sign moved up by rounding."""
     return x * (1 + math.copysign(ROUNDING, x))

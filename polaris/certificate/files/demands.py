@@ -1,4 +1,4 @@
-"""Table of scenario keys by what they ask of a run: checked under a claim, not checked, or nothing.
+"""Table of scenario keys by their demand on a run: checked under a claim, not checked, or nothing.
 
 A test walks the format: every key stands in one of the three tables, by the table of the file that it is in.
 One that is new belongs to a check, or to what `polaris verify` prints as not checked.

@@ -62,7 +62,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
 
 
 def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
-    """Check that the claim of the drift after all thrust stops is what the scenario asks."""
+    """Check that the claim of the drift after all thrust stops meets the scenario's demand."""
     drift = document.drift
     asks = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
     if asks != (drift is not None):
@@ -271,7 +271,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
 
 
 def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
-    """Check that what is said of black boxes is what was asked for, with the scenario's seed."""
+    """Check that the statements on black boxes answer the scenario's demands, with its seed."""
     boxes = [spec for spec in scenario["experimental"] if spec["kind"] == "black_box"]
     bound = min(spec.get("probability", 0.01) for spec in boxes)
     least = max(spec.get("confidence", 0.999) for spec in boxes)

@@ -246,7 +246,7 @@ LARGEST_HASHED = 16 * 2**30  # largest file that is hashed [bytes]
 
 
 def contents(path: Path, most: int = LARGEST_READ) -> bytes:
-    """Return the bytes of a regular file, or of what a link to one leads to."""
+    """Return the bytes of a regular file, or of the target of a link to one."""
     with _opened(path, most) as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(min(size, most) + 1)  # a reader of more would set that much memory aside

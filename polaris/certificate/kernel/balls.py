@@ -80,7 +80,7 @@ def dot(a: Iterable[arb], b: Iterable[Number]) -> arb:
 
 
 def absolute_dot(a: Iterable[arb], b: Iterable[Number]) -> arb:
-    """Sum of the absolute values of the products: what rounding of an inner product is relative to."""
+    """Sum of the absolute values of the products: the scale of an inner product's rounding."""
     return sum((abs(x * y) for x, y in zip(a, b, strict=True)), arb(0))
 
 

@@ -117,7 +117,7 @@ class Plant:
 
     @property
     def without_delay(self) -> Plant:
-        """Return the plant without what stands for jitter and pulses in errors of the inputs."""
+        """Return the plant without the input errors that stand for jitter and pulses."""
         return self.on_time or self
 
     def disturbances(self, error: list[arb]) -> list[InputSet]:
@@ -179,7 +179,7 @@ class Plant:
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
     def weighted(self, sizes: Sequence[arb]) -> arb:
-        """Sum of what inputs take, each by its weight."""
+        """Sum of sizes of inputs, each by its weight."""
         return dot(sizes, self.weights or [1.0] * len(sizes))
 
     def push(self, error: list[arb]) -> list[InputSet]:
@@ -313,7 +313,7 @@ class RowIntersample:
 
     @cached_property
     def curvatures(self) -> tuple[arb_mat, arb_mat]:
-        """`Motion.bend`, and the same without A."""
+        """`Motion.curvature` of the rows, and the one without A."""
         motion = self.motion
         return motion.curvature(self.rows), magnitude(self.rows * motion.over * (motion.plant.h**2 / 8))
 

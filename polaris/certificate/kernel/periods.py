@@ -1,4 +1,4 @@
-"""One period of a flight as a linear motion with an input within bands, and what a clipped command may be."""
+"""One period of a flight as a linear motion with an input within bands, and bounds on a clipped command."""
 
 from dataclasses import dataclass
 

@@ -27,9 +27,9 @@ def per_axis(given: Any, count: int) -> list[float]:
 
 
 def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
-    """Check limits of the inputs: within the scenario's, and what its thrusters make in every fault.
+    """Check limits of the inputs: within the scenario's, and reached by its thrusters in every fault.
 
-    What they make is convex. It holds a box if for each of its corners it has a point that lies, in every
+    The set they reach is convex. It holds a box if for each of its corners it has a point that lies, in every
     input, at least as far out as the corner: no plane separates the box from those points (Proposition 5).
     Sums of mixes are such points.
     """
@@ -145,7 +145,7 @@ class Nozzles:
 
     @property
     def sizes(self) -> list[list[arb]]:
-        """Return the sizes of what a unit of thrust makes of every input, (N, m)."""
+        """Return the size of every input by a unit of thrust of each thruster, (N, m)."""
         return [[abs(x) for x in d] for d in self.ways]
 
     @cached_property
@@ -247,7 +247,7 @@ class Nozzles:
 
     @property
     def pushed(self) -> list[list[arb]]:
-        """Return the sum of what thrusters make of every input, rows, by a unit of each command, (m, m).
+        """Return the sum of the thrusters' parts of every input, rows, by a unit of each command, (m, m).
 
         Sizes are added. No part of a thrust is longer than the thrust itself.
         """
@@ -285,6 +285,6 @@ class Nozzles:
         return dot(self.weights, u_max) * longest + bit * self.at_once([[1 / x] for x in limits])[0]
 
     def fired(self) -> list[arb]:
-        """Return bounds on what pulses of thrusters that are asked at once make of every input."""
+        """Return bounds on every input by pulses of thrusters that are asked at once."""
         rows = zip(self.largest, self.allocation["limits"], strict=True)
         return self.at_once([[x * limit for x in row] for row, limit in rows])

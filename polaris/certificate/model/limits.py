@@ -124,7 +124,7 @@ class Limits:
         return Limits(self.rows, targets)
 
     def less(self, taken: Along) -> Limits:
-        """Return the limits, each reduced by what is taken of it at its node, along its row."""
+        """Return the limits, each tightened along its row by the tightening of its node."""
         targets = [
             [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
             for cell in zip(self.targets, taken, strict=True)

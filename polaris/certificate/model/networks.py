@@ -103,7 +103,7 @@ class Policy:
 
     @cached_property
     def reads(self) -> arb_mat:
-        """Return the derivative of what it reads by the state relative to its reference, shape (r, n)."""
+        """Return the derivative of its inputs by the state relative to its reference, shape (r, n)."""
         n, m = self.plant.A.nrows(), self.plant.B.ncols()
         blocks = {"error": -identity(n), "state": identity(n)}
         blocks |= {"time": arb_mat(1, n), "reference_input": arb_mat(m, n)}

@@ -14,7 +14,7 @@ from .satellites import acceleration_input
 MOVES = dict.fromkeys(("center_m", "velocity_m_s", "state", "state_half_widths")) | {
     "thrust_accel_max_m_s2": 0.0
 }
-"""Keys of an obstacle that say how it moves, and what stands for those that it has not."""
+"""Keys of an obstacle that say how it moves, and the values of missing ones."""
 
 
 def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]]:
@@ -56,7 +56,7 @@ class ObstacleBoxes:
         return -rows * x if kind.startswith("relative") else arb_mat(rows.nrows(), x.ncols())
 
     def at_node(self, name: str, node: int) -> tuple[arb_mat, arb_mat]:
-        """Middle (d, 1) of what an input takes of a body at a node, and generators, (d, width)."""
+        """Middle (d, 1) of a body's part of an input at a node, and generators, (d, width)."""
         kind, _, body = name.partition(":")
         d, middle, half = self.plant.C.nrows(), *self._box(body, node)
         first = d * kind.endswith("velocity")

@@ -90,7 +90,7 @@ def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:
 
 
 def _out_of_time(document: Document, on_time: Plant) -> Plant:
-    """Add what jitter and pulses make of errors of the inputs, and what jitter shifts (Lemma 6 (a))."""
+    """Add input errors by jitter and pulses, and the impulses that jitter shifts (Lemma 6 (a))."""
     plant, jitter = replace(on_time, bits=document.bits, on_time=on_time), arb(on_time.jitter)
     if document.pulse_place:
         plant = replace(plant, lead=_lead(document, on_time))

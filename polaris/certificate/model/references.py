@@ -127,7 +127,7 @@ def check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: 
 
 
 Misses = tuple[list[tuple[float, str]], float]
-"""How far a state is from what a goal asks, by condition, and the goal's size."""
+"""Distance of a state from a goal, by condition, and the goal's size."""
 
 
 def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:

@@ -1,4 +1,4 @@
-"""Faults until they are isolated: boxes of what they add to the states, and whether all are told."""
+"""Faults until they are isolated: boxes of their effects on the states, and a check that all are stated."""
 
 from collections.abc import Sequence
 from math import ceil
@@ -81,7 +81,7 @@ def check_attribution(
 
 
 def wrong_thrust(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_mat]:
-    """Return bounds on what each kind of wrong thrust has added to the loop state, (N, 1) each.
+    """Return bounds on the change of the loop state by each kind of wrong thrust, (N, 1) each.
 
     They hold at the node where S takes over, until no command rests on an older state, and for states of the
     plant also in the period before. A black box may answer with any command, a law with its steepest gain.
@@ -174,7 +174,7 @@ def outage_differences(document: Document, craft: Craft, settling: Settling) -> 
 
 
 def _predicted(document: Document, craft: Craft, settling: Settling, lasts: float) -> list[arb]:
-    """Return errors of predictions while navigation is lost, and what is left of the first estimate's."""
+    """Return errors of predictions while navigation is lost, and the rest of the first estimate's."""
     plant, n = craft.plant, craft.plant.A.nrows()
     age = arb(lasts) + document.timing.get("delay", 0.0)
     age += plant.h * (2 * document.timing.get("missed", 0) + 1)

@@ -27,7 +27,7 @@ SCATTER = 0.4
 """Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
 
 ROUNDS, SPARE = 100, 1e-3
-"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
+"""Most rounds until a bound holds that allows for the errors which it causes, and the enlargement by each."""
 
 LEFT_OVER, LONGEST = 1e-3, 4096
 """Share of an error that counts as forgotten, and the most periods that may take."""
@@ -39,7 +39,7 @@ UNSEEN = 1e-6, 1e-4, 1e-3, 1e-2, 1e-1
 """Shares of the thrust limits that are taken for unknown: the first one whose gain forgets soon enough."""
 
 FOLLOWED, LITTLE = 400, 0.01
-"""Most periods for which what is left of errors is followed, and the share that may be left then.
+"""Most periods for which the rest of errors is followed, and the share that may be left then.
 
 With more periods the checker takes longer; with a larger share more of errors of thrusters counts for ever.
 """
@@ -217,7 +217,7 @@ class ObserverErrors:
         return total, np.column_stack(units)
 
     def by_age(self, settled: Array, units: Array, size: Array) -> tuple[tuple[int, ...], Array]:
-        """Return ages, and what errors of thrusters of so many periods ago or more make, (ages, n, m).
+        """Return ages, and gains of thruster errors of so many periods ago or more, (ages, n, m).
 
         `units` (n, m) is what errors of any age make of estimates, those of a size (m,) telling which ages
         matter; `settled` (n,) is all.
@@ -339,7 +339,7 @@ def _made(
 
 
 def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
-    """The gain of a Kalman filter with covariances of what is predicted and of what is measured."""
+    """The gain of a Kalman filter with covariances of the prediction and of the measurement."""
     return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
 
 

@@ -1,4 +1,4 @@
-"""Bounds on errors of the state that flight software predicts, and on what instants and pulses add."""
+"""Bounds on errors of the state that flight software predicts, and on those by instants and pulses."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -109,7 +109,7 @@ class OutsideCone:
 
 
 class KeepIn(Anchored):
-    """A set at rest that the chaser must stay inside; what is unsafe is its outside."""
+    """A set at rest that the chaser must stay inside; its outside is unsafe."""
 
     @property
     def path(self) -> str:

@@ -1,4 +1,4 @@
-"""The perception oracle: what must be avoided, over-approximated by timed polytopes (Definition 2).
+"""The perception oracle: the sets to avoid, over-approximated by timed polytopes (Definition 2).
 
 Every obstacle gives both sides of the bargain: `timed_polytopes`, which proofs and the planner rely
 on and which contain the true set at every instant of every cell, and the true set itself

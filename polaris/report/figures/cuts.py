@@ -1,4 +1,4 @@
-"""Marks where the frame of a figure cuts what is drawn."""
+"""Marks where the frame of a figure cuts the drawing."""
 
 from typing import Any
 

@@ -119,7 +119,7 @@ def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Actor]) ->
 
 
 def _draw_limit(ax: Any, limit: Limit, view: tuple[float, float], end: float) -> None:
-    """Draw a limit with its name, and shade what lies beyond it."""
+    """Draw a limit with its name, and shade the region beyond it."""
     colour = RED if limit.unsafe else GREY
     ax.axhline(limit.y, color=colour, lw=0.7, zorder=0.6)
     beyond = {"below": view[0], "above": view[1]}.get(limit.unsafe, limit.y)
@@ -159,7 +159,7 @@ def modes_figure(picture: PlotData) -> Any:
 
 
 def margin_figure(picture: PlotData) -> Any:
-    """The containment margin of every step, and below it what limits it."""
+    """The containment margin of every step, and below it the constraint that limits it."""
     figure = new_figure(2.4)
     ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
     floor = -0.3 if np.any(picture.margins < 0) else -0.03

@@ -69,7 +69,7 @@ def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
 
 
 def _tradeoffs(methods: Methods) -> Markup:
-    """The picture of what every method gains and loses, within the page."""
+    """The figure of every method's gains and losses, within the page."""
     from ..figures.comparison import tradeoffs_png
 
     caption = (

@@ -56,7 +56,7 @@ def flight_timeline(run: InspectionRun, families: Families) -> Timeline:
 
 
 def deputies(run: InspectionRun) -> list[Actor]:
-    """Return all deputies with what they flew."""
+    """Return all deputies with their paths."""
     return [
         _pilot(i, f"deputy {i}", run.t, run.x[:, i], run.u[:, i], run.status[:, i])
         for i in range(run.inspection.deputies)

@@ -12,7 +12,7 @@ GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", 
 RED = "#C0202B"  # unsafe sets: darker than the orange, so that they differ in grey too
 GREY = "#767676"
 DULL_RED, OLIVE, DARK_OLIVE = "#9C4A50", "#8A7F00", "#6B6200"
-"""Covers of other satellites, edges of recoverable sets, and what is written at them."""
+"""Covers of other satellites, edges of recoverable sets, and their labels."""
 
 MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
 SET_SHADES = ("#9A141D", "#F3A6AB")  # darkest and lightest of unsafe sets that are told apart

@@ -1,1 +1,1 @@
-"""Loop of the craft under its safety controller, and what errors need in it."""
+"""Loop of the craft under its safety controller, and the tightening by its errors."""

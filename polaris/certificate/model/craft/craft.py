@@ -32,7 +32,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Craft:
-    """The loop, and what is uncertain in it."""
+    """The loop, and its uncertainties."""
 
     plant: Plant
     gain: arb_mat  # of the law, shape (m, n)
@@ -70,7 +70,7 @@ class Craft:
 
     @cached_property
     def commands(self) -> arb_mat:
-        """K: the law commands ``-K z``, and what estimates are off beside; shape (m, N)."""
+        """K: the law commands ``-K z``, beside the effect of estimate errors; shape (m, N)."""
         return self.gain * self.sees
 
     @cached_property
@@ -141,7 +141,7 @@ class Craft:
 
     @cached_property
     def spans(self) -> list[tuple[arb_mat, Motion]]:
-        """Matrices by which what is added in each part of the period enters the state, and its motions."""
+        """Matrices by which additions in each part of the period enter the state, and its motions."""
         if len(self.parts) == 1 and self.parts[0][0] == 0:
             return [(self.parts[0][2], self.motion)]
         plant = self.plant
@@ -151,7 +151,7 @@ class Craft:
         ]
 
     def added(self, error: list[arb]) -> list[arb_mat]:
-        """Generators of what a period adds, errors of inputs up to some sizes included, noise apart."""
+        """Generators of a period's additions, errors of inputs up to some sizes included, noise apart."""
         pushes = [*self.plant.push(error), *self.steady]
         sampled = [sample.adds * diagonal(sample.size) for sample in self.samples]
         return [*sampled, *(enters * motion.pushed(*pushes) for enters, motion in self.spans)]
@@ -177,7 +177,7 @@ class Craft:
 
     @cached_property
     def varying(self) -> Craft:
-        """Return the loop without what is constant in a whole flight."""
+        """Return the loop without errors that are constant in a whole flight."""
         steady = [push for push in self.steady if push not in self.plant.bias]
         samples = [
             replace(each, size=[x - y for x, y in zip(each.size, each.constant, strict=True)], constant=[])
@@ -189,7 +189,7 @@ class Craft:
 
     @cached_property
     def constants(self) -> list[arb_mat]:
-        """Generators of what adds in every period the same, shape (N, k) each."""
+        """Generators of errors that are constant over all periods, shape (N, k) each."""
         generators = [each.adds * diagonal(each.constant) for each in self.samples if each.constant]
         for push in self.plant.bias:
             each = [enters * motion.gamma * push.V * push.cover for enters, motion in self.spans]
@@ -215,7 +215,7 @@ class Craft:
         return bent if len(ways) == 1 else bent + magnitude(ways[0] - ways[1]) * moved
 
     def disturbed(self, rows: arb_mat) -> list[arb]:
-        """Support along rows (r, N) of what enters in a period beside errors of inputs and estimates."""
+        """Support along rows (r, N) of the disturbances of a period beside errors of inputs and estimates."""
         total = [arb(0)] * rows.nrows()
         for sample in self.samples:
             total = sums(total, (magnitude(rows * sample.adds) * column(sample.size)).entries())

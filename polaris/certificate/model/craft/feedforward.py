@@ -14,14 +14,14 @@ from .settling import Settling
 from .tightening import Tightening
 
 ROUNDS, SPARE = 300, 1e-3
-"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
+"""Most rounds until a bound holds that allows for the errors which it causes, and the enlargement by each."""
 
 Along = list[list[list[arb]]]
 """Bounds by step, node of the step and row."""
 
 
 class Feedforward:
-    """The input of the reference, what S corrects of its errors, and their response along rows.
+    """The input of the reference, S's corrections of its errors, and their response along rows.
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
     The tail is flown again and again: over it bounds on commands do not grow, over its second half they last.

@@ -94,7 +94,7 @@ class ObserverErrors:
         return self.powers[age]
 
     def _known(self, age: int) -> None:
-        """Work out what updates up to so many periods ago add."""
+        """Compute the errors that updates up to so many periods ago add."""
         for at in range(len(self.come), age + 1):
             left, come = self.error_map(at), list[list[Bounds]]()
             self.turned.append([magnitude(left * update.other) for update in self.updates])
@@ -169,7 +169,7 @@ class ObserverErrors:
         return [*errors[: near + 1], [x * share for x in maxima(*usual)]]
 
     def check_settled(self, document: Document) -> Bounds:
-        """Check settled errors, and what a certificate states of those that thrusters make, by their age.
+        """Check settled errors, and a certificate's statements on those by thrusters, by their age.
 
         Returned are bounds on errors without what grows with commands, leads of pulses apart.
         """

@@ -1,4 +1,4 @@
-"""Settling of the loop of a craft, and sums of responses by the age of what caused them."""
+"""Settling of the loop of a craft, and sums of responses by the age of their causes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST = 20000  # most periods that are followed one by one
 
 @dataclass(frozen=True, eq=False)
 class Settling:
-    """Settling horizon N: the number of periods after which the loop has forgotten what it was.
+    """Settling horizon N: the number of periods after which the loop has forgotten its first state.
 
     With ``z > 0`` and ``|F^N| z <= c z``, c < 1, every undisturbed state of the loop that was within z is
     within ``c^a z`` at node ``a N``, and this needs nothing but a product of two matrices to be checked.

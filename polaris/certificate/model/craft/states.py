@@ -1,4 +1,4 @@
-"""States that the loop of a craft has beside its tracking error, and how what is uncertain enters them."""
+"""States that the loop of a craft has beside its tracking error, and how uncertainties enter them."""
 
 from dataclasses import dataclass, field, replace
 from math import ceil
@@ -16,7 +16,7 @@ Blocks = dict[int, arb_mat]
 """Entries by block of the loop state; block 0 is the tracking error."""
 
 Noise = tuple[arb_mat, list[arb]]
-"""Map of errors of estimates into what the law sees, (n, k), and bounds on them, (k)."""
+"""Map of errors of estimates into the law's input, (n, k), and bounds on them, (k)."""
 
 
 @dataclass
@@ -91,7 +91,7 @@ class States:
             self.shown_now = [0 * one]
 
     def impulses(self) -> None:
-        """Carry what is left of the impulses of a period to the next one."""
+        """Carry the rest of the impulses of a period to the next one."""
         self.carries = self.add([arb(self.plant.carried)] * self.plant.B.ncols())
 
     def _carry(self) -> None:

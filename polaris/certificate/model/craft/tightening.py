@@ -265,7 +265,7 @@ class SetIntersample:
         return self.start.reduced(FEW * self.start.c.nrows())
 
     def next_to(self, lag: int) -> list[arb]:
-        """Bounds for the periods next to node l: no more than `Tightening.bend` says."""
+        """Bounds for the periods next to node l: no more than the bound for all periods."""
         return maxima(*(self._within(at) for at in {lag, max(lag - 1, 0)}))
 
     def _within(self, lag: int) -> list[arb]:
