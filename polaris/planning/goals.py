@@ -67,7 +67,7 @@ class Goal(ABC):
         return self
 
     def residual(self, x: Array) -> tuple[float, str]:
-        """Largest violation of the goal itself [m] and what it is, at a state x of shape (n,)."""
+        """Largest violation of the goal itself [m] and its name, at a state x of shape (n,)."""
         return self.conditions.residual(x), self.describe()
 
     def violation(self, x: Array) -> tuple[float, str]:

@@ -215,7 +215,7 @@ def _show(
 
 
 def _synthesis(grid: DecisionGrid, key: str) -> float:
-    """Wall time of what the method needs of the two algorithms [s]."""
+    """Wall time of the method's use of the two algorithms [s]."""
     seconds = grid.schedule.seconds
     if key == "experimental":
         return 0.0

@@ -223,7 +223,7 @@ class DecisionGrid:
 
     @cached_property
     def discrete(self) -> tuple[Array, Array, Array]:
-        """Transition from node to node, and what an input and a disturbance held meanwhile add."""
+        """Transition from node to node, and the effects of an input and a disturbance held meanwhile."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.h)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.h)[1]
 

@@ -27,7 +27,7 @@ class Formation(Protocol):
         """Limit of every input [N], one number or shape (m,)."""
 
     def discretize(self, duration: float) -> tuple[Array, Array]:
-        """Transition (n, n) over a time [s], and what an input held meanwhile adds, (n, m)."""
+        """Transition (n, n) over a time [s], and the effect of an input held meanwhile, (n, m)."""
 
 
 def commanded(
@@ -36,7 +36,7 @@ def commanded(
     shape: tuple[int, ...],
     caught: type[BaseException] = Exception,
 ) -> tuple[Array | None, str]:
-    """Return an untrusted controller's command, an array of our own, and what is wrong with it, in words.
+    """Return an untrusted controller's command, an array of our own, and its faults, in words.
 
     None where it raises what is `caught` or answers no numbers of the shape; numbers need not be finite.
     """

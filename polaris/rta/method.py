@@ -1,4 +1,4 @@
-"""The one protocol of all run-time assurance methods, their registry, and what they answer."""
+"""The one protocol of all run-time assurance methods, their registry, and their answers."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

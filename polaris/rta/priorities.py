@@ -28,7 +28,7 @@ EXACT = 1e-12  # ... and no settled row is missed by more than this.
 
 @dataclass(frozen=True, eq=False)
 class _Least:
-    """An input, its largest shortage, and what a unit of each row's need adds to that."""
+    """An input, its largest shortage, and the change of that by a unit of each row's need."""
 
     u: Array
     short: float

@@ -63,7 +63,7 @@ class _Program:
             raise self._refused(f'must answer {{"u": [[...], ...]}}; answered {line[:60]!r}') from None
 
     def end(self) -> None:
-        """End it, and what it has started."""
+        """End the program, and those it has started."""
         if self.process.returncode is None:
             with suppress(OSError):
                 os.killpg(self.process.pid, signal.SIGKILL) if hasattr(os, "killpg") else self.process.kill()

@@ -1,4 +1,4 @@
-"""Pictures of what Algorithms 1 and 2 found, with slices of the recoverable sets."""
+"""Plot data of the results of Algorithms 1 and 2, with slices of the recoverable sets."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,7 +18,7 @@ SLICES = 240  # decisions, and besides them switches, up to which all get a slic
 
 
 def safety_plot_data(safety: Safety, title: str = "Safe reference", **found: Any) -> PlotData:
-    """Return the plot data of Algorithm 1, what Algorithm 2 `found`, and slices of the recoverable sets."""
+    """Return plot data of Algorithm 1, results `found` by Algorithm 2, and slices of the recoverable sets."""
     problem = safety.problem
     scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
     picture = PlotData(title, *scene, safety.reference, problem.K, **found)

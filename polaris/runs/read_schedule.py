@@ -1,4 +1,4 @@
-"""The schedule of a run folder: what had to be found is read, all that follows from it is proven again."""
+"""The schedule of a run folder: search results are read, all that follows from them is proven again."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

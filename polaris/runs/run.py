@@ -37,7 +37,7 @@ def run(
     fresh: bool = False,
     black_boxes: Mapping[str, Ask] | None = None,
 ) -> RunFolder:
-    """Run a scenario and write what was found into a folder, as ``polaris run`` does.
+    """Run a scenario and write the results into a folder, as ``polaris run`` does.
 
     A schedule is synthesised, proven and flown in simulation; a flight of the inspection problem is flown
     under its filter and judged, one into the fuel limit until the backup has taken over, many as a campaign.

@@ -67,7 +67,7 @@ DATA_FILES = (
 
 @dataclass(frozen=True, eq=False)
 class FlownSchedule:
-    """A schedule, the simulated runs of S, U and Polaris, and what no schedule can exceed."""
+    """A schedule, the simulated runs of S, U and Polaris, and the bound that no schedule can exceed."""
 
     schedule: Schedule
     flown: Mapping[str, baselines.ControllerRuns]
@@ -76,7 +76,7 @@ class FlownSchedule:
 
 
 def digest(schedule: Schedule) -> str:
-    """SHA-256 of what a schedule does: modes, references, gains, limits."""
+    """SHA-256 of a schedule's content: modes, references, gains, limits."""
     sha = hashlib.sha256()
     safety = schedule.safety
     system = safety.problem.system

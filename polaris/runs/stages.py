@@ -45,10 +45,10 @@ class Stages:
         return {**self.seconds, "other": total - sum(self.seconds.values()), "total": total}
 
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:
-        """Take note of what the stage is doing, and how far it is if that is known."""
+        """Take note of the stage's present work, and how far it is if that is known."""
 
     def counting(self, form: str) -> Callable[[int, int], None]:
-        """Callback of what is counted; `form` says what, as in ``schedule: step {} of {}``."""
+        """Callback of a counter; `form` names the counted items, as in ``schedule: step {} of {}``."""
         return lambda done, total: self.note(form.format(done, total), done, total)
 
     def planner(self, progress: Progress) -> None:

@@ -194,7 +194,7 @@ class _Shielding:
 
 
 class Shield(_Shielding, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
-    """Run-time assurance between policy and spacecraft, whatever else wraps the environment.
+    """Run-time assurance between policy and spacecraft, under any other wrapper of the environment.
 
     The online monitor for switching scenes: S flies wherever not everything that the thrusters could do
     until the next decision is recoverable. An assured filter for inspection: as much is applied of what is

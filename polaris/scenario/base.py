@@ -30,7 +30,7 @@ Built = TypeVar("Built")
 
 
 def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
-    """Make a method without arguments keep its result: what the rules asked for is not built again."""
+    """Make a method without arguments keep its result: values that rules asked for are built once."""
     name = f"_kept_{build.__name__}"
 
     @wraps(build)
@@ -46,7 +46,7 @@ def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
 @short_repr
 @dataclass(frozen=True, eq=False)
 class Scenario(ABC):
-    """A validated scenario; subclasses, one for each kind, build what it describes.
+    """A validated scenario; subclasses, one for each kind, build the described objects.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Scenario(ABC):
     def with_sources(
         cls, document: Mapping[str, Any], folder: Path | None, source: str | None
     ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
-        """Return a document with numbers in place of what they follow from, and a line on each."""
+        """Return a document with numbers in place of their sources, and a line on each."""
         return document, ()
 
     def set(self, key: str, value: Any) -> Self:
@@ -201,7 +201,7 @@ class Scenario(ABC):
         return self.text if self.text is not None else self.to_toml()
 
     def copy_text(self) -> str:
-        """Text of its copy in a run folder: its own, or all values under a note of what changed."""
+        """Text of its copy in a run folder: its own, or all values under a note of the changes."""
         text = self._copied()
         for what, lines in (("with these overrides", self.overrides), ("with what followed", self.derived)):
             if lines:

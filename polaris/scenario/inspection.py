@@ -87,7 +87,7 @@ class FilteredScenario(InspectionScenario):
         return spec.build(self.inspection(), alpha, period, self.uncertainty())
 
     def uncertainty(self) -> Uncertainty:
-        """Return bounds on what is not known exactly; none, where the scenario has no tables of it."""
+        """Return bounds on uncertain values; none, where the scenario has no tables of it."""
         return Uncertainty(jitter=0.0)
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
@@ -163,7 +163,7 @@ class FlightScenario(FilteredScenario):
         return x[0], float(sun[0])
 
     def uncertainty(self) -> Uncertainty:
-        """Return bounds on what is not known exactly."""
+        """Return bounds on uncertain values."""
         model, push = self.model, self.model.flight.disturbance_max_m_s2
         for table, key in SCHEDULES_ONLY:
             part = getattr(model, table)

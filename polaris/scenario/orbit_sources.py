@@ -56,7 +56,7 @@ class _Orbit(ScenarioPart):
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Inertial states of the target by time [s], epoch of the time 0 [ns], and what it is from."""
+    """Inertial states of the target by time [s], epoch of the time 0 [ns], and their source."""
 
     states: Callable[[Array], Array]
     epoch: int
@@ -176,7 +176,7 @@ class _Resolved:
         return _Path(lambda times: propagate(env, start, times), epoch, frame, time, math.inf, source)
 
     def _environment(self, motion: float | None) -> tuple[Environment, Orbit]:
-        """Return the table as an environment: what is still missing there is 0."""
+        """Return the table as an environment: missing values are 0."""
         filled = {"radius_deviation_max_m": 0.0, "radial_rate_max_m_s": 0.0, "rate_deviation_max": 0.0}
         table = validate(_Orbit, {"orbit": {**filled, **self.orbit}}, self.where).orbit
         made: Environment = table.make("orbit", mean_motion=motion or 1e-3)
@@ -242,7 +242,7 @@ class _Resolved:
         )
 
     def _allow(self, reach: float) -> None:
-        """Let the disturbance bound be what covers the model error within a distance [m]."""
+        """Let the disturbance bound cover the model error within a distance [m]."""
         system = self.document.get("system")
         eta = system.get("mean_motion_rad_s") if isinstance(system, dict) else None
         if not isinstance(system, dict) or not isinstance(eta, float) or not 0 < eta <= 0.01:

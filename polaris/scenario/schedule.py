@@ -1,4 +1,4 @@
-"""Scenarios of switching schedules: what Algorithms 1 and 2 are asked."""
+"""Scenarios of switching schedules: the problem of Algorithms 1 and 2."""
 
 from __future__ import annotations
 

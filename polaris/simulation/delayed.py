@@ -62,7 +62,7 @@ class Predicting(Integrator):
         self.measured = -1
 
     def known_to(self, system: Craft) -> Array:
-        """Bounds on the errors of predictions in a step, whatever was commanded before, shape (n,)."""
+        """Bounds on the errors of predictions in a step under any earlier commands, shape (n,)."""
         return system.navigation
 
     def _noise(self) -> Array:
@@ -133,7 +133,7 @@ class Predicting(Integrator):
         return self.filtered
 
     def estimate(self, step: int, x: Array) -> Array:
-        """Return the state as it is predicted from the last measurement under what was commanded since."""
+        """Return the state as it is predicted from the last measurement under the commands since."""
         self.seen[step] = x
         predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.estimate_bounds[step, 0] + self.system.state_offset_at_nodes, 1e-300)
@@ -173,13 +173,13 @@ class Predicting(Integrator):
         return super().lateness(step) if late is None or not step else late / self.substeps
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
-        """States a step later, what is measured at its start being noted."""
+        """States a step later, with the measurement at its start noted."""
         at = k * self.steps_per_cell + step
         self.seen[at] = x[:, : self.system.n]
         return super().move(k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:
-        """Return None: what is commanded depends on more than the state."""
+        """Return None: the command depends on more than the state."""
 
 
 def flies(system: Craft) -> type[Integrator]:

@@ -229,7 +229,7 @@ def _undisturbed(flight: Integrator) -> Runs:
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
-    """Return a controller's transitions over a step per set of clipped inputs, what is held adds; gain.
+    """Return a controller's transitions over a step per set of clipped inputs, effects of held inputs; gain.
 
     For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
     """

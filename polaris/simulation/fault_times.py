@@ -71,7 +71,7 @@ class FaultTimes:
         return {"fault": names, "fault_begins_s": begins, "fault_ends_s": ends}
 
     def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
-        """Return True where S flies from the node `effect` on, whatever is decided on what is measured at k.
+        """Return True where S flies from the node `effect` on, whichever decision follows the measurement.
 
         Nothing is measured, or it was before a fault was isolated.
         """
@@ -123,7 +123,7 @@ def drawn(
 def in_every_second(
     schedule: Schedule, per_node: int, rows: Array, steps: int, runs: int, rng: np.random.Generator
 ) -> FaultTimes | None:
-    """Draw what fails in the runs of odd numbers, and when; half of them at the worst along a row."""
+    """Draw the faults of the runs of odd numbers, and their times; half of them at the worst along a row."""
     if not schedule.safety.tracking.system.transients:
         return None
     targets = rng.integers(1, steps + 1, runs)

@@ -87,7 +87,7 @@ class Firing:
         return self.made if self.faults is None else self.made + self.faults.added(made, step)
 
     def _wrong(self, thrust: Array, step: int, commanded: Array, made: Array) -> Array:
-        """Return the errors of thrust in a step, by what is commanded and what is made of it, (R, m)."""
+        """Return the errors of thrust in a step, by the commanded and the made thrust, (R, m)."""
         m, errors = self.system.m, self.thrusters
         if not errors.constant:
             return np.asarray(thrust[step][:, :m] * errors.error(commanded))
@@ -107,7 +107,7 @@ class Firing:
         )
 
     def start(self, step: int) -> None:
-        """Note when what is made in the period that begins with a step, and before, is in force."""
+        """Note when thrust made in the period that begins with a step, and before, is in force."""
         late, last = np.zeros((len(self.made), 1)), self.parts
         if self.jitter > 0:
             late, held, self.before = self.lateness(step), self.before, self.made
@@ -133,7 +133,7 @@ class Firing:
         return self.system.timing.jitter / (self.dt * self.substeps)
 
     def lateness(self, step: int) -> Array:
-        """Return the share of the period by which what is made takes effect late, (R, 1): all or nothing.
+        """Return the share of the period by which made thrust takes effect late, (R, 1): all or nothing.
 
         Late is what the last inputs do more for along `thrust`, and nothing in the first period.
         """

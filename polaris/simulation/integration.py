@@ -19,7 +19,7 @@ from .run_metrics import Runs
 
 
 def columns(system: Craft, told: int = 0) -> tuple[slice, slice, slice, slice]:
-    """Columns of w, errors of estimates and thrusters where not exact, and shares of what networks hear.
+    """Columns of w, errors of estimates and thrusters where not exact, and shares of the networks' inputs.
 
     Where shares of commands are constant in a flight their matrix follows the fixed errors of thrusters.
     """
@@ -79,13 +79,13 @@ class Integrator(Firing):
 
     @cached_property
     def discrete(self) -> tuple[Array, Array, Array]:
-        """Transition over a step, and what an input and a disturbance held over it add."""
+        """Transition over a step, and the effects of an input and a disturbance held over it."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
 
     @cached_property
     def estimate_bounds(self) -> Array:
-        """Bounds on errors of estimates in every step, (steps, 1, n), whatever was commanded before."""
+        """Bounds on errors of estimates in every step, (steps, 1, n), under any earlier commands."""
         cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
 

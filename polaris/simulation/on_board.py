@@ -45,7 +45,7 @@ void step(int32_t runs, {1} *memory, const {0}_input *input, {0}_output *output)
 
 
 class FlightCode:
-    """Compiled flight code, and what it keeps of R flights.
+    """Compiled flight code, and its memory of R flights.
 
     Parameters
     ----------

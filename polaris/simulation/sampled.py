@@ -130,7 +130,7 @@ def with_boxes(
     safety: Safety | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SampledSchedules:
-    """`synthesize_sampled` as a scenario wants it, with what is asked of its black boxes by their names."""
+    """`synthesize_sampled` as a scenario wants it, with the functions of its black boxes by their names."""
     scenario.check_black_boxes(boxes)
     safety = get_safety(scenario) if safety is None else safety
     laws = scenario.controllers(safety, boxes)

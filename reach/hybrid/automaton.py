@@ -1,4 +1,4 @@
-"""Hybrid automata with affine dynamics: modes, transitions, and what is refused."""
+"""Hybrid automata with affine dynamics: modes, transitions, and refused cases."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Segment:
 
     @property
     def steps(self) -> tuple[Index, Index]:
-        """Indices (k, i) of what is alive, each of shape (M,)."""
+        """Indices (k, i) of live segments, each of shape (M,)."""
         k, i = np.nonzero(self.alive)
         return k, i
 

@@ -1,4 +1,4 @@
-"""Tubes of hybrid automata: every trajectory, at all times, whatever transitions it takes.
+"""Tubes of hybrid automata: every trajectory, at all times, with any transitions.
 
 A worklist of start sets: those of a mode are followed at once, and what can take a transition is next.
 Steps are enclosed continuously in time, guards and invariants cut, entry times kept as intervals.
@@ -116,7 +116,7 @@ def hybrid_tube(
 
 
 def _require_positive(name: str, given: Any) -> None:
-    """Refuse what is not positive: a number (of a tolerance several), or a mapping from names to such."""
+    """Refuse all that is not positive: a number (of a tolerance several), or a mapping from names to such."""
     for value in given.values() if isinstance(given, Mapping) else (given,):
         if value is None:
             continue

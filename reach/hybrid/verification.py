@@ -68,7 +68,7 @@ def verify_hybrid(
     runs: int = 100,
     seed: int = 0,
 ) -> HybridVerdict:
-    """Decide whether every trajectory meets what is asked in each mode, in continuous time.
+    """Decide whether every trajectory meets the requirement of each mode, in continuous time.
 
     First trajectories are tried that may break it: from corners of the initial set, with the
     earliest and the latest transitions. If none does, the tube is checked, and if that does not

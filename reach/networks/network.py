@@ -1,4 +1,4 @@
-"""Feed-forward networks as functions, and sound enclosures of what they make of a zonotope."""
+"""Feed-forward networks as functions, and sound enclosures of their images of a zonotope."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def _weights(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Array,
 
 
 def _normalised(inputs: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
-    """Less the mean, then scaled and shifted: what each step rounds to is relative to its own terms."""
+    """Less the mean, then scaled and shifted: each step's rounding is relative to its own terms."""
     if len(inputs) < 5 or inputs[0] is not None or more.get("training_mode", 0):
         raise ReachError("BatchNormalization must be that of inference")
     gain, shift, mean, variance = (_spread(value, width) for value in inputs[1:5])

@@ -48,7 +48,7 @@ def check_fields(value: Any) -> None:
 
 
 def as_kind(name: str, kind: str, value: Any) -> Any:
-    """The value as what an annotation asks for; names of classes that are not in the table are looked for."""
+    """The value in an annotation's type; names of classes that are not in the table are looked for."""
     options = kind.split(" | ")
     if value is None and not {"None", "Any", "Bound"}.isdisjoint(options):
         return None
@@ -153,7 +153,7 @@ def as_numbers(name: str, value: Any) -> Array:
 
 
 def as_shaped(name: str, value: Any, wanted: str, fits: Callable[[tuple[int, ...]], bool]) -> Array:
-    """An array of finite floats whose shape fits what is wanted."""
+    """An array of finite floats whose shape fits the wanted one."""
     array = as_numbers(name, value)
     shaped = fits(array.shape)
     if not shaped or not np.isfinite(array).all():
@@ -168,7 +168,7 @@ def as_array(name: str, value: Any, *shape: int) -> Array:
 
 
 def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
-    """Fields of a frozen dataclass as arrays of finite floats, which replace what was given."""
+    """Fields of a frozen dataclass as arrays of finite floats, which replace the given values."""
     arrays = tuple(as_numbers(name, getattr(X, name)) for name in names)
     for name, values in zip(names, arrays, strict=True):
         if not np.isfinite(values).all():
@@ -229,27 +229,27 @@ def as_count(name: str, value: Any) -> int:
 
 
 def require_positive(name: str, value: Any) -> None:
-    """Refuse what is not one finite number above zero."""
+    """Refuse all but one finite number above zero."""
     if not (_is_number(value) and 0 < value < np.inf):
         raise ReachError(f"the {name} must be a finite number > 0, got {value!r}")
 
 
 def require_same_dim(a: Any, b: Any) -> None:
-    """Refuse what is no set, and sets of different dimensions."""
+    """Refuse values that are no sets, and sets of different dimensions."""
     require_sets(a, b)
     if a.dim != b.dim:
         raise ReachError(f"sets of dimensions {a.dim} and {b.dim} do not go together")
 
 
 def require_sets(*values: Any) -> None:
-    """Refuse what is not a convex set."""
+    """Refuse all but convex sets."""
     for value in values:
         if not is_set(value):
             raise ReachError(f"a convex set is needed, got {type(value).__name__}")
 
 
 def require_single(name: str, value: Any, n: int | None = None) -> None:
-    """Refuse what is not one convex set, of dimension n if that is given."""
+    """Refuse all but one convex set, of dimension n if that is given."""
     if not is_set(value):
         raise ReachError(f"{name} must be a convex set, got {type(value).__name__}")
     if getattr(value, "batch", ()):

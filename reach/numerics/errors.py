@@ -2,7 +2,7 @@
 
 
 class ReachError(ValueError):
-    """A set or system is malformed: the message says what was given and what is required."""
+    """A set or system is malformed: the message names the given value and the requirement."""
 
 
 class Unresolved(ReachError):
@@ -10,4 +10,4 @@ class Unresolved(ReachError):
 
 
 class ReachWarning(UserWarning):
-    """A result is sound but of little use: the message says why, and what would help."""
+    """A result is sound but of little use: the message says why, and names a remedy."""

@@ -1,4 +1,4 @@
-"""Matrix exponentials of linear systems and bounds on what happens between samples."""
+"""Matrix exponentials of linear systems and bounds on motion between samples."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the
 
 
 def require_square(name: str, M: Array) -> None:
-    """Refuse what is not one square matrix."""
+    """Refuse all but one square matrix."""
     if M.ndim != 2 or M.shape[0] != M.shape[1] or len(M) == 0:
         raise ReachError(f"{name} must be a square matrix, got shape {M.shape}")
 

@@ -1,4 +1,4 @@
-"""Rounding: what sums can be wrong by, and exact integers (floats times a power of two)."""
+"""Rounding: error bounds of sums, and exact integers (floats times a power of two)."""
 
 from fractions import Fraction
 from itertools import combinations

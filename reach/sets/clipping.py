@@ -68,7 +68,7 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, Flag
 
 
 def _narrow(Z: Zonotope, H: Array, low: Array, high: Array, meets: Flags) -> tuple[Zonotope, Flags]:
-    """Shrink the range of every coefficient to what the strips allow."""
+    """Shrink the range of every coefficient to the values the strips allow."""
     a = H @ Z.G  # (M, q, g)
     d = (H @ Z.c[..., None])[..., 0]
     lo, hi = np.full((len(Z), Z.order_count), -1.0), np.full((len(Z), Z.order_count), 1.0)

@@ -108,7 +108,7 @@ class Intersection(CompositeSet):
         return min(best, total) if np.isfinite(total) else best
 
     def _furthest(self, D: Array) -> Array:
-        """Points pulled in where there is room."""
+        """Points pulled inside where that is possible."""
         self._refuse_empty()
         out = []
         for d in D.reshape(-1, self.dim):

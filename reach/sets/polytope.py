@@ -173,7 +173,7 @@ class HPolytope(SetOperators):
         return level, left + gamma(m) * (multipliers @ np.abs(self.A) + np.abs(directions))
 
     def _support(self, D: Array) -> Array:
-        """The bound of `support_up` where there is one, else what the solver says (1e-9 relative)."""
+        """The bound of `support_up` where there is one, else the solver's value (1e-9 relative)."""
         values, _, multipliers = self._answers(D)
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
@@ -277,7 +277,7 @@ class HPolytope(SetOperators):
         return np.asarray(points[near] * scale + self.center)
 
     def volume(self) -> float:
-        """Volume of the hull of the vertices; see `vertices` for what is refused."""
+        """Volume of the hull of the vertices; see `vertices` for refused cases."""
         from scipy.spatial import ConvexHull
 
         points = self.vertices()

@@ -83,7 +83,7 @@ class Adjoint:
         return np.moveaxis(products.reshape(*rows.shape[:-1], 3, -1), -2, 0)
 
     def supports(self, piece: int, along: Array, attained: bool = False) -> Array:
-        """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains."""
+        """``sup over u in U of b u + c`` for rows ``[b c]``, or the value of some u."""
         return driven_support(self.inputs[piece] if self.inputs else None, along, attained)
 
     def magnitudes(self, piece: int, along: Array) -> Array:
@@ -100,7 +100,7 @@ class Adjoint:
         return _magnitude(self.initial, rows / self.rows.scale), rate
 
     def sizes(self, rows: Array, h: float) -> tuple[Array, Array]:
-        """Largest absolute values over a block: of the first part, and about what the inputs add, (r,)."""
+        """Largest absolute values over a block: of the first part, and about the inputs' addition, (r,)."""
         first, rate = self.values(rows)
         return first.max(axis=0), h * np.minimum(rate[1:], rate[:-1]).sum(axis=0)
 
@@ -161,7 +161,7 @@ def attained_support(body: Any, rows: Array, support: Array) -> Array:
 
 
 def driven_support(U: Any, along: Array, attained: bool = False) -> Array:
-    """``sup over u in U of b u + c`` for rows ``[b c]``, or what some u attains; c where there is no U."""
+    """``sup over u in U of b u + c`` for rows ``[b c]``, or the value of some u; c where there is no U."""
     value, rows = along[..., -1], along[..., :-1]
     if U is not None:
         support = supported(U, rows)

@@ -68,12 +68,12 @@ class RowBounds:
 
 @dataclass
 class EffortBudget:
-    """Count of what is computed, the same on every machine, and how much of it is allowed."""
+    """Count of computed numbers, the same on every machine, and its limit."""
 
     left: float = np.inf
 
     def spend(self, numbers: float) -> None:
-        """Take numbers from what is left; `Unresolved` once there is none."""
+        """Take numbers from the rest of the count; `Unresolved` once there is none."""
         self.left -= numbers
         if self.left < 0:
             raise Unresolved("max_effort is exhausted; raise it, or the tolerance")
@@ -126,7 +126,7 @@ def collect(
 
 
 def _rounding(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
-    """Bound on both parts' rounding at nodes, (K+1, r); what a step gets wrong is carried on, and grows."""
+    """Bound on both parts' rounding at nodes, (K+1, r); a step's error is carried on, and grows."""
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
     excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])
     grown = []

@@ -96,7 +96,7 @@ class LinearFlow:
 
     @checked
     def input_map(self, B: Array) -> Array:
-        """``int_0^h e^{A_x s} ds B``: what an input held over one period adds, shape (n, m)."""
+        """``int_0^h e^{A_x s} ds B``: the effect of an input held over one period, shape (n, m)."""
         return self._integral @ B
 
     @checked

@@ -179,7 +179,7 @@ class _Stepper:
         self.weights = rows.weights(lags, rows.weights(lags, self.extent.T)).T
 
     def block(self, begin: float, h: float, count: int) -> Flowpipes:
-        """Steps that follow what was accepted, not yet accepted themselves."""
+        """Steps that follow the accepted ones, not yet accepted themselves."""
         n, M, adjoint, rows = self.n, self.M, self.propagator.adjoint, self.propagator.rows
         A, parts = rows.A, substeps(adjoint, h)
         f = h / parts

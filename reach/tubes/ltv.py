@@ -190,7 +190,7 @@ def _consistent(name: str, seen: Array, bound: Array) -> None:
 
 
 class Sweep:
-    """Steps of a varying system: transitions, what inputs add, and boxes around all rests."""
+    """Steps of a varying system: transitions, effects of inputs, and boxes around all rests."""
 
     def __init__(self, system: LTVSystem, initial: ConvexSet, horizon: float, step: float) -> None:
         n, m = system.dim, system.inputs
@@ -208,7 +208,7 @@ class Sweep:
         G = np.concatenate([B.nodes, c.nodes], axis=-1)
 
         def force(name: str) -> Array:
-            """Bound on ``[B c] (u, 1)``, or on what it changes by, over every step, shape (K, n, 1)."""
+            """Bound on ``[B c] (u, 1)``, or on its change, over every step, shape (K, n, 1)."""
             both = np.concatenate([getattr(B, name), getattr(c, name)], axis=-1)
             return np.asarray(np.abs(both) @ u)[..., None]
 
@@ -250,7 +250,7 @@ class Sweep:
         moved, lower[0] = np.zeros(n), -upper[0]
 
         def largest(bounds: Array) -> Array:
-            """Elementwise bound on what has bounds along the axes and against them."""
+            """Elementwise bound on a value with bounds along the axes and against them."""
             return np.maximum(np.abs(bounds[-2 * n : -n]), np.abs(bounds[-n:]))
 
         for k in range(K):

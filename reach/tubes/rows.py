@@ -173,7 +173,7 @@ class ExponentialRows:
         return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
 
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
-        """Factors (q,) by which states grow, from a motion with random signs, times 10 for what it misses."""
+        """Factors (q,) by which states grow, from motions of random signs, times 10 for those missed."""
         if self.contracts:
             return np.full(weights.shape[1], 2.0)
         signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)

@@ -30,7 +30,7 @@ PARTS = 16  # parts that a step of the user may be carried in whatever that cost
 CHEAP = 1_000_000  # entries of all rows of a run up to which a step is carried in as many parts as it needs
 WIDE = 10.0  # bounds between nodes that exceed what is attained by this factor are warned of
 USELESS = 1e9
-"""Bounds between nodes may exceed the size of what is bounded by this; more is an error, not a bound."""
+"""Bounds between nodes may exceed the size of the bounded value by this; more is an error, not a bound."""
 FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the horizon
 
 
@@ -90,7 +90,7 @@ def substeps(adjoint: Adjoint, step: float, horizon: float = 0.0, rows: int = 1)
 
 
 def warn_if_wide(bounds: Array, attained: Array, sizes: Array) -> None:
-    """Say so where bounds between nodes are far above what is attained at nodes, each (r,)."""
+    """Say so where bounds between nodes are far above attained values at nodes, each (r,)."""
     level = np.maximum(np.abs(attained), sizes)
     ratio = float(np.max(np.divide(bounds - attained, level, out=np.zeros_like(level), where=level > 0)))
     if ratio > WIDE:
@@ -223,7 +223,7 @@ def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None,
 
 
 def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
-    """About what rows will come to, (r,), from rates at a few instants: for the default tolerance alone."""
+    """Rough later values of rows, (r,), from rates at a few instants: for the default tolerance alone."""
     early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
     try:
         with np.errstate(over="ignore", invalid="ignore"):

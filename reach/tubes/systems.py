@@ -1,4 +1,4 @@
-"""Linear systems with uncertain inputs: what the tubes of this library are computed for."""
+"""Linear systems with uncertain inputs: the subject of all tubes of this library."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Motions:
         return tube_of(self.system, self.initial, self.window[1], C, Steps(effort=self.effort, **how))
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
-        """A tube as sharp as a tolerance asks; between nodes what stays below its limit is sharp enough."""
+        """A tube as sharp as a tolerance asks; between nodes a bound below its limit is sharp enough."""
         end = self.window[1]
         if end == 0:
             start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
@@ -69,7 +69,7 @@ class Motions:
         return worst_case(self.system, self.initial, instant, d, step=step)
 
     def seen(self, tube: SupportTube) -> tuple[Array, Array]:
-        """Times, one each, and bounds (k, r) over what covers the window: intervals, or nodes if discrete."""
+        """Times, one each, and bounds (k, r) over a cover of the window: intervals, or nodes if discrete."""
         (begin, end), before, after = self.window, tube.times[:-1], tube.times[1:]
         if self.system.discrete or len(before) == 0:
             inside = (tube.times >= begin) & (tube.times <= end)
@@ -80,7 +80,7 @@ class Motions:
         return np.clip((before + after)[meets] / 2, begin, end), tube.interval[meets]
 
     def extremes(self, tube: SupportTube) -> tuple[Array, Array, Array]:
-        """Bounds over the window, where it is reached most, and what is attained there, each (r,)."""
+        """Bounds over the window, where it is reached most, and the attained values there, each (r,)."""
         bounds = self.seen(tube)[1].max(axis=0)
         inside = np.nonzero((tube.times >= self.window[0]) & (tube.times <= self.window[1]))[0]
         if len(inside) == 0:

@@ -49,7 +49,7 @@ def initial_conditions(picture: CampaignData) -> Any:
 
 
 def failures(picture: CampaignData) -> Any:
-    """Draw the number of failed runs of each study, by what failed."""
+    """Draw the number of failed runs of each study, by the kind of failure."""
     figure = new_figure(0.8 + 0.5 * len(picture.studies), 1.35 * WIDTH)
     ax = figure.add_subplot()
     rows = np.arange(len(picture.studies))[::-1]

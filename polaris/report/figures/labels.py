@@ -32,7 +32,7 @@ CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; e
 
 
 def name(ax: Any, text: str, points: Any, colour: Any) -> None:
-    """Write a name at what has these points (N, 2), in the units of the axes."""
+    """Write a name at an item with these points (N, 2), in the units of the axes."""
     labels = next((one for one in ax.artists if isinstance(one, Labels)), None)
     if labels is None:
         labels = ax.add_artist(Labels(zorder=7.9))
@@ -197,7 +197,7 @@ def _drawn(ax: Any, step: float, point: float) -> Array:
 
 
 def polylines(artist: Any) -> list[Array]:
-    """Vertices (N, 2) [px] of what an artist draws."""
+    """Vertices (N, 2) [px] of an artist's drawing."""
     paths = [artist.get_path()] if isinstance(artist, (Line2D, Patch)) else artist.get_paths()
     return [part for path in paths for part in _parts(path.transformed(artist.get_transform()))]
 

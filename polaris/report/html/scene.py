@@ -35,7 +35,7 @@ POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}  # symbol and size of 
 
 
 def plain(values: ArrayLike) -> Any:
-    """Nested lists of short numbers, whole ones without ``.0``; what is not finite is None."""
+    """Nested lists of short numbers, whole ones without ``.0``; those not finite are None."""
     array = np.asarray(values)
     if array.dtype.kind in "iub":
         return array.tolist()

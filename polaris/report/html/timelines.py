@@ -22,7 +22,7 @@ Samples = NDArray[np.intp]
 
 
 def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any]:
-    """Return the plot data of a page: a scene and what flies in it; `position` (d, n) is that of a state."""
+    """Return the plot data of a page: a scene and the flights in it; `position` (d, n) is that of a state."""
     controllers, chosen = timeline.controllers, dict[str, Samples]()
     for key, runs in ((one.key, one.flights) for one in controllers):  # the closest approach among them
         chosen[key] = kept(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])

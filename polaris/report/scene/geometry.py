@@ -47,7 +47,7 @@ def part_edges(q: int, parts: int) -> NDArray[np.int_]:
 
 
 def flat_outline(vertices: Array) -> Array:
-    """Convex hull (V, 2) of points in the plane, counter-clockwise; the ends of what has no area."""
+    """Convex hull (V, 2) of points in the plane, counter-clockwise; the ends of a set without area."""
     points = np.unique(vertices, axis=0)
     try:
         corners = ConvexHull(points).vertices

@@ -155,7 +155,7 @@ def _part(part: DrawnShape, axes: list[int]) -> DrawnShape | None:
 
 
 def _tube(picture: PlotData, axes: list[int]) -> list[Item]:
-    """Return the reachable positions over each part of a step, whatever the disturbance."""
+    """Return the reachable positions over each part of a step, under any disturbance."""
     tube, dim, delta = picture.tube, len(axes), picture.reference.delta
     if tube is None or not len(tube.intersample):
         return []

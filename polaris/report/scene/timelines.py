@@ -211,7 +211,7 @@ def _limit_panel(
 
 
 def _proven(picture: PlotData, bound: Array, name: str) -> Series:
-    """Return the line of what is proven in every control period, (K, q)."""
+    """Return the line of the proven bound in every control period, (K, q)."""
     (K, q), delta = bound.shape, picture.reference.delta
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
     values = np.append(bound.ravel(), bound[-1, -1])

@@ -31,7 +31,7 @@ class DecisionClock:
         self._asked: float | None = None
 
     def resynchronise(self, now: float) -> None:
-        """Believe this reading [s] at the next call, whatever was believed before.
+        """Believe this reading [s] at the next call, despite any earlier belief.
 
         The next reading may be up to the tolerance and the drift away from it.
         """

@@ -1,4 +1,4 @@
-"""One line of strict JSON per decision: what arrived, what was decided, and why.
+"""One line of strict JSON per decision: input, decision, and reason.
 
 The lines hold everything that a decision depends on, so that feeding them again gives the same ones. Wall
 times are not among it: the same inputs give the same bytes. What is not a finite number is written as the

@@ -1,4 +1,4 @@
-"""A box around the true state: what all accepted measurements allow together.
+"""A box around the true state: all states that accepted measurements allow together.
 
 The box is moved by the dynamics under any input within given bounds and any admissible disturbance, and cut
 with the box of the next measurement. If nothing is left, that measurement or an earlier one was further
@@ -60,7 +60,7 @@ class Measurement:
 
 
 class BoxMotion:
-    """Motion of boxes of states in a given time, whatever flies and whatever disturbs.
+    """Motion of boxes of states in a given time, under any controller and disturbance.
 
     With ``x(t) = e^{At} x + int e^{As} (B u + D w)``, every entry of the transition is a power series in
     t, and so are the bounds ``sum |A^i B| t^{i+1}/(i+1)!`` and ``sum norm(A^i D) t^{i+1}/(i+1)!`` on what

@@ -103,7 +103,7 @@ class MeasurementCheck:
             self.conflicts, self.agreed = self.conflicts + 1, 0  # the box stays: what lied is not let in
 
     def _read(self, measurement: object, instant: float) -> CheckedMeasurement | str:
-        """A measurement at a decision's instant [s], remembered if its form is in order; or what is wrong."""
+        """A measurement at a decision's instant [s], remembered if its form is in order; or its fault."""
         if not isinstance(measurement, Measurement):
             return "missing" if measurement is None else "malformed: not a measurement"
         stamp, x = real(measurement.stamp), numbers(measurement.state, self._shape)

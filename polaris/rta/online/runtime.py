@@ -105,7 +105,7 @@ class OnlineMonitor:
         reference: float | None = None,
         number: int | None = None,
     ) -> OnlineDecision:
-        """Decide who flies from the moment of effect on; never raises, whatever it is told.
+        """Decide who flies from the moment of effect on; never raises on any input.
 
         Every argument is read once, at the beginning; what it was is logged.
 
@@ -235,7 +235,7 @@ def replay_log(
     monitor: Monitor | MonitorOnBoard,
     options: RuntimeOptions | None = None,
 ) -> list[OnlineDecision]:
-    """Feed what a log says arrived to a new runtime with the same options.
+    """Feed the logged inputs to a new runtime with the same options.
 
     The answers are those of the flight, bit for bit, missed deadlines and faults of U included: the log
     says where they were.

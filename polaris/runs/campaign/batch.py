@@ -1,4 +1,4 @@
-"""One task of a campaign, and what a kind of run brings to it; only text and plain arrays travel."""
+"""One task of a campaign, and the contribution of a kind of run; only text and plain arrays travel."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

@@ -107,7 +107,7 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
 
 
 def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
-    """Schedule of a scenario's text, and its digest; made once per process, whatever its threads ask for."""
+    """Schedule of a scenario's text, and its digest; made once per process for all of its threads."""
     with _lock:
         made = _made(text, boxes)
     if isinstance(made, PolarisError):
@@ -157,7 +157,7 @@ class ScheduleRuns(CampaignRuns):
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> "ScheduleRuns":
-        """Build the kind (see `CampaignRuns.from_data`); what is asked of black boxes is given, not read."""
+        """Build the kind (see `CampaignRuns.from_data`); functions of black boxes are given, not read."""
         named = data["boxes"]
         return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})
 

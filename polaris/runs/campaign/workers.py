@@ -30,7 +30,7 @@ Result = TypeVar("Result")
 
 
 class Interrupted(PolarisError):
-    """The user stopped the work; what was finished is kept."""
+    """The user stopped the work; finished parts are kept."""
 
     exit_code = 130
 
@@ -62,7 +62,7 @@ class InProcess(Executor):
     """Does every task at once, in this process."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call, and return a future that is done; what interrupts the program goes through."""
+        """Call, and return a future that is done; interrupts of the program go through."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -177,7 +177,7 @@ def cluster(address: str) -> Iterator[Workers]:
 
 @contextmanager
 def _unlogged() -> Iterator[None]:
-    """Keep what Dask logs of lost connections, tracebacks included, off the terminal: `Driver` tells."""
+    """Keep Dask's log of lost connections, tracebacks included, off the terminal: `Driver` tells."""
     known = [*logging.root.manager.loggerDict, *LOGGERS]
     names = dict.fromkeys(name for name in known if name.partition(".")[0] in LOGGERS)
     levels = {name: logging.getLogger(name).level for name in names}

@@ -1,1 +1,1 @@
-"""Files of run folders: arrays, tables, lists of what Polaris wrote, atomic replacement."""
+"""Files of run folders: arrays, tables, lists of files that Polaris wrote, atomic replacement."""

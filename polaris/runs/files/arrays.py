@@ -164,7 +164,7 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 
 def read_flights(path: Path) -> dict[str, FlightEnvelope]:
-    """Read what `flight_arrays` gave, by key."""
+    """Read the arrays of `flight_arrays`, by key."""
     arrays, out = read_arrays(path), {}
     for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
         fields: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}

@@ -1,4 +1,4 @@
-"""Folders and files that appear whole or not at all, and replace only what Polaris wrote.
+"""Folders and files that appear whole or not at all, and replace only files that Polaris wrote.
 
 They are written into a hidden folder beside their place, named by host and process, and renamed. What the
 list of a folder (`polaris.runs.files.ownership`) does not have with its hash is the user's, and is kept.
@@ -37,7 +37,7 @@ CAMPAIGN = "manifest.json"  # file by which a campaign is known
 
 
 class CannotWrite(ScenarioError):
-    """A place turned out not to take what was to be written there."""
+    """A place turned out not to take the files to be written there."""
 
     def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
         cause = " ".join((error.strerror or str(error)).split())
@@ -196,7 +196,7 @@ def replacing(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_file(target: Path, field: str = "--out", force: bool = False) -> Iterator[Path]:
-    """Give a path of the same name elsewhere; what is written there takes the place of `target`."""
+    """Give a path of the same name elsewhere; files written there take the place of `target`."""
     with _beside(target.parent, target.name, field, target) as beside:
         yield beside / target.name
         _check_taken(target, field, force)

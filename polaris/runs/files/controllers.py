@@ -1,4 +1,4 @@
-"""The system and its controllers as JSON: what ``gains.json`` and the certificate both hold."""
+"""The system and its controllers as JSON: the common part of ``gains.json`` and the certificate."""
 
 from pathlib import Path
 from typing import Any

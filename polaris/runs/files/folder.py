@@ -1,4 +1,4 @@
-"""Run folders of every kind: written beside and renamed into place, read back as what they were written.
+"""Run folders of every kind: written beside and renamed into place, read back as they were written.
 
 The same scenario and seed give the same bytes, but for ``created`` and wall times in the summary.
 """
@@ -111,7 +111,7 @@ def write_folder(
     draw: Draw | None = None,
     stages: Stages | None = None,
 ) -> RunFolder:
-    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written.
+    """Write the results of a kind's ``fly``, replacing an older run folder once everything is written.
 
     `target` has been checked by `check_target`; files that the user put there since are kept beside it.
     """
@@ -171,7 +171,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn whatever a damaged file causes into one message."""
+    """Turn any error by a damaged file into one message."""
     try:
         yield
     except (OSError, ValueError, LookupError, TypeError, RecursionError, csv.Error, BadZipFile) as error:

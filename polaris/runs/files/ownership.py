@@ -170,7 +170,7 @@ def _others(folder: Path) -> list[tuple[str, Path]]:
 
 
 def keep(old: Path, new: Path) -> None:
-    """Link what is not Polaris's from an old folder into the new one; links are copied, never followed."""
+    """Link files not of Polaris from an old folder into the new one; links are copied, never followed."""
     for name, path in _others(old):
         place = spare(new, name, path)
         if _is_folder(path):
@@ -195,7 +195,7 @@ def _copy(source: Path, place: Path) -> None:
 
 
 def discard(aside: Path, target: Path) -> None:
-    """Delete an old folder that has been replaced; what came into it at the last moment is moved on."""
+    """Delete an old folder that has been replaced; files that came into it at the last moment move on."""
     others = dict(_others(aside))
     for here, folders, names in os.walk(aside, topdown=False):
         for path in (Path(here) / name for name in (*names, *folders)):
@@ -230,12 +230,12 @@ def host() -> str:
 
 
 def beside_name(name: str, word: str) -> str:
-    """Return a name for what is being written ("new") or replaced ("old") beside a place."""
+    """Return a name for a folder that is being written ("new") or replaced ("old") beside a place."""
     return f".{name}.{word}-{host()}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 def tidy(folder: Path, name: str = "") -> None:
-    """Clear away (or put back) what killed processes left in a folder: of this machine, or a day old.
+    """Clear away (or put back) files that killed processes left in a folder: of this machine, or a day old.
 
     It stands for `name`, or for any file. Only folders with a list are touched, and empty ones.
     """

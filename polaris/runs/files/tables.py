@@ -1,4 +1,4 @@
-"""The readable files of a run folder, tables (CSV) and strict JSON; what a run claims besides, in words."""
+"""The readable files of a run folder, tables (CSV) and strict JSON; a run's further claims, in words."""
 
 import csv
 import io
@@ -45,7 +45,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
-    """Write rows by column (the first row's by default), exact numbers, what is not finite empty."""
+    """Write rows by column (the first row's by default), exact numbers, those not finite empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -120,7 +120,7 @@ def write_reference(path: Path, reference: Reference) -> None:
 
 
 def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
-    """Read what `write_reference` wrote, bit for bit."""
+    """Read the file of `write_reference`, bit for bit."""
     rows = list(csv.reader(io.StringIO(read_text(path), newline="")))[1:]
     if len(rows) < 2:
         raise ValueError("too few rows")

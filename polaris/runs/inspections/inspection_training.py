@@ -1,4 +1,4 @@
-"""Inspection flights for policies that learn: what they read and are paid for, and what shields them."""
+"""Inspection flights for policies that learn: their observations, rewards and shield."""
 
 from collections.abc import Callable
 from typing import Any

@@ -11,7 +11,7 @@ from ..read_schedule import read_schedule
 
 
 def falsify_mission(folder: RunFolder, runs: int, seed: int) -> dict[str, Any]:
-    """Search for flights that break what the legs of a run folder claim, and for states that miss a joint.
+    """Search for flights that break claims of the legs of a run folder, and for states that miss a joint.
 
     Every leg has its share of the runs. A joint is attacked at the ends of the spans in which GO is given,
     from the corners of the leg's own start set, along every coordinate.

@@ -1,1 +1,1 @@
-"""The search for a counterexample: closed loops that do their worst against what a schedule claims."""
+"""The search for a counterexample: closed loops that do their worst against a schedule's claims."""

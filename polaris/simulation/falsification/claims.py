@@ -134,7 +134,7 @@ class Claims:
         return parts.reshape(self.cells * self.q, -1)
 
     def _tightenings(self, rows: Array) -> tuple[Array, Array]:
-        """Largest ``row e`` at the nodes (cells, q+1, r), and what may be added between (cells, q, r)."""
+        """Largest ``row e`` at the nodes (cells, q+1, r), and the possible addition between (cells, q, r)."""
         safety, q = self.schedule.safety, self.q
         tightening = np.empty((self.cells, q + 1, len(rows)))
         intersample = np.zeros((self.cells, q, len(rows)))
@@ -155,7 +155,7 @@ class Claims:
 
 @dataclass(frozen=True, eq=False)
 class Attained:
-    """Least margins of R runs at every limit [m, N], when [s], and how far below what is proven.
+    """Least margins of R runs at every limit [m, N], when [s], and how far below the proven bound.
 
     The margin is inf where a limit was never looked at (inputs if S never flies); `below` is the largest
     amount by which a margin fell short of the proven one of its period, negative if none did.

@@ -1,4 +1,4 @@
-"""The search: worst cases, worst cases about what was flown, mutations of the best, and chance."""
+"""The search: worst cases, worst cases about flown paths, mutations of the best, and chance."""
 
 import time
 from collections.abc import Callable
@@ -67,7 +67,7 @@ class Falsification:
     case: tuple[Attack, bool] | None
     abort: int | None = None
     spent: float = 0.0
-    """Largest velocity change until T [m/s]; what is proven of it is `Schedule.delta_v`."""
+    """Largest velocity change until T [m/s]; its proven bound is `Schedule.delta_v`."""
 
     @property
     def ratio(self) -> Array:
@@ -102,7 +102,7 @@ def falsify(
     progress: Callable[[int, int], None] | None = None,
     code: FlightCode | None = None,
 ) -> Falsification:
-    """Search for a run that breaks what a schedule claims.
+    """Search for a run that breaks a schedule's claims.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class _Search:
         return refuted
 
     def _besides(self, attack: Attack, flown: Runs) -> Found | None:
-        """Return the worst violation of claims of the drift after all thrust stops, or of what is spent."""
+        """Return the worst violation of claims of the drift after all thrust stops, or of the spending."""
         passive, failures = self.schedule.passive, []
         if passive is not None and passive.least is not None:
             failures.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))

@@ -1,4 +1,4 @@
-"""Violations of what a schedule claims: which, when, by how much, and confirmation by another flight."""
+"""Violations of a schedule's claims: which, when, by how much, and confirmation by another flight."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -97,7 +97,7 @@ class ModelError:
 
 
 def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 200_000) -> ModelError:
-    """Bound the model error over what a scenario's schedule visits.
+    """Bound the model error over the states that a scenario's schedule visits.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def sample_residual(env: Environment, region: Region, count: int, rng: np.random
 
 
 def _targets(env: Environment, count: int, rng: np.random.Generator) -> Array:
-    """Random states of the target within what is declared, corners among them."""
+    """Random states of the target within declared ranges, corners among them."""
     off = rng.uniform(-1.0, 1.0, (count, 3))
     off[: count // 2] = np.sign(off[: count // 2])
     e = env.eccentricity * np.where(rng.random(count) < 0.5, 1.0, rng.random(count))

@@ -247,7 +247,7 @@ def _check_state(row: list[float]) -> None:
 
 
 def _covariance(triangle: list[list[float]]) -> Array:
-    """Return the matrix (6, 6) [m, m/s] of its lower triangle [km, km/s]; refuse what is none."""
+    """Return the matrix (6, 6) [m, m/s] of its lower triangle [km, km/s]; refuse any other table."""
     lower = np.zeros((6, 6))
     for i, row in enumerate(triangle):
         lower[i, : i + 1] = row

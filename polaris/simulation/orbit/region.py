@@ -1,4 +1,4 @@
-"""The states that a mission visits, as boxes per step: what a bound on the model error must hold over."""
+"""The states that a mission visits, as boxes per step: the domain of the bound on the model error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -94,7 +94,7 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
 
 
 def satellite_region(satellite: SatelliteObstacle, system: LinearSystem, delta: float, cells: int) -> Region:
-    """Return the region where another satellite may be, by what is known of it, for so many cells."""
+    """Return the region where another satellite may be, by the knowledge of it, for so many cells."""
     carried = powers(expm(system.A * delta), cells - 1)
     middle = carried @ np.asarray(satellite.state)
     within = growth(system.A, delta)

@@ -1,4 +1,4 @@
-"""A bound on what Hill's linear equations leave out, sound over whole sets of relative states.
+"""A bound on the error of Hill's linear equations, sound over whole sets of relative states.
 
 Every part is an inequality proven in docs/model-error-theory.md; nothing here is sampled.
 """

@@ -229,7 +229,7 @@ class _Predicting(Predicting, _TrueMotion):
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
-    """Return True for orbits (R, N, 6) of the target within what an environment declares, shape (R,)."""
+    """Return True for orbits (R, N, 6) of the target within an environment's declared ranges, shape (R,)."""
     R, V = target[..., 0], target[..., 1]
     turn = frame_rates(env, target)[0][..., 2]
     tilt = np.hypot(target[..., 3], target[..., 4])
