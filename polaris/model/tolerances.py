@@ -1,6 +1,6 @@
 """Every tolerance of the package, in one place: what it protects and which way it errs.
 
-A tolerance that guards a proof *tightens* a condition: it is added, never subtracted.
+A tolerance that guards a proof *tightens* a condition: it is added to the required value, never subtracted.
 """
 
 ROUNDING = 1e-9

@@ -2,7 +2,7 @@
 
 An error at a node is recoverable if S, taking over there, keeps clear of every unsafe set and of its
 thrust limits from there on. All conditions read ``row phi^l e + tightening <= limit(node + l)``, and neither
-the rows nor the tightening depend on time: a decision is one product of a tall matrix with the error, one
+the rows nor the tightening depends on time: a decision is one product of a tall matrix with the error, one
 with the reciprocals of the limits (a window of one array), and one maximum.
 
 The facets are drawn in by what any motion under any admissible input may stray from its chord between two

@@ -35,7 +35,7 @@ HILL_RANGE_M = 1e5  # range [m] within which Hill's linear equations are taken t
 
 
 _TOUCH_M = 1e-9
-"""Depth [m] from which an overlap counts: touching is left to the planner, which books its margins."""
+"""Depth [m] from which an overlap counts: touching is left to the planner, which adds its margins."""
 
 
 def check_system(model: models.ScenarioModel) -> None:

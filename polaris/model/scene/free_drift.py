@@ -47,7 +47,7 @@ def drift_ttc(
     """Seconds (O, ...) until the chaser, its thrusters off, enters each obstacle; 0 inside, inf if never.
 
     Other satellites drift too; rigid obstacles keep their velocity. Coarse intervals in which the distance
-    cannot reach zero (it changes no faster than the path is long, and the path bends no more than a bound)
+    cannot reach zero (it changes no faster than the path is long, and the path's curvature is bounded)
     are dropped; the others are halved until the path is straight to within `tolerance` [m], and then clipped
     as straight rays. No pass is missed, however brief, if it goes deeper than that. Times (...) [s] are those
     of the states (..., n); `states` are true ones of other satellites, by name, by default their nominal

@@ -20,7 +20,7 @@ from .obstacle import FACETS, NAME, Obstacle, directions
 from .shapes import BallShape, PolytopeShape
 from .timed_polytope import TimedPolytope
 
-MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend of the motion
+MOST_PARTS = 256  # most parts into which a cell is divided to follow the curved motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class SatelliteObstacle(Obstacle):
     def _cover(
         self, system: LinearSystem, rows: Array, delta: float, cells: int, parts: int
     ) -> tuple[Array, float, Array]:
-        """Offsets (cells, 2, F) that hold over cells, the largest allowance for bend, supports at nodes.
+        """Offsets (cells, 2, F) that hold over cells, the largest intersample bound, supports at nodes.
 
         For a row c (``C' n`` of a facet), the support of the states at t is
         ``c' e^{At} x0 + |c' e^{At}| dx + radius`` and, for every input M with its bound a (`pushes`),

@@ -171,7 +171,7 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     x = runs.states.reshape(-1, system.n).T
-    # How far a path may bend away from its chords, by the accelerations seen.
+    # How far a path may depart from its chords, by the accelerations seen.
     change = np.abs(np.diff(runs.states, axis=1) @ system.A.T).max(axis=1) * claims.h / 4
     change = change + (np.array(system.timing.intersample_offset) if system.timing.pulse_thrust else 0.0)
     every = np.arange(shape[0])
@@ -213,7 +213,7 @@ def _look_closer(
     s, rows = np.linspace(0, 1, PARTS + 1)[1:-1], u.rows(system)
     before, after = runs.states[run, period], runs.states[run, period + 1]
     x = held_path(system, h, before, after, s)
-    late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter bends by no more
+    late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter deviates by no more
     grown = np.abs(rows) @ late
     if system.timing.pulse_thrust:  # not, then, what the polytopes are grown by because of them
         x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
