@@ -331,10 +331,10 @@ LISTS = {
     "assurance",
     "references",
 }  # sentences of the tool and names of tests; titles of other people's texts
-PAGES = [*sorted({path.stem for path in DOCS.glob("*.md")} - LISTS), "../README", "../CONTRIBUTING"]
+PROSE = [*sorted({path.stem for path in DOCS.glob("*.md")} - LISTS), "../README", "../CONTRIBUTING"]
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", PROSE)
 def test_sentences_paragraphs_and_lines_are_short(name):
     """At most 40 words in a sentence, 25 on average, five sentences in a paragraph, 100 columns in a line."""
     text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
