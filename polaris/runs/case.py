@@ -101,7 +101,7 @@ def write_case(
         "x0": attack.x0[0],
         "w": _packed(attack.w[:, 0]),
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
-        "failing": None if attack.faults is None else attack.faults.table(),
+        "faults": None if attack.faults is None else attack.faults.table(),
         "abort": found.abort,
     }
     target = Path(path)
@@ -136,7 +136,7 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
             _finite(data["x0"])[None],
             _unpacked(data["w"]),
             None if data["inputs"] is None else _unpacked(data["inputs"]),
-            FaultTimes.from_table(data["failing"], len(data["x0"])) if data["failing"] else None,
+            FaultTimes.from_table(data["faults"], len(data["x0"])) if data["faults"] else None,
         )
         asks = None if code is None else code.asks
         claims = Claims(schedule, bool(data["tail"]), attack.faults is not None, asks)
@@ -163,12 +163,12 @@ def _read(path: Path) -> dict[str, Any]:
         data: Any = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
-    wanted = {"scenario", "schedule", "tail", "x0", "w", "inputs", "failing", "violation"}
-    known = isinstance(data, dict) and data.get("format") == FORMAT and wanted <= set(data)
-    if not known or not isinstance(data["scenario"], str):
-        raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
-    if data.get("version") != VERSION:
+    wanted = {"scenario", "schedule", "tail", "x0", "w", "inputs", "faults", "violation"}
+    known = isinstance(data, dict) and data.get("format") == FORMAT
+    if known and data.get("version") != VERSION:  # before the keys, which differ by version
         raise ScenarioError("case", data.get("version"), f"must be of version {VERSION}")
+    if not (known and wanted <= set(data) and isinstance(data["scenario"], str)):
+        raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     return dict(data)
 
 

@@ -45,9 +45,9 @@ def simulate(
         Fly this controller alone (0 is S) instead of the schedule.
     initial : {"mixed", "center", "random", "corners"}
         States drawn from Theta; ``mixed`` takes corners for half of the runs.
-    disturbance : {"faults", "mixed", "none", "random", "worst"}
+    disturbance : {"failing", "mixed", "none", "random", "worst"}
         ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound;
-        ``mixed``: half each; ``faults``: besides, in every second run a fault, if any is isolated late.
+        ``mixed``: half each; ``failing``: besides, in every second run a fault, if any is isolated late.
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional

@@ -76,7 +76,7 @@ def check_attribution(
             raise Rejected("schedule", f"step {k} neither begins nor ends at that time")
     known = [(each["name"], each["lasts"]) for each in document.transients]
     if known != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:
-        raise Rejected("schedule", f"withheld steps name faults other than {known}")
+        raise Rejected("schedule", f"steps of the fault attribution name faults other than {known}")
     return stored
 
 

@@ -202,7 +202,7 @@ class ScheduleRuns(CampaignRuns):
             else:
                 row |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             cases.append(row)
-        kind = "mixed" if {"mixed", "faults"} & {self.initial, self.disturbance} else "drawn"
+        kind = "mixed" if {"mixed", "failing"} & {self.initial, self.disturbance} else "drawn"
         return {
             "schema_version": 1,
             "kind": "campaign",

@@ -34,7 +34,7 @@ class ScenarioPart(BaseModel):
     )
 
     GONE: ClassVar[Mapping[str, str]] = {}
-    """What to write instead of keys, and of values as in ``"key=value"``, of former versions."""
+    """Rules for keys of former versions, and for their values as ``"key=value"``: the names of today."""
 
     @model_validator(mode="before")
     @classmethod

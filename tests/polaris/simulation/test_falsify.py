@@ -203,12 +203,16 @@ def test_case_that_was_changed_is_refused(tmp_path):
     assert data["x0"] == result.case[0].x0[0].tolist()
     changes = {"schedule": ["0" * 64], "version": [1], "format": ["other"]}
     changes["x0"] = [["nan?"], [None] * len(data["x0"])]
-    changes |= {"violation": [{**data["violation"], "kind": "abort"}, {}], "failing": [{"begins": 0}]}
+    changes |= {"violation": [{**data["violation"], "kind": "abort"}, {}], "faults": [{"begins": 0}]}
     for key, value in ((key, value) for key, values in changes.items() for value in values):
         broken = tmp_path / f"{key}.json"
         changed = {**data, "schedule": digest(schedule), key: value}
         broken.write_text(json.dumps(changed), encoding="utf-8")
         assert CliRunner().invoke(app, ["replay", str(broken)]).exit_code == 2
+    older = {key: value for key, value in data.items() if key != "faults"} | {"version": 3, "failing": None}
+    broken.write_text(json.dumps(older), encoding="utf-8")
+    with pytest.raises(ScenarioError, match="got 3; must be of version 4"):
+        replay(broken)
     # The same attack on the schedule that is really made violates nothing.
     fair = tmp_path / "fair.json"
     fair.write_text(json.dumps({**data, "schedule": digest(schedule)}), encoding="utf-8")

@@ -52,6 +52,7 @@ def test_table_has_one_row_per_run_with_everything_that_was_measured(flown):
 def test_summary_is_that_of_the_table(flown):
     lines, summary = rows(flown.path), flown.summary
     assert summary["flown"] == len(lines) and summary["runs"] == RUNS
+    assert summary["disturbance"] == "failing" and "this mixture, not to real" in summary["assumptions"][0]
     for case, mode in product(summary["cases"], MODES):
         mine = [row for row in lines if row["case"] == case["case"] and row["mode"] == mode]
         entry, hits = case["modes"][mode], sum(row["collided"] for row in mine)
