@@ -53,10 +53,8 @@ def interpreter(version):
         return sys.executable
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for command in (shutil.which(f"python{version}"), *pyenv.glob(f"{version}.*/bin/python{version}")):
-        if (
-            command
-            and not subprocess.run([command, "--version"], capture_output=True, check=False).returncode
-        ):
+        runs = command and subprocess.run([command, "--version"], capture_output=True, check=False)
+        if runs and not runs.returncode:
             return command
     pytest.skip(f"there is no python{version} here")
 

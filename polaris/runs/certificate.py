@@ -43,11 +43,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "modes": schedule.modes,
         "slopes": [step.tube.slopes for step in schedule.steps],  # None where nothing clips
         **_weights(schedule),
-        **(
-            {}
-            if (feedback_bound := safety.tracking.feedback_bound) is None
-            else {"feedback_bound": feedback_bound}
-        ),
+        **({} if (bound := safety.tracking.feedback_bound) is None else {"feedback_bound": bound}),
         "recoverable": safety.recoverable.kind,
         **_drift(schedule),
         **_powered(schedule),

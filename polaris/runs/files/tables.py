@@ -133,10 +133,8 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
-    timing, added = (
-        asdict(system.timing),
-        ("pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"),
-    )  # if any
+    timing = asdict(system.timing)
+    added = "pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"  # if any
     unsaid = "period", "unseen", "lead"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
