@@ -17,16 +17,16 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9243, 8400),
-    ("polaris/certificate",): (12204, 4600),
+    ("polaris/certificate",): (12198, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9459, 5000),
-    ("polaris/model", "polaris/simulation"): (9546, 5200),
+    ("polaris/model", "polaris/simulation"): (9544, 5200),
     ("polaris/rta",): (5015, 4300),
     ("polaris/inspection",): (5438, 4500),
-    ("polaris/scenario", "polaris/runs"): (10014, 7500),
+    ("polaris/scenario", "polaris/runs"): (10008, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8387, 6400),
     ("polaris/planning",): (2531, 2200),
-    ("polaris", "reach"): (72656, 48000),
+    ("polaris", "reach"): (72642, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

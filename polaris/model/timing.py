@@ -64,9 +64,7 @@ class Timing:
     clock: Annotated[float, Key("clock_error_s", "s", NonNegative)] = 0.0
     on_time: Thrusters = Thrusters()  # errors of thrusters without what stands for jitter and pulses
     measured_error: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
-    state_offset: tuple[
-        float, ...
-    ] = ()  # of the true state from the modelled one: jitter, pulses, remainders, (n,)
+    state_offset: tuple[float, ...] = ()  # of the true state: jitter, pulses, remainders, (n,)
     pulse_thrust: tuple[float, ...] = ()  # thrust of the pulses of every input, one a period [N]
     pulse_place: str = ""  # place of pulses in a period, "start" or "staggered"; empty: centred, or none
     lead: Lead | None = None  # of pulses that are not centred

@@ -100,25 +100,19 @@ class Document:
         self.error_by_step: Matrix = system.get("error_by_step") or []
         self.observer: dict[str, Any] | None = system.get("observer")
         self.timing: dict[str, Any] = system.get("timing") or {}
-        self.measured_error: Vector = self.timing.get("measured_error") or self.estimate
-        self.state_offset: Vector = self.timing.get("state_offset") or [0.0] * len(self.A)
-        self.pulse_thrust: Vector = (
-            self.timing.get("pulse_thrust") or []
-        )  # thrust of pulses; empty where inputs are held
-        self.pulse_place: str = self.timing.get("pulse_place", "")  # of pulses; empty where they are centred
-        self.edge: float = self.timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
-        self.intersample_offset: Vector = self.timing.get("intersample_offset") or [0.0] * len(
-            self.A
-        )  # between nodes only
+        timing, still = self.timing, [0.0] * len(self.A)
+        self.measured_error: Vector = timing.get("measured_error") or self.estimate
+        self.state_offset: Vector = timing.get("state_offset") or still
+        self.pulse_thrust: Vector = timing.get("pulse_thrust") or []  # empty where inputs are held
+        self.pulse_place: str = timing.get("pulse_place", "")  # of pulses; empty where they are centred
+        self.edge: float = timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
+        self.intersample_offset: Vector = timing.get("intersample_offset") or still  # between nodes only
         self.at_nodes: Vector = [
             x - y for x, y in zip(self.state_offset, self.intersample_offset, strict=True)
         ]
-        self.carried_impulse: float = self.timing.get(
-            "carried_impulse", 0.0
-        )  # impulse that is left to the next period
-        self.late: bool = (
-            self.timing.get("jitter", 0.0) > 0 and not self.pulse_thrust
-        )  # what is made may grow by it
+        self.carried_impulse: float = timing.get("carried_impulse", 0.0)  # left to the next period
+        # Held inputs may last longer by the jitter: their errors grow with commands.
+        self.late: bool = timing.get("jitter", 0.0) > 0 and not self.pulse_thrust
         self.prompt_bits: Vector = self._each(self.timing.get("bit", self.bits))  # without jitter, pulses
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
