@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -190,6 +190,28 @@ def _unlogged() -> Iterator[None]:
             logging.getLogger(name).setLevel(level)
 
 
+class _ClusterExecutor(Executor):
+    """Dask's executor, which of a closed client reports a broken executor instead of errors of its own."""
+
+    def __init__(self, client: Any) -> None:
+        self.client, self.executor = client, client.get_executor(pure=False)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand a call to the cluster; raise `BrokenExecutor` if its scheduler is lost."""
+        try:
+            future: Future[Any] = self.executor.submit(fn, *args, **kwargs)
+        except Exception as error:
+            if self.client.status == "running":
+                raise
+            raise BrokenExecutor("the scheduler is lost") from error
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Cancel calls that have not ended; those of a lost scheduler are cancelled already."""
+        with suppress(Exception) if self.client.status != "running" else nullcontext():
+            self.executor.shutdown(wait=wait)
+
+
 class _Crew:
     """The workers of a cluster: how many threads they have, and since when there are none."""
 
@@ -200,7 +222,7 @@ class _Crew:
         """Return the cluster's executor, if its scheduler still answers."""
         if self.client.status != "running":
             raise PolarisError(f"the scheduler at {self.address} no longer answers")
-        return self.client.get_executor(pure=False)
+        return _ClusterExecutor(self.client)
 
     def window(self) -> int:
         """Return how many tasks to hand out at a time, at most."""

@@ -6,6 +6,8 @@ import socket
 import subprocess
 import sys
 import threading
+import time
+from concurrent.futures import BrokenExecutor
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -59,6 +61,21 @@ def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path
         here.scale(1)
         with cluster(here.scheduler_address) as crew:
             assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
+
+
+def test_a_scheduler_lost_at_any_time_breaks_the_executor_and_says_nothing_more(capfd):
+    options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with distributed.LocalCluster(n_workers=1, **options) as here, cluster(here.scheduler_address) as crew:
+        executor = crew.make()
+        pending = executor.submit(time.sleep, 1.0)
+        executor.client.close()
+        with pytest.raises(BrokenExecutor, match="scheduler is lost"):
+            executor.submit(sum, (1, 2))
+        pending.cancel()
+        executor.shutdown(wait=False)
+        with pytest.raises(PolarisError, match="no longer answers"):
+            crew.make()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
