@@ -1,6 +1,7 @@
 """Networks: enclosures against sampled truth, bands against dense grids, loops against flights."""
 
 from dataclasses import replace
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.linalg import expm
 from reach.networks.layers import Activation, Affine, Diagonal
 from reach.networks.loop import NetworkLoop
 from reach.networks.network import Network
+from reach.networks.precision import FORMATS, Rounding
 from reach.numerics.errors import ReachError, Unresolved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
@@ -218,6 +220,32 @@ def test_products_near_zero_and_long_sums_are_booked_in_any_order(layers):
     hull = Network(layers, "float32").enclose(Zonotope.point(x))
     assert all(escapes(Network(layers), hull, x, order) <= 0 for order in ORDERS)
     assert escapes(Network(layers), Network(layers).enclose(Zonotope.point(x)), x, "flushed") > 0
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_rounding_of_double_precision_is_that_of_single_precision_in_its_unit(activation):
+    net = random_network(np.random.default_rng(8), 3, [6, 6], 2, activation, 1.5)
+    real, single, double = (
+        with_precision(net, precision).enclose(Zonotope.point(np.ones(3))).half_widths
+        for precision in ("real", "float32", "float64")
+    )
+    assert (double - real) / (single - real) == pytest.approx(2.0**-29, rel=0.01)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_inputs_are_read_within_their_rounding(precision):
+    """A number, its scale and their product are each rounded: by up to three units, and some nearly by that."""
+    rng, ratios = np.random.default_rng(4), []
+    unit = float(np.finfo(FORMATS[precision]).eps) / 2
+    for _ in range(2000):  # just above powers of two, a unit is most of a number
+        number, scale = (
+            Fraction(1 + 10 ** rng.uniform(-6, -2)) + Fraction(unit * rng.uniform(0.8, 1)) for _ in "xs"
+        )
+        rounded = [np.array(float(exact)).astype(FORMATS[precision]) for exact in (number, scale)]
+        error = abs(Fraction(float(rounded[0] * rounded[1])) - number * scale)
+        bound = Rounding.from_precision(precision).read(np.array([float(number * scale)]))
+        ratios.append(float(error / Fraction(float(bound[0]))))
+    assert 0.6 < max(ratios) <= 1
 
 
 def test_sums_that_may_overflow_and_unknown_precisions_are_refused():

@@ -12,7 +12,7 @@ from polaris.inspection.closest import ClosestApproach
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.barriers import Braking, Radial, SunCone
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.constraints.motion import MotionBound, SampledData
 from polaris.inspection.constraints.passive import PassiveSegments
 from polaris.inspection.constraints.speeds import Speed, SpeedInSquares, Velocity, VelocitySide
 from polaris.inspection.constraints.strengthening import FAMILIES, Strengthening
@@ -486,6 +486,26 @@ def test_curvature_bounds_hold_from_outside_too(kind, factor):
             assert short[:, some].min() >= -1e-9, period
             assert path[:, np.isneginf(M)].min(initial=0.0) >= -1e-12
     assert bounded > 500 and (found_out > 0) == (factor < 1)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_curvature_of_straight_flight_is_its_centripetal_part(side):
+    """Past a sphere, without any force, distances still accelerate by ``v_t^2 / r``: M covers that alone."""
+    rng = np.random.default_rng(3)
+    tight = 0
+    for _ in range(200):
+        D, v, depth = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-1, 0.5), 10 ** rng.uniform(-2, 1)
+        barrier = Radial(100.0, Braking(10 ** rng.uniform(-1, 1), depth, 1e3), side)
+        toward, across = np.linalg.qr(rng.standard_normal((3, 2)))[0].T
+        velocity = v * (across - side * 10 ** rng.uniform(-3, 0.3) * toward)
+        start = np.concatenate([(100 + side * depth * 10 ** rng.uniform(-1, 1)) * toward, velocity])
+        M = barrier.curvature(start, 0.0, MotionBound(D, np.linalg.norm(velocity), 0.0, 0.0, 0.0, 0.0))
+        t = np.linspace(0, D, 401)
+        z = np.concatenate([start[:3] + t[:, None] * start[3:], np.tile(start[3:], (401, 1))], axis=1)
+        worst = -np.min(np.diff(barrier(z).h, 2)) / t[1] ** 2
+        assert worst <= M * (1 + 1e-6) + 1e-9 or (np.isneginf(M) and barrier(z).h.min() >= 0)
+        tight += worst > 0.7 * M > 0
+    assert tight > 10
 
 
 def flights(rng, K, n, radius):
