@@ -215,6 +215,26 @@ def test_between_nodes_s_flies_below_the_chords_of_what_it_needs_at_nodes():
     assert beyond > 0.9
 
 
+@pytest.mark.parametrize("start", [[0.3, -0.2], [0.8, -1.0], [-1.0, 3.0]])
+def test_both_periods_beside_a_node_count(start):
+    """Intersample bounds of some sets shrink from period to period, those of others grow at first."""
+    A, B, K = (matrix(M) for M in ([[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.5, 0.8]]))
+    plant = Plant(A, B, B, matrix([[1, 0]]), [arb(1)], arb(0.0), arb(0.4))
+    errors = Zonotope(column(start), matrix([[0.01, 0.0], [0.0, 0.01]]))
+    loop = loop_of_errors(plant, K)
+    tightenings = Tightening(loop, Settling.for_craft(loop, errors.size(), 1), matrix([[1, 0], [0, 1]]))
+    tube = SetIntersample(tightenings, errors)
+    bound = np.array(
+        [
+            [float(x) for x in tightenings.intersample.closer_intersample(errors.image(rates))]
+            for rates in tightenings.rates[0].carried[:9]
+        ]
+    )
+    beside = np.maximum(bound, bound[[0, *range(8)]])
+    assert np.array([[float(x) for x in tube.next_to(lag)] for lag in range(9)]) == pytest.approx(beside)
+    assert np.any(np.diff(bound, axis=0) < 0) and np.any(np.diff(bound, axis=0) > 0)
+
+
 def test_an_orbit_followed_beyond_the_tail_keeps_its_precision(monkeypatch):
     argument = scene("clipped")[1]
     path, document = argument.reference(), argument.document
