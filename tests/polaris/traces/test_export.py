@@ -163,6 +163,9 @@ def test_satellite_is_covered_known_or_nominal():
     for states in true_states([visitor], SYSTEM, fine, 20, np.random.default_rng(0))["visitor"]:
         for direction in ([20.0, 0, 0], [0, -20.0, 0], [0, 12.0, 16.0]):
             assert place(item, fine, 3).signed_distance(states[:, :3] + direction).max() <= 1e-9
+    ends = visitor.timed_polytopes(SYSTEM, 10.0, 30)[0].offsets  # of every cell: at its start and end
+    first, last, stamps = ends[1:, 0], ends[:-1, 1], item.b[1:-1]
+    assert np.any(first > last) and np.any(first < last) and np.array_equal(stamps, np.maximum(first, last))
 
 
 def test_arrays_that_do_not_fit():
