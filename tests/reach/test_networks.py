@@ -234,7 +234,7 @@ def test_rounding_of_double_precision_is_that_of_single_precision_in_its_unit(ac
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_inputs_are_read_within_their_rounding(precision):
-    """A number, its scale and their product are each rounded: by up to three units, and some nearly by that."""
+    """A number, its scale and their product are each rounded: up to three units, and some nearly that."""
     rng, ratios = np.random.default_rng(4), []
     unit = float(np.finfo(FORMATS[precision]).eps) / 2
     for _ in range(2000):  # just above powers of two, a unit is most of a number
