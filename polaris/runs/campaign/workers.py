@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -208,8 +208,11 @@ class _ClusterExecutor(Executor):
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Cancel calls that have not ended; those of a lost scheduler are cancelled already."""
-        with suppress(Exception) if self.client.status != "running" else nullcontext():
+        try:
             self.executor.shutdown(wait=wait)
+        except Exception:
+            if self.client.status == "running":
+                raise
 
 
 class _Crew:
