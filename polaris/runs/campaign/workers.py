@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -190,29 +190,33 @@ def _unlogged() -> Iterator[None]:
             logging.getLogger(name).setLevel(level)
 
 
+@contextmanager
+def _lost_scheduler(client: Any) -> Iterator[None]:
+    """Raise `BrokenExecutor` instead of the errors of a client that has lost its scheduler, of any type."""
+    try:
+        yield
+    except Exception as error:
+        if client.status == "running" and not isinstance(error, OSError):
+            raise
+        raise BrokenExecutor("the scheduler is lost") from error
+
+
 class _ClusterExecutor(Executor):
-    """Dask's executor, which of a closed client reports a broken executor instead of errors of its own."""
+    """Dask's executor; it breaks when the scheduler is lost."""
 
     def __init__(self, client: Any) -> None:
         self.client, self.executor = client, client.get_executor(pure=False)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Hand a call to the cluster; raise `BrokenExecutor` if its scheduler is lost."""
-        try:
+        """Hand a call to the cluster."""
+        with _lost_scheduler(self.client):
             future: Future[Any] = self.executor.submit(fn, *args, **kwargs)
-        except Exception as error:
-            if self.client.status == "running":
-                raise
-            raise BrokenExecutor("the scheduler is lost") from error
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Cancel calls that have not ended; those of a lost scheduler are cancelled already."""
-        try:
+        with suppress(BrokenExecutor), _lost_scheduler(self.client):
             self.executor.shutdown(wait=wait)
-        except Exception:
-            if self.client.status == "running":
-                raise
 
 
 class _Crew:
@@ -233,13 +237,12 @@ class _Crew:
 
     def threads(self) -> int:
         """Threads of all workers."""
-        try:
-            known = int(sum(self.client.nthreads().values()))
-        except OSError:  # a lost scheduler shows in the futures
-            known = 0
-        if known:
+        count = 0
+        with suppress(BrokenExecutor), _lost_scheduler(self.client):  # the loss shows in the futures
+            count = int(sum(self.client.nthreads().values()))
+        if count:
             self.seen = time.monotonic()
-        return known
+        return count
 
     def trouble(self) -> str:
         """Describe a cluster without workers for too long; empty if there are some."""
