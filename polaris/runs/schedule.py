@@ -222,10 +222,9 @@ def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float
     stages, parts = dict(around), dict(schedule.seconds)
     total, measured = stages.pop("total"), [stages.pop(name, 0.0) for name in SYNTHESIS]
     total += 0.0 if any(measured) else sum(parts.values())  # a schedule made before anything was timed
-    named = {
-        name: parts.get(name, 0.0) + stages.get(name, 0.0) for name in [*parts, *stages] if name != "other"
-    }
-    return {**named, "other": total - sum(named.values()), "total": total}
+    names = (name for name in (*parts, *stages) if name != "other")
+    times = {name: parts.get(name, 0.0) + stages.get(name, 0.0) for name in names}
+    return {**times, "other": total - sum(times.values()), "total": total}
 
 
 def _boxes(sampled: SampledSchedules | None) -> dict[str, Any]:

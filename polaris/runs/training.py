@@ -47,9 +47,8 @@ def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
     if not isinstance(scene, DecisionGrid):
-        scene = DecisionGrid.from_schedule(
-            scene, given.pop("period_s", None), 0.0, given.pop("half_widths", None)
-        )
+        period, half_widths = (given.pop(key, None) for key in ("period_s", "half_widths"))
+        scene = DecisionGrid.from_schedule(scene, period, 0.0, half_widths)
     return TrainingFlights(scene, runs, **given)
 
 

@@ -178,12 +178,8 @@ class FlightScenario(FilteredScenario):
 
     def errors(self) -> SampledErrors | None:
         """Return the errors that are flown, if any."""
-        unknown = self.uncertainty()
-        return (
-            None
-            if unknown.exact
-            else SampledErrors(unknown, self.inspection(), self.model.flight.errors_seed)
-        )
+        bounds, seed = self.uncertainty(), self.model.flight.errors_seed
+        return None if bounds.exact else SampledErrors(bounds, self.inspection(), seed)
 
     def primary(self) -> Primary:
         """Return the primary controller, phase by phase."""
@@ -240,9 +236,7 @@ class FuelLimitScenario(InspectionScenario):
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""
         q, given = self.inspection(), self.model.primary
-        targets = [
-            LQR(q, distance, *_weights(given)) for distance in (given.distance_m / 4, given.distance_m)
-        ]
+        targets = [LQR(q, given.distance_m / part, *_weights(given)) for part in (4, 1)]
         starts = np.arange(0.0, self.model.flight.duration_s, given.swing_s)
         return Phases(starts.tolist(), [targets[k % 2] for k in range(len(starts))])
 

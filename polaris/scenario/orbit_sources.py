@@ -108,9 +108,8 @@ class _Resolved:
     def result(self) -> tuple[dict[str, Any], tuple[str, ...]]:
         """Document and notes."""
         chaser = self._file(self.start.ephemeris, "initial_set.ephemeris") if self.start is not None else None
-        target = (
-            None if self.source.ephemeris is None else self._file(self.source.ephemeris, "orbit.ephemeris")
-        )
+        name = self.source.ephemeris
+        target = None if name is None else self._file(name, "orbit.ephemeris")
         if chaser is not None and target is None:
             rule = "must be given with a start set from the chaser's ephemeris"
             raise ScenarioError("orbit.ephemeris", None, rule)
@@ -130,9 +129,8 @@ class _Resolved:
             read = read_oem(place)
         except ScenarioError as error:
             raise ScenarioError(field, name, error.rule) from error
-        self.notes.append(
-            f"{field}: {printable(name)}, SHA-256 {hashlib.sha256(read_regular(place)).hexdigest()}"
-        )
+        digest = hashlib.sha256(read_regular(place)).hexdigest()
+        self.notes.append(f"{field}: {printable(name)}, SHA-256 {digest}")
         return read
 
     def _path(self, target: Ephemeris | None, chaser: Ephemeris | None) -> _Path:
@@ -298,9 +296,8 @@ def _of_lines(lines: tuple[str, str], epoch: int | None) -> _Path:
     try:
         for number, line in enumerate(lines, 1):
             if len(line) != 69 or line[:2] != f"{number} " or line[2:7] != lines[0][2:7]:
-                raise ValueError(
-                    f"line {number} must have 69 characters, begin with {number} and name one object"
-                )
+                rule = f"line {number} must have 69 characters, begin with {number} and name one object"
+                raise ValueError(rule)
         verify_checksum(*lines)
         satellite = Satrec.twoline2rv(*lines)
     except ValueError as error:

@@ -128,9 +128,8 @@ def check_names(model: models.ScenarioModel) -> None:
         seen: dict[str, str] = {}
         for path, part in group:
             if part.name in seen:
-                raise ScenarioError(
-                    f"{path}.name", part.name, f"must be unique; {seen[part.name]} has it too"
-                )
+                rule = f"must be unique; {seen[part.name]} has it too"
+                raise ScenarioError(f"{path}.name", part.name, rule)
             seen[part.name] = path
     for path, controller in model.controllers():
         if controller.name in ("safety", "polaris"):
@@ -263,10 +262,9 @@ def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
     for path, spec in model.controllers():
         if not isinstance(spec, scene.AffineTable):
             continue
-        if spec.gain is None and (
-            missing := next((name for name in "QR" if getattr(spec, name) is None), "")
-        ):
-            raise ScenarioError(f"{path}.{missing}", None, "must be given: Q and R, or gain")
+        missing = [name for name in "QR" if getattr(spec, name) is None]
+        if spec.gain is None and missing:
+            raise ScenarioError(f"{path}.{missing[0]}", None, "must be given: Q and R, or gain")
         if spec.gain is None:
             yield path, spec.Q, spec.R
         elif spec.Q is not None or spec.R is not None:

@@ -79,11 +79,8 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
         return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
     if not isinstance(item, (AffineController, NeuralController)):
         return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
-    own = (
-        {}
-        if item.own is safety.reference
-        else {"reference_states": item.own.chi, "reference_inputs": item.own.nu}
-    )
+    shared = item.own is safety.reference
+    own = {} if shared else {"reference_states": item.own.chi, "reference_inputs": item.own.nu}
     if isinstance(item, NeuralController):
         return {"name": item.name, "kind": "neural", **described(item), **own}
     kind = "saturated_affine" if item.clips else "affine"

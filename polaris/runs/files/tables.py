@@ -208,14 +208,11 @@ def _upkeep(claim: Mapping[str, Any]) -> str:
 
 def _estimate(claim: Mapping[str, Any]) -> str:
     """Describe how far an observer's estimates may be off."""
-    each = {
-        "once S has settled": claim["settled"],
-        "while an experimental controller flies": claim["experimental"],
-    }
+    phases = {"settled": "once S has settled", "experimental": "while an experimental controller flies"}
     texts = (
-        f"at most {', '.join(directed(x, '.3g', up=True) for x in bounds)} {when}"
-        for when, bounds in each.items()
-        if bounds is not None
+        f"at most {', '.join(directed(x, '.3g', up=True) for x in claim[key])} {phase}"
+        for key, phase in phases.items()
+        if claim[key] is not None
     )
     return f"errors by state, in state order and SI units: {'; '.join(texts) or 'not bounded'}."
 

@@ -44,15 +44,8 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Evalua
     stages, flight = stages or Stages(), scenario.model.flight
     with stages.stage("flight"):
         x, sun = scenario.initial()
-        flights = FlightBatch(
-            scenario.inspection(),
-            x[None],
-            np.array([sun]),
-            flight.duration_s,
-            flight.period_s,
-            scenario.primary(),
-            scenario.errors(),
-        )
+        start, times = (x[None], np.array([sun])), (flight.duration_s, flight.period_s)
+        flights = FlightBatch(scenario.inspection(), *start, *times, scenario.primary(), scenario.errors())
         total = round(flight.duration_s / flight.period_s)
         counting = stages.counting("flight: {} of {} periods")
         filtering = scenario.filter(scenario.model.filter, flight.period_s)

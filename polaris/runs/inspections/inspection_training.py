@@ -90,9 +90,8 @@ class InspectionFlights:
         """
         if fresh or (self._errors is None and not self._unknown.exact):
             self._drawn, number = [], int(rng.integers(2**31))
-            self._errors = (
-                None if self._unknown.exact else SampledErrors(self._unknown, self.inspection, number)
-            )
+            bounds = self._unknown
+            self._errors = None if bounds.exact else SampledErrors(bounds, self.inspection, number)
         x = self.x.copy()
         for run in np.flatnonzero(chosen).tolist():
             x[run], self.sun[run] = self._start(rng)

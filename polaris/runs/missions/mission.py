@@ -114,6 +114,7 @@ def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, An
     for i, (flown, leaves) in enumerate(zip(whole.legs, whole.leaves, strict=True)):
         claim, schedule, passive = guarantee(flown.schedule), flown.schedule, flown.schedule.passive
         goal, upkeep, system = claim["goal"], claim["upkeep"], schedule.safety.problem.system
+        drift = passive if passive is not None and np.all(passive.clear) else None
         spent = np.inf
         if goal["reached"] is True and leaves <= goal["by_s"]:
             spent = goal["delta_v_max_m_s"]
@@ -128,9 +129,7 @@ def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, An
             "delta_v_max_m_s": spent,
             "waiting_m_s2": None if upkeep is None else upkeep["rate_m_s2"] * (1 + MARGIN),
             "safe_until_s": claim["until_s"],
-            "drift_s": passive.flight.abort.horizon
-            if passive is not None and np.all(passive.clear)
-            else None,
+            "drift_s": None if drift is None else drift.flight.abort.horizon,
         }
         legs.append(known)
     joints = [
