@@ -1,7 +1,7 @@
 """The checker's own mathematics: every enclosure contains what it must, every bound holds."""
 
 import math
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from copy import copy
 from dataclasses import replace
 from fractions import Fraction
@@ -26,7 +26,7 @@ from polaris.certificate.claims.mean_spending import MeanCommands
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.claims.storage import together
 from polaris.certificate.files.document import Document, digest
-from polaris.certificate.files.entries import Departure
+from polaris.certificate.files.entries import Departure, DriftClaim
 from polaris.certificate.kernel.arcs import Arc
 from polaris.certificate.kernel.balls import (
     PRECISION,
@@ -355,6 +355,77 @@ def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
         departures = Departures(plant, 0, [group], state_offset)
         with nullcontext() if inside else pytest.raises(Rejected, match="where thrust may stop"):
             departures.check(0, base, rest, rest, rest, [arb(0), arb(0)])
+
+
+RUN_ON = np.array([[0.0, 1.0], [0.0, 0.0]])  # free motion along a line
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("A", "h", "i", "ends", "offset"),
+    [
+        (TURN, 0.4, 1, [[1.0, 0.2], [1.0, 0.2]], [0.0, 0.0]),  # bent by the motion
+        (RUN_ON, 0.4, 1, [[0.0, 0.0], [0.0, 1.0]], [0.0, 0.0]),  # bent as the chord is left meanwhile
+        (RUN_ON, 0.1, 9, [[0.3, 0.0], [0.3, 0.0]], [0.0, 0.1]),  # a velocity offset grows on the way back
+        (TURN + RUN_ON, 0.3, 2, [[1.0, 0.2], [0.7, -0.4]], [0.02, 0.01]),
+    ],
+)
+def test_departures_hold_where_thrust_stops_within_a_period(A, h, i, ends, offset):
+    """The flattest box along the chord that passes holds all free motion back to the start of the step."""
+    one, ends, offset = identity(2), np.array(ends), np.array(offset)
+    plant = Plant(matrix(A.tolist()), one, one, one, [arb(1)] * 2, arb(0), arb(h), q=i + 1)
+    base = SimpleNamespace(nodes=[arb_mat(2, 1)] * (i + 2))
+    sets = [Zonotope(column(x.tolist()), arb_mat(2, 0)) for x in (ends[0], ends[1] - ends[0], ends[1])]
+    first, last = (expm(-A * h * (i + k)) @ ends[k] for k in (0, 1))
+    along = (last - first) / np.linalg.norm(last - first) if np.any(last != first) else np.array([0.0, 1.0])
+    across, center = np.array([-along[1], along[0]]), (first + last) / 2
+    needed = max(
+        abs(
+            across
+            @ (expm(-A * (i + part) * h) @ (ends[0] + (ends[1] - ends[0]) * part + offset * sign) - center)
+        )
+        for part in np.linspace(0, 1, 41)
+        for sign in product((-1, 1), repeat=2)
+    )
+
+    def passes(half):
+        group = Departure(i + 1, center.tolist(), [(9 * along).tolist(), (half * across).tolist()], [])
+        with suppress(Rejected, Undecided):
+            Departures(plant, 0, [group], offset.tolist()).check(i, base, *sets, [arb(0)] * 2)
+            return True
+        return False
+
+    assert needed > 1e-3 and not passes(0.99 * needed) and passes(3 * needed)
+
+
+def test_drifts_are_no_nearer_than_their_clearance():
+    """Free motion from corners of a box, under constants at their bounds, past a wall that moves."""
+    rng, share = np.random.default_rng(3), []
+    for trial in range(40):
+        size = trial % 2  # every other trial is an oscillation alone
+        A = rng.normal(size=(2, 2)) if size else 2 * TURN
+        G, normal = rng.normal(size=(2, 1)), rng.normal(size=(1, 2))
+        delta, cells, parts, one = 0.5, 3, 2, identity(2)
+        plant = Plant(matrix(A.tolist()), one, one, one, [arb(1)] * 2, arb(0), arb(delta))
+        plant = replace(plant, bias=[InputSet.in_box(matrix(G.tolist()), [arb(0.2 * size)])])
+        center, axes = rng.normal(size=2), 0.1 * size * rng.normal(size=(2, 2))
+        offset = size * rng.normal(size=cells + 2) - 50
+        wall = SimpleNamespace(name="wall", normals=normal, keep_in=False)
+        wall.rows = lambda C, facets, row=normal: matrix(row.tolist())
+        wall.start, wall.end = ([[float(x)] for x in each] for each in (offset[:-1], offset[1:]))
+        group = Departure(1, center.tolist(), axes.tolist(), [[[cells * parts, 0]]])
+        claim = DriftClaim((cells - 1) * delta, False, parts, [[group]])
+        document = SimpleNamespace(A=A.tolist(), delta=delta, steps=1, unsafe=[wall], drift=claim)
+        (clearance,) = (float(x) for x in Drifts(document, plant)._clear(0, group))
+        nearest = np.inf
+        for t in np.linspace(0, cells * delta, 121):
+            joined = expm(np.block([[A, G], [np.zeros((1, 3))]]) * t)
+            at = np.interp(t, np.arange(cells + 2) * delta, offset)
+            for a, b, sign in product((-1, 1), repeat=3):
+                x = joined @ [*(center + a * axes[0] + b * axes[1]), 0.2 * size * sign]
+                nearest = min(nearest, (normal @ x[:2])[0] - at)
+        share.append(nearest - clearance)
+    assert min(share) >= -1e-9 and np.median(share) < 0.5
 
 
 def test_what_errors_do_within_a_period_is_answered_in_the_next():
