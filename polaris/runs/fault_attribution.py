@@ -37,9 +37,6 @@ def attribute_faults(schedule: Schedule) -> list[dict[str, Any]]:
 def _row(margin: Margin, k: int, delta: float, name: str) -> dict[str, Any]:
     """Return the data of step k, which this controller would fly; steps of delta [s]."""
     at = {"limit": margin.limit, "limit_time_s": margin.time, "limit_step": int(margin.time / delta + 1e-9)}
-    size = {
-        "tightening": margin.tightening,
-        "clearance": margin.clearance,
-        "shortfall": margin.tightening - margin.clearance,
-    }
+    tightening, clearance = margin.tightening, margin.clearance
+    size = {"tightening": tightening, "clearance": clearance, "shortfall": tightening - clearance}
     return {"step": k, "t_s": k * delta, "controller": name, **at, **size}

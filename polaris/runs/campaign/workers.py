@@ -224,11 +224,12 @@ class _Crew:
 
     def __init__(self, client: Any, address: str) -> None:
         self.client, self.address, self.seen = client, address, time.monotonic()
+        self.silence = f"the scheduler at {address} no longer answers"
 
     def executor(self) -> Any:
         """Return the cluster's executor, if its scheduler still answers."""
         if self.client.status != "running":
-            raise PolarisError(f"the scheduler at {self.address} no longer answers")
+            raise PolarisError(self.silence)
         return _ClusterExecutor(self.client)
 
     def window(self) -> int:
@@ -245,7 +246,9 @@ class _Crew:
         return count
 
     def trouble(self) -> str:
-        """Describe a cluster without workers for too long; empty if there are some."""
+        """Describe a lost scheduler, or a cluster without workers for too long; empty if there are some."""
+        if self.client.status == "closed":  # some futures never end then
+            return self.silence
         if self.threads() or time.monotonic() - self.seen < DESERTED:
             return ""
         return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"

@@ -73,7 +73,7 @@ def test_a_scheduler_lost_at_any_time_breaks_the_executor_and_says_nothing_more(
             executor.submit(sum, (1, 2))
         pending.cancel()
         executor.shutdown(wait=False)
-        assert crew.window() > 0 and crew.trouble() == ""  # asked again and again until futures end
+        assert crew.window() > 0 and "no longer answers" in crew.trouble()
         with pytest.raises(PolarisError, match="no longer answers"):
             crew.make()
     assert capfd.readouterr() == ("", "")
