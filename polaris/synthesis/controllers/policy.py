@@ -121,7 +121,8 @@ class Policy:
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
         read = senses.parts(np.zeros(n), np.eye(n), *others)
         M, own = self.network.steepest(self.stack(read).T), self.network.rounding
-        M = M if own is None else M * (1 + own.relative(1 + MORE))  # the outputs' scale
+        if own is not None:  # of the outputs' scale, and of their limits
+            M = M * (1 + own.relative(1 + MORE)) * (1 + own.relative(2))
         return np.asarray(self.output_scale[:, None] * M * (1 + ROUNDING))
 
     def stack(self, parts: dict[str, Array]) -> Array:
