@@ -37,24 +37,24 @@ def main(names):
     for name in names:
         scene = DecisionGrid.from_schedule(synthesize(load_scenario(name)))
         methods = {key: METHODS[key](scene) for key in TIMED}
-        seen = list(decisions(scene))
-        spent = {key: np.empty(len(seen)) for key in TIMED}
+        observations = list(decisions(scene))
+        durations = {key: np.empty(len(observations)) for key in TIMED}
         for method in methods.values():
             method.start(1)
-            for one in seen[:WARM]:
+            for one in observations[:WARM]:
                 method.decide(one)
-        for i, one in enumerate(seen):
+        for i, one in enumerate(observations):
             for key, method in methods.items():
-                begun = time.perf_counter()
+                start = time.perf_counter()
                 method.decide(one)
-                spent[key][i] = time.perf_counter() - begun
-        own = np.median(spent["monitor"])
+                durations[key][i] = time.perf_counter() - start
+        baseline = np.median(durations["monitor"])
         limits = len(methods["monitor"].recovery.matrix)
-        print(f"{name}: {len(seen)} decisions every {scene.period:g} s, {limits} limits")
+        print(f"{name}: {len(observations)} decisions every {scene.period:g} s, {limits} limits")
         print(f"  {'method':18} {'median us':>10} {'p99 us':>10} {'least us':>10} {'ratio':>7}")
-        for key, times in spent.items():
+        for key, times in durations.items():
             median, p99 = 1e6 * np.median(times), 1e6 * np.percentile(times, 99)
-            ratio, least = np.median(times) / own, 1e6 * times.min()
+            ratio, least = np.median(times) / baseline, 1e6 * times.min()
             print(f"  {key:18} {median:10.1f} {p99:10.1f} {least:10.1f} {ratio:7.1f}")
 
 

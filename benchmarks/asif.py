@@ -61,19 +61,19 @@ ROWS: tuple[Row, ...] = (
 
 def time_filter(row: Row, calls: int, times: int) -> tuple[float, float, float]:
     """Median and 99th percentile [ms], share of calls that changed an input."""
-    spent, changed = [], 0
+    durations, changed = [], 0
     for asif, t, x, desired in _calls(row, calls):
         least = np.inf
-        if not spent:  # what is read or made at first counts for nothing
+        if not durations:  # what is read or made at first counts for nothing
             asif.filter(t, x, desired)
         for _ in range(times):
             asif.reset()
-            begun = time.thread_time()
+            start = time.thread_time()
             decision = asif.filter(t, x, desired)
-            least = min(least, time.thread_time() - begun)
-        spent.append(least)
+            least = min(least, time.thread_time() - start)
+        durations.append(least)
         changed += bool(decision.intervened.any())
-    median, p99 = np.percentile(spent, [50, 99])
+    median, p99 = np.percentile(durations, [50, 99])
     return float(median * 1e3), float(p99 * 1e3), changed / calls
 
 
@@ -101,12 +101,12 @@ def _along(name: str, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.n
     (x, sun), flight = scenario.initial(), scenario.model.flight
     filtering = scenario.filter(scenario.model.filter, flight.period_s)
     times = flight.duration_s, flight.period_s
-    flown = fly_one(
+    run = fly_one(
         FlightBatch(scenario.inspection(), x[None], np.array([sun]), *times, scenario.primary()), filtering
     )
     asif = ActiveSetFilter(filtering, sun_start=float(sun))
-    for k in np.linspace(0, len(flown.u) - 1, calls).astype(int).tolist():
-        yield asif, float(flown.t[k]), flown.x[k], flown.desired[k]
+    for k in np.linspace(0, len(run.u) - 1, calls).astype(int).tolist():
+        yield asif, float(run.t[k]), run.x[k], run.desired[k]
 
 
 def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -127,10 +127,10 @@ def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]
 def _timed(tree: Path, compiled: bool, row: Row, calls: int, times: int) -> list[float]:
     """`time_filter` in a process of its own, with the package of a tree."""
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    there = {**os.environ, **single, "PYTHONPATH": str(tree), "POLARIS_COMPILED": str(int(compiled))}
+    environment = {**os.environ, **single, "PYTHONPATH": str(tree), "POLARIS_COMPILED": str(int(compiled))}
     command = [sys.executable, __file__, "--row", json.dumps([row, calls, times])]
-    answer = subprocess.run(command, env=there, check=True, capture_output=True, text=True)
-    return list(json.loads(answer.stdout))
+    process = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    return list(json.loads(process.stdout))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -142,32 +142,32 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--calls", type=int, default=300, help="per row; with 50 deputies a fifteenth")
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--row", type=json.loads, help=argparse.SUPPRESS)
-    given = parser.parse_args(arguments)
-    if given.row:
-        print(json.dumps(time_filter(*given.row)))
+    options = parser.parse_args(arguments)
+    if options.row:
+        print(json.dumps(time_filter(*options.row)))
         return
-    ways = {"before": (given.before.resolve(), False)} if given.before else {}
-    ways["NumPy"] = (ROOT, False)
+    modes = {"before": (options.before.resolve(), False)} if options.before else {}
+    modes["NumPy"] = (ROOT, False)
     if find_spec("numba"):
-        ways["compiled"] = (ROOT, True)
-    first = next(iter(ways))
-    head = "".join(f"{f'{way} ms':>12} {'p99/median':>10}" for way in ways)
-    ratios = "".join(f"{f'{way}/{first}':>17}" for way in ways if way != first)
+        modes["compiled"] = (ROOT, True)
+    first = next(iter(modes))
+    head = "".join(f"{f'{mode} ms':>12} {'p99/median':>10}" for mode in modes)
+    ratios = "".join(f"{f'{mode}/{first}':>17}" for mode in modes if mode != first)
     print(f"{'filter':28} {'N':>3}{head} {'changed':>8}{ratios}")
-    for row in (ROWS[k] for k in given.only):
+    for row in (ROWS[k] for k in options.only):
         # The machine's clock changes: all ways in turn, and the quickest of each.
-        calls, turns, times = given.calls, given.turns, 3
+        calls, turns, times = options.calls, options.turns, 3
         if row[0] > 5:
             calls = -(-calls // 15)
         if row[3] == "anywhere":
             calls, turns, times = min(calls, 3), 1, 1
-        measured = [[_timed(*way, row, calls, times) for way in ways.values()] for _ in range(turns)]
-        fastest = [min(of_way) for of_way in zip(*measured, strict=True)]
-        times_told = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in fastest)
+        measured = [[_timed(*mode, row, calls, times) for mode in modes.values()] for _ in range(turns)]
+        fastest = [min(timings) for timings in zip(*measured, strict=True)]
+        times_text = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in fastest)
         ratios = "".join(f"{one[0] / fastest[0][0]:17.3f}" for one in fastest[1:])
-        print(f"{_name(row):28} {row[0]:3d}{times_told} {fastest[-1][2]:8.0%}{ratios}", flush=True)
-    if given.monte_carlo:
-        _monte_carlo(given.monte_carlo, given.workers)
+        print(f"{_name(row):28} {row[0]:3d}{times_text} {fastest[-1][2]:8.0%}{ratios}", flush=True)
+    if options.monte_carlo:
+        _monte_carlo(options.monte_carlo, options.workers)
 
 
 def _name(row: Row) -> str:
@@ -180,11 +180,11 @@ def _name(row: Row) -> str:
 
 def _monte_carlo(runs: int, workers: int) -> None:
     scenario = load_scenario("inspection-monte-carlo").with_assignments([f"campaign.runs={runs}"])
-    begun = time.perf_counter()
+    start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         summary = run_monte_carlo(Path(folder) / "c", scenario, executor=local(workers)).summary
-    spent = time.perf_counter() - begun
-    print(f"{len(summary['studies'])} studies of {runs} runs in {spent:.1f} s on {workers} processes")
+    elapsed = time.perf_counter() - start
+    print(f"{len(summary['studies'])} studies of {runs} runs in {elapsed:.1f} s on {workers} processes")
     for study in summary["studies"]:
         print(f"{study['name']:34} success {study['success_share']:.2%}")
 

@@ -34,52 +34,52 @@ NAMES |= {"thrusters": "errors of thrusters", "carried impulse": "carried bit", 
 
 def laws_flown(schedule: Schedule, steps: int) -> list[AffineController]:
     """Return the law of each of the first steps, with the bounds on its commands that its tube rests on."""
-    laws, flown = list[AffineController](), AffineController._flown
-    with patch.object(AffineController, "_flown", lambda law, *given: laws.append(law) or flown(law, *given)):
-        last, start = list[AffineController](), schedule.safety.tracking.whole_state(schedule.safety.start)
+    laws, method = list[AffineController](), AffineController._flown
+    with patch.object(AffineController, "_flown", lambda law, *args: laws.append(law) or method(law, *args)):
+        by_step, start = list[AffineController](), schedule.safety.tracking.whole_state(schedule.safety.start)
         for step in schedule.steps[:steps]:
             start = schedule.controllers[step.mode].propagate(start, step.k).end
-            last.append(laws[-1])
-    return last
+            by_step.append(laws[-1])
+    return by_step
 
 
 def booked_by(schedule: Schedule, place: Place, end: int) -> dict[str, float]:
     """Return what each channel adds along the row at an end of a place, 0 or 1 [m], without merging."""
     k, i = divmod(place.period, schedule.safety.clearance.q)
     laws = laws_flown(schedule, k + 1)
-    row, booked = np.pad(place.row, (0, len(laws[0].closed.F) - len(place.row))), dict[str, float]()
+    row, by_channel = np.pad(place.row, (0, len(laws[0].closed.F) - len(place.row))), dict[str, float]()
     for number, law in reversed(list(enumerate(laws))):
         for _ in range(i + end if number == k else schedule.safety.clearance.q):
             for channel, size in law.channels():
                 gains = law.closed.gains(channel, row)
-                booked[channel.name] = booked.get(channel.name, 0.0) + float(np.sum(gains @ size))
+                by_channel[channel.name] = by_channel.get(channel.name, 0.0) + float(np.sum(gains @ size))
             row = row @ law.closed.F
     first = schedule.safety.tracking.whole_state(schedule.safety.start)
-    return booked | {"start": float(np.abs(row @ first.G).sum())}
+    return by_channel | {"start": float(np.abs(row @ first.G).sum())}
 
 
 def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[str, float]]:
     """Return how far the worst flight of an ascent goes by then, and how much less without each source."""
     flight, node, undisturbed = attacker.flight, place.nodes[end], place.undisturbed[end]
-    target, about = np.array([max(node * flight.substeps, 1)]), None
+    target, previous = np.array([max(node * flight.substeps, 1)]), None
 
     def reached(attack: Attack) -> float:
         return float(((attack.fly(flight).states[:, node] - undisturbed) @ place.row).max())
 
-    far, worst = -np.inf, None
+    largest, worst = -np.inf, None
     for _ in range(ROUNDS):
-        attack = attacker._towards(place.row[None], target, about)
-        about = attack.fly(flight)
-        if (now := reached(attack)) > far:
-            far, worst = now, attack
+        attack = attacker._towards(place.row[None], target, previous)
+        previous = attack.fly(flight)
+        if (distance := reached(attack)) > largest:
+            largest, worst = distance, attack
     assert worst is not None
     middle = attacker.claims.schedule.safety.problem.initial_set.c[None]
-    less = {"start": far - reached(Attack(middle, worst.w, worst.free))}
+    effects = {"start": largest - reached(Attack(middle, worst.w, worst.free))}
     for name, part in zip(("disturbance", "estimate", "thrusters"), flight.columns, strict=False):
         w: Array = worst.w.copy()
         w[..., part] = 0
-        less[name] = far - reached(Attack(worst.x0, w, worst.free))
-    return far, less
+        effects[name] = largest - reached(Attack(worst.x0, w, worst.free))
+    return largest, effects
 
 
 def booked(scene: str) -> dict[str, tuple[float, float | None]]:
@@ -88,11 +88,11 @@ def booked(scene: str) -> dict[str, tuple[float, float | None]]:
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
     place = next(tightest(attacker))
     flights = [flown_by(attacker, place, end) for end in (0, 1)]
-    end = int(np.argmax([far / size for (far, _), size in zip(flights, place.booked, strict=True)]))
-    parts, (far, flown), whole = booked_by(schedule, place, end), flights[end], float(place.booked[end])
-    sizes = {NAMES[name]: (size, flown.get(name)) for name, size in parts.items()}
-    between = "merged generators, between nodes"
-    return sizes | {between: (whole - sum(parts.values()), None), "all": (whole, far)}
+    end = int(np.argmax([reach / size for (reach, _), size in zip(flights, place.booked, strict=True)]))
+    parts, (reach, effects), total = booked_by(schedule, place, end), flights[end], float(place.booked[end])
+    sizes = {NAMES[name]: (size, effects.get(name)) for name, size in parts.items()}
+    label = "merged generators, between nodes"
+    return sizes | {label: (total - sum(parts.values()), None), "all": (total, reach)}
 
 
 def table(scenes: Sequence[str]) -> Iterator[str]:
@@ -110,12 +110,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES)
     parser.add_argument("--write", action="store_true")
-    given = parser.parse_args()
-    lines = list(table(given.scenes))
+    options = parser.parse_args()
+    lines = list(table(options.scenes))
     print(*lines, sep="\n")
-    if given.write:
-        before, rest = PLACE.read_text(encoding="utf-8").split(BEGIN)
-        page = before + BEGIN + "\n".join(lines) + "\n" + END + rest.split(END)[1]
+    if options.write:
+        before, tail = PLACE.read_text(encoding="utf-8").split(BEGIN)
+        page = before + BEGIN + "\n".join(lines) + "\n" + END + tail.split(END)[1]
         PLACE.write_text(page, encoding="utf-8")
 
 

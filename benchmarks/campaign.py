@@ -38,9 +38,9 @@ def dask(processes: int) -> Iterator[Workers]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    address, here = f"tcp://127.0.0.1:{port}", ("--host", "127.0.0.1", "--no-dashboard")
-    commands = [("dask_scheduler", "--port", str(port), *here)]
-    commands += [("dask_worker", address, "--nthreads", "1", "--no-nanny", *here)] * processes
+    address, host_options = f"tcp://127.0.0.1:{port}", ("--host", "127.0.0.1", "--no-dashboard")
+    commands = [("dask_scheduler", "--port", str(port), *host_options)]
+    commands += [("dask_worker", address, "--nthreads", "1", "--no-nanny", *host_options)] * processes
     running = [
         subprocess.Popen([sys.executable, "-m", f"distributed.cli.{name}", *rest], stderr=subprocess.DEVNULL)
         for name, *rest in commands
@@ -58,14 +58,14 @@ def dask(processes: int) -> Iterator[Workers]:
 
 def seconds(name: str, workers: Workers, runs: int, repeats: int) -> float:
     """Least time of a campaign on warm workers."""
-    cases, spent = make_cases([name]), []
+    cases, durations = make_cases([name]), []
     with tempfile.TemporaryDirectory() as folder:
         for repeat in range(repeats + 1):
-            begun = time.perf_counter()
+            start = time.perf_counter()
             plan = CampaignPlan(cases, runs, repeat, BATCH)
             run_campaign(plan, Path(folder) / str(repeat), executor=workers)
-            spent.append(time.perf_counter() - begun)
-    return min(spent[1:])
+            durations.append(time.perf_counter() - start)
+    return min(durations[1:])
 
 
 def main() -> None:
@@ -79,7 +79,7 @@ def main() -> None:
     print(f"{options.runs} runs in batches of {BATCH}, least of {options.repeats}; runs per second (ratio)")
     print(f"{'scenario':<12}" + "".join(f"{kind:>24}" for kind in kinds))
     with ExitStack() as stack:
-        workers = {kind: stack.enter_context(made) for kind, made in kinds.items()}
+        workers = {kind: stack.enter_context(context) for kind, context in kinds.items()}
         for name in options.scenarios:
             rates = {
                 kind: options.runs / seconds(name, one, options.runs, options.repeats)

@@ -128,10 +128,10 @@ Sweep = dict[str, dict[Values, dict[str, Cell]]]
 
 def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] = tuple(SWEPT)) -> Sweep:
     """Compare methods with every value of every option on every scene."""
-    out: Sweep = {}
+    swept: Sweep = {}
     for full in options:
         key = full.partition(".")[0]
-        out[full] = {value: {} for value in VALUES[full]}
+        swept[full] = {value: {} for value in VALUES[full]}
         for name, schedule in schedules.items():
             scene = DecisionGrid.from_schedule(schedule)
             for value in VALUES[full]:
@@ -144,43 +144,43 @@ def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] =
                     switches = float(m.switches.mean())
                     objective = schedule.objective({0: 1 - share, 1: share}, delta_v, switches)
                     cell = replace(cell, switches=switches, objective=objective)
-                out[full][value][name] = cell
+                swept[full][value][name] = cell
                 print(f"  {full} = {label(full, value)} on {name}: {cell}", flush=True)
-    return out
+    return swept
 
 
 def chosen(values: Mapping[Values, Mapping[str, Cell]]) -> Values:
     """Return the best value on all scenes that are given: see the top of the file."""
     scenes = next(iter(values.values()))
     hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
-    left = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
-    objective = {value: sum(cell.objective for cell in cells.values()) for value, cells in left.items()}
+    safest = {value: cells for value, cells in values.items() if hits[value] == min(hits.values())}
+    objective = {value: sum(cell.objective for cell in cells.values()) for value, cells in safest.items()}
     if np.isfinite(max(objective.values())):
-        return max(left, key=objective.__getitem__)
-    best = {name: min(cells[name].deviation for cells in left.values()) for name in scenes}
+        return max(safest, key=objective.__getitem__)
+    minima = {name: min(cells[name].deviation for cells in safest.values()) for name in scenes}
     cost = {
-        value: float(np.mean([cell.deviation / best[name] for name, cell in cells.items()]))
-        for value, cells in left.items()
+        value: float(np.mean([cell.deviation / minima[name] for name, cell in cells.items()]))
+        for value, cells in safest.items()
     }
-    alike = [value for value in left if cost[value] <= min(cost.values()) / BETTER]
-    return max(alike, key=lambda value: sum(cell.share for cell in left[value].values()))
+    closest = [value for value in safest if cost[value] <= min(cost.values()) / BETTER]
+    return max(closest, key=lambda value: sum(cell.share for cell in safest[value].values()))
 
 
 def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None:
     """Return the value that is better on one scene alone, if there is one that is worth a row."""
     default = chosen(values)
-    best = chosen({value: {name: cells[name]} for value, cells in values.items()})
-    ours, theirs = values[default][name], values[best][name]
+    local = chosen({value: {name: cells[name]} for value, cells in values.items()})
+    ours, theirs = values[default][name], values[local][name]
     nearer = theirs.deviation < BETTER * ours.deviation
     better = theirs.objective > ours.objective + DEARER if np.isfinite(ours.objective) else nearer
     better = better or theirs.violations < ours.violations or theirs.share > ours.share + MORE
-    return best if better else None
+    return local if better else None
 
 
 def sweep_table(swept: Sweep) -> str:
     """Return the sweep as CSV: a row per values of options and scene, marked where they are the default."""
-    out = io.StringIO()
-    rows = csv.writer(out, lineterminator="\n")
+    buffer = io.StringIO()
+    rows = csv.writer(buffer, lineterminator="\n")
     rows.writerow(SWEEP_COLUMNS)
     for full, values in swept.items():
         default = chosen(values)
@@ -194,21 +194,21 @@ def sweep_table(swept: Sweep) -> str:
                 )
                 mark = "yes" if value == default else "no"
                 rows.writerow((full, label(full, value), mark, name, cell.violations, *numbers, *extra))
-    return out.getvalue()
+    return buffer.getvalue()
 
 
 def read_sweep(table: str) -> tuple[Sweep, dict[str, Values]]:
     """Return the sweep of a CSV text, and the values that it marks as defaults."""
-    out: Sweep = {}
+    swept: Sweep = {}
     defaults = {}
     for row in csv.DictReader(io.StringIO(table)):
         value = tuple(float(one.split()[0]) for one in row["values"].split(", "))
         means = (float(row[key] or np.nan) for key in SWEEP_COLUMNS[5:])
-        cells = out.setdefault(row["options"], {}).setdefault(value, {})
+        cells = swept.setdefault(row["options"], {}).setdefault(value, {})
         cells[row["scene"]] = Cell(int(row["violations"]), *means)
         if row["default"] == "yes":
             defaults[row["options"]] = value
-    return out, defaults
+    return swept, defaults
 
 
 COLUMNS = ("Method", "Violations", "Least distance m", "Share of U", "Switches", "Delta-v m/s", "Deviation")
@@ -258,20 +258,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--write", action="store_true", help="put tables and figures into the page")
     parser.add_argument("--runs", type=int, default=RUNS, help="per method and scene")
     parser.add_argument("--swept-runs", type=int, default=SWEPT_RUNS, help="per value and scene")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     scenarios = {name: load_scenario(name) for name in SCENES}
     schedules = {name: synthesize(scenario) for name, scenario in scenarios.items()}
-    swept = sweep(schedules, given.swept_runs)
+    swept = sweep(schedules, options.swept_runs)
     text = sweep_table(swept)
     print(f"\nsweep\n\n{text}")
-    if given.write:
+    if options.write:
         SWEEP.write_text(text, encoding="utf-8")
     tables = {}
     for name, schedule in schedules.items():
-        best = {key: own(values, name) for key, values in swept.items()}
-        tuned = {key: value for key, value in best.items() if value is not None}
-        tables[name], comparison = scene_table(schedule, given.runs, tuned)
-        if given.write and name in FIGURES:
+        own_values = {key: own(values, name) for key, values in swept.items()}
+        tuned = {key: value for key, value in own_values.items() if value is not None}
+        tables[name], comparison = scene_table(schedule, options.runs, tuned)
+        if options.write and name in FIGURES:
             with tempfile.TemporaryDirectory() as place:
                 folder = write_comparison(Path(place) / "one", scenarios[name], comparison, draw=draw_run)
                 for figure in FIGURES[name]:
@@ -280,8 +280,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = PAGE.read_text(encoding="utf-8")
     for name, table in tables.items():
         print(f"\n{name}\n\n{table}")
-        text = put(text, name, table) if given.write else text
-    if given.write:
+        text = put(text, name, table) if options.write else text
+    if options.write:
         PAGE.write_text(text, encoding="utf-8")
 
 

@@ -76,13 +76,13 @@ def in_c(run: str, precision: str, monitor: bool) -> float:
 def in_python(run: str) -> float:
     """Time of a call [s] by the processor's clock."""
     tables = flight_tables(certificate_of(Path(run)))
-    n, m, best, calls = len(tables.gain[0]), len(tables.limit), 1e9, CALLS // 100
+    n, m, seconds, calls = len(tables.gain[0]), len(tables.limit), 1e9, CALLS // 100
     for _ in range(BLOCKS):
-        step, begun = FlightStep(tables), time.process_time()
+        step, start = FlightStep(tables), time.process_time()
         for i in range(calls):
             step.step(i, [0.0] * n, 0, [0.0] * m)
-        best = min(best, (time.process_time() - begun) / calls)
-    return best
+        seconds = min(seconds, (time.process_time() - start) / calls)
+    return seconds
 
 
 def main() -> None:
@@ -92,8 +92,8 @@ def main() -> None:
     run = parser.parse_args().run
     for precision in PRECISIONS:
         for monitor in (False, True):
-            what = "decision" if monitor else "call"
-            print(f"{precision:8} {in_c(run, precision, monitor) * 1e9:9.1f} ns a {what} in C")
+            unit = "decision" if monitor else "call"
+            print(f"{precision:8} {in_c(run, precision, monitor) * 1e9:9.1f} ns a {unit} in C")
     print(f"{'double':8} {in_python(run) * 1e9:9.1f} ns a call in Python")
 
 

@@ -61,8 +61,8 @@ class Harsh:
             aim = (*AIMS, "chief")[int(t // self.every) % 4]
         angle = self.inspection.sun_angle(t, self.sun)
         cone = -np.array([np.cos(angle), np.sin(angle), 0.0]) * np.linalg.norm(p, axis=1)[:, None]
-        way = {"deputy": np.roll(p, -1, axis=0) - p, "cone": cone - p, "far": p, "chief": -p}[aim]
-        return np.asarray(np.sign(way) * self.inspection.thrust_max)
+        direction = {"deputy": np.roll(p, -1, axis=0) - p, "cone": cone - p, "far": p, "chief": -p}[aim]
+        return np.asarray(np.sign(direction) * self.inspection.thrust_max)
 
 
 def fly(
@@ -108,12 +108,12 @@ def fly_all(
     kind: str, flights: int, seconds: float, errors: bool = False, seed: int = 5
 ) -> Iterator[tuple[str, float, float, int, float]]:
     """Aim, period, and what `fly` answers, of every flight."""
-    q, unknown = Inspection(), ERRORS if errors else Uncertainty()
-    brakes = {period: Brake(q, period, unknown) for period in PERIODS}
+    q, uncertainty = Inspection(), ERRORS if errors else Uncertainty()
+    brakes = {period: Brake(q, period, uncertainty) for period in PERIODS}
     states, cases = proven(q, brakes.values(), seed), cycle(product(PERIODS, AIMS))
     for k, (x, sun), (period, aim) in zip(range(flights), states, cases, strict=False):
         f, primary = KINDS[kind].start(brakes[period], PRESETS["linear"], sun), Harsh(q, aim, sun)
-        act = partial(decided, f, primary, SampledErrors(unknown, q, k))
+        act = partial(decided, f, primary, SampledErrors(uncertainty, q, k))
         yield aim, period, *fly(q, period, x, sun, seconds, act)
 
 
@@ -121,8 +121,8 @@ def decided(
     f: RunTimeFilter, primary: Harsh, errors: SampledErrors, t: float, x: np.ndarray
 ) -> tuple[Decision, np.ndarray]:
     """Return a filter's answer to estimates with errors, and the force [N] that acts then."""
-    seen = errors.estimated(x)
-    decision = f.filter(t, seen, primary(t, seen))
+    estimate = errors.estimated(x)
+    decision = f.filter(t, estimate, primary(t, estimate))
     return decision, errors.acting(decision.u)
 
 
@@ -132,16 +132,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--kind", choices=KINDS, default="explicit")
     parser.add_argument("--errors", action="store_true", help="of navigation, thrusters and the model, too")
-    given = parser.parse_args(arguments)
-    bad = missed = 0
-    for k, (aim, period, *flight) in enumerate(
-        fly_all(given.kind, given.flights, given.seconds, given.errors)
-    ):
+    args = parser.parse_args(arguments)
+    violated = missed = 0
+    for k, (aim, period, *flight) in enumerate(fly_all(args.kind, args.flights, args.seconds, args.errors)):
         least, unproven, backup = flight
         text = f"least {least:10.3g}  not proven {unproven}  on backup {backup:5.1%}"
         print(f"{k:4d} {aim:8} {period:4g} s  {text}", flush=True)
-        bad, missed = bad + (least < 0), missed + unproven
-    print(f"{given.flights} flights of {given.seconds:g} s: {bad} violated, {missed} periods not proven")
+        violated, missed = violated + (least < 0), missed + unproven
+    print(f"{args.flights} flights of {args.seconds:g} s: {violated} violated, {missed} periods not proven")
 
 
 if __name__ == "__main__":

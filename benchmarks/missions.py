@@ -70,50 +70,50 @@ class Mission:
     @property
     def row(self) -> str:
         """Return the row of the table."""
-        claim, flown = self.summary["guarantee"], self.summary["polaris"]
-        published, alone = PUBLISHED[self.name], self.summary["experimental"]
+        claim, metrics = self.summary["guarantee"], self.summary["polaris"]
+        published, u_alone = PUBLISHED[self.name], self.summary["experimental"]
         until = "for all time" if claim["horizon"] == "infinite" else f"until {claim['until_s']:.0f} s"
         cells = (
             f"[`{self.name}`](#{self.name})",
             "none" if published is None else f"{published:g}",
-            f"{flown['delta_v_m_s']:.3f}",
-            f"{flown['delta_v_max_m_s']:.3f}",
+            f"{metrics['delta_v_m_s']:.3f}",
+            f"{metrics['delta_v_max_m_s']:.3f}",
             f"{claim['goal']['delta_v_max_m_s']:.3f}",
             until if claim["kind"] == "proved" else claim["kind"],
             f"{100 * self.summary['synthesis']['experimental_share']:.1f} %",
-            str(flown["switches"]),
-            f"{distance(alone)}, {alone['collided_runs']} of {alone['runs']} runs enter",
-            distance(flown),
+            str(metrics["switches"]),
+            f"{distance(u_alone)}, {u_alone['collided_runs']} of {u_alone['runs']} runs enter",
+            distance(metrics),
             f"{self.seconds:.0f}",
             self.checked,
         )
         return f"| {' | '.join(cells)} |"
 
 
-def distance(flown: Mapping[str, Any]) -> str:
+def distance(metrics: Mapping[str, Any]) -> str:
     """Return the least distance [m] to an unsafe set, or "none" where no place is unsafe, only a speed."""
-    return "none" if flown["min_distance_m"] is None else f"{flown['min_distance_m']:.1f}"
+    return "none" if metrics["min_distance_m"] is None else f"{metrics['min_distance_m']:.1f}"
 
 
 def run(name: str, out: Path, draw: bool = False) -> Mission:
     """Synthesise, fly and check one mission, and write its run folder."""
-    begun = time.process_time()
+    start = time.process_time()
     scenario = load_scenario(FOLDER / f"{name}.toml")
     schedule = synthesize(scenario)
-    seconds = time.process_time() - begun
-    flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
-    folder = write_run(out / name, scenario, schedule, flown)
+    seconds = time.process_time() - start
+    runs = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
+    folder = write_run(out / name, scenario, schedule, runs)
     checked = verify(folder.path).outcome
     if draw:
         draw_run(read_run(folder.path))
         by_distance = [one for one in scenario.obstacles() if getattr(one, "per_distance", 0.0)]
         if by_distance:
-            draw_speeds(schedule.safety.problem.system, by_distance[0], flown, folder.path / "figures")
+            draw_speeds(schedule.safety.problem.system, by_distance[0], runs, folder.path / "figures")
     return Mission(name, folder.summary, checked, seconds)
 
 
 def draw_speeds(
-    system: LinearSystem, limit: SpeedLimit, flown: Mapping[str, ControllerRuns], folder: Path
+    system: LinearSystem, limit: SpeedLimit, runs: Mapping[str, ControllerRuns], folder: Path
 ) -> None:
     """Draw speed over distance, with its limit, in the place of the scene: U alone and under the schedule."""
     with style():
@@ -122,15 +122,15 @@ def draw_speeds(
         top = 1.0
         looks = {"experimental": ("U alone", VERMILION), "polaris": ("under the schedule", BLACK)}
         for key, (label, colour) in looks.items():
-            states = flown[key].flights.states[0]  # the nominal flight
-            far = np.linalg.norm(states @ system.position.T, axis=1)
+            states = runs[key].flights.states[0]  # the nominal flight
+            distances = np.linalg.norm(states @ system.position.T, axis=1)
             speed = np.linalg.norm(states @ system.velocity.T, axis=1)
-            ax.loglog(far, speed, color=colour, lw=1.0, label=label)
-            top = max(top, far.max())
-        far = np.geomspace(0.1, top, 200)
-        allowed = limit.top + limit.per_distance * far
-        ax.loglog(far, allowed, color=RED, lw=1.0, ls="--", label="limit")
-        ax.fill_between(far, allowed, 1e3, color=tint(RED, 0.16), lw=0)
+            ax.loglog(distances, speed, color=colour, lw=1.0, label=label)
+            top = max(top, distances.max())
+        distances = np.geomspace(0.1, top, 200)
+        allowed = limit.top + limit.per_distance * distances
+        ax.loglog(distances, allowed, color=RED, lw=1.0, ls="--", label="limit")
+        ax.fill_between(distances, allowed, 1e3, color=tint(RED, 0.16), lw=0)
         ax.set(xlim=(0.1, top), ylim=(1e-3, 100.0), xlabel="Distance (m)", ylabel="Speed (m/s)")
         ax.legend(loc="lower right")
         ax.grid(True)
@@ -140,14 +140,14 @@ def draw_speeds(
 def table(rows: Mapping[str, str]) -> str:
     """Return the table of missions from their rows."""
     head = f"| {' | '.join(HEADS)} |"
-    known = [rows[name] for name in PUBLISHED if name in rows]
-    return "\n".join((head, "|---" * len(HEADS) + "|", *known)) + "\n"
+    lines = [rows[name] for name in PUBLISHED if name in rows]
+    return "\n".join((head, "|---" * len(HEADS) + "|", *lines)) + "\n"
 
 
 def page_rows() -> dict[str, str]:
     """Return the rows of the page by mission."""
-    shown = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
-    return {row.split("`")[1]: row for row in shown.splitlines() if row.startswith("| [`")}
+    text = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
+    return {row.split("`")[1]: row for row in text.splitlines() if row.startswith("| [`")}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -157,18 +157,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PUBLISHED))
     parser.add_argument("--write", action="store_true", help="put rows and pictures into the documentation")
-    given = parser.parse_args(arguments)
-    if unknown := set(given.names) - set(PUBLISHED):
+    options = parser.parse_args(arguments)
+    if unknown := set(options.names) - set(PUBLISHED):
         parser.error(f"unknown missions: {', '.join(sorted(unknown))}")
-    for name in given.names or PUBLISHED:
+    for name in options.names or PUBLISHED:
         with tempfile.TemporaryDirectory() as folder:
-            row = run(name, Path(folder), given.write).row
+            row = run(name, Path(folder), options.write).row
             print(row, flush=True)
-            if given.write:
+            if options.write:
                 picture = Path(folder) / name / "figures" / "scene.png"
                 shutil.copyfile(picture, PAGE.parent / "figures" / f"mission-{name}.png")
-                before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-                page = before + BEGIN + table(page_rows() | {name: row}) + END + rest.split(END)[1]
+                before, tail = PAGE.read_text(encoding="utf-8").split(BEGIN)
+                page = before + BEGIN + table(page_rows() | {name: row}) + END + tail.split(END)[1]
                 PAGE.write_text(page, encoding="utf-8")
 
 

@@ -32,17 +32,17 @@ BLOCK = 300
 """Decisions per block."""
 
 
-def blocks(way: Callable[[], Callable[[int], object]], turns: int) -> np.ndarray:
+def blocks(factory: Callable[[], Callable[[int], object]], turns: int) -> np.ndarray:
     """Median and 99th percentile of every block [us], shape (turns, 2)."""
-    out, spent = np.empty((turns, 2)), np.empty(BLOCK)
+    quantiles, durations = np.empty((turns, 2)), np.empty(BLOCK)
     for turn in range(turns):
-        decide = way()
+        decide = factory()
         for k in range(BLOCK):
-            begun = time.perf_counter()
+            start = time.perf_counter()
             decide(k)
-            spent[k] = time.perf_counter() - begun
-        out[turn] = np.percentile(spent, [50, 99]) * 1e6
-    return out
+            durations[k] = time.perf_counter() - start
+        quantiles[turn] = np.percentile(durations, [50, 99]) * 1e6
+    return quantiles
 
 
 def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
@@ -50,22 +50,22 @@ def ways(monitor: Monitor) -> dict[str, Callable[[], Callable[[int], object]]]:
     scene = monitor.grid
     conditions = Conditions.draw(scene, 2, 0).only(1)
     flight = fly(scene, SafetyAlone(scene), conditions)
-    seen = flight.states[0, :: scene.nodes][: len(conditions.errors)] + conditions.errors[:, 0]
-    errors = seen - scene.xi[: len(seen) * scene.nodes : scene.nodes]
-    calls = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(seen)]
+    estimates = flight.states[0, :: scene.nodes][: len(conditions.errors)] + conditions.errors[:, 0]
+    errors = estimates - scene.xi[: len(estimates) * scene.nodes : scene.nodes]
+    calls = [(k * scene.period, Measurement(k * scene.period, x)) for k, x in enumerate(estimates)]
     inputs = [None, *flight.inputs[0, :: scene.nodes]]
 
     def bare() -> Callable[[int], object]:
         return lambda k: monitor.judge_one(k, errors[k], 1)
 
-    def step(log: DecisionLog | None = None, known: bool = False) -> Callable[[int], object]:
+    def step(log: DecisionLog | None = None, with_input: bool = False) -> Callable[[int], object]:
         online = OnlineMonitor(monitor, log=log)
-        return lambda k: online.step(*calls[k], inputs[k] if known else None)
+        return lambda k: online.step(*calls[k], inputs[k] if with_input else None)
 
     return {
         "judge_one": bare,
         "step": step,
-        "step, input known": lambda: step(known=True),
+        "step, input known": lambda: step(with_input=True),
         "step and log": lambda: step(DecisionLog(io.StringIO())),
     }
 
@@ -78,10 +78,10 @@ def main() -> None:
     print(f"{'[us]':10}{'':20}{'median':>10}{'p99':>10}{'best':>12}{'p99':>10}")
     for name in arguments.scenarios:
         monitor = Monitor(DecisionGrid.from_schedule(synthesize(load_scenario(name)), half_widths=0.005))
-        for what, way in ways(monitor).items():
-            times = blocks(way, arguments.turns)
+        for label, factory in ways(monitor).items():
+            times = blocks(factory, arguments.turns)
             middle, best = np.median(times, axis=0), times.min(axis=0)
-            print(f"{name:10}{what:20}{middle[0]:10.1f}{middle[1]:10.1f}{best[0]:12.1f}{best[1]:10.1f}")
+            print(f"{name:10}{label:20}{middle[0]:10.1f}{middle[1]:10.1f}{best[0]:12.1f}{best[1]:10.1f}")
 
 
 if __name__ == "__main__":

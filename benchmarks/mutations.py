@@ -37,15 +37,15 @@ synthesis/safety/feedforward.py
 + later += effect.ever(last)
 ! synthesis/schedule/test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 certificate/model/craft/feedforward.py
-- more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
-+ more, ever = gains.summed([_over(size, size) for size in sizes[T:]]), gains.always(last)
+- excess, steady = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
++ excess, steady = gains.summed([_over(size, size) for size in sizes[T:]]), gains.always(last)
 ! synthesis/schedule/test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 synthesis/sources/observer.py
 - measures @ self.away + measures @ offset
 + measures @ self.away
 ! synthesis/tracker/test_loop.py::test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured
 model/estimates/prediction.py
-- (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
+- (1.0 if mid else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
 + 0.0 * np.array(timing.intersample_offset or 0.0)
 ! synthesis/schedule/test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
 model/estimates/prediction.py
@@ -74,8 +74,8 @@ synthesis/schedule/abort_branch.py
 + at_nodes(tube.intersample), until[k - 1] if k else 0.0)
 ! synthesis/schedule/test_powered_abort.py::test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before
 synthesis/schedule/spending.py
-- spent.sum(axis=-1).max(axis=0).sum()
-+ spent.sum(axis=-1)[1].sum()
+- thrust.sum(axis=-1).max(axis=0).sum()
++ thrust.sum(axis=-1)[1].sum()
 ! synthesis/schedule/test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/safety/carried_rows.py
 - self.tracking.settled_tightening(self.rows) + self._upset[-1]
@@ -99,11 +99,11 @@ certificate/claims/continuation.py
 + pass
 ! certificate/test_recovery.py::test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed
 certificate/claims/drift.py
-- column(intersample) + column(self.state_offset) + bent
-+ column(intersample) + bent
+- column(intersample) + column(self.state_offset) + deviation
++ column(intersample) + deviation
 ! certificate/test_certificate_math.py::test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft
 certificate/claims/argument.py
-- flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
+- steps[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
 + []
 ! certificate/test_recovery.py::test_s_takes_over_at_any_node_where_a_fault_is_isolated_late
 certificate/claims/continuation.py
@@ -115,7 +115,7 @@ certificate/kernel/periods.py
 + for push in (*self.constant, *self.pushes)[:1]:
 ! certificate/test_certificate_math.py::test_a_period_counts_every_push_at_its_end_and_on_the_way
 certificate/claims/flights.py
-- [there - taken for there, taken in zip(node, tightenings, strict=True)] for node in clearance
+- [limit - upset for limit, upset in zip(node, tightenings, strict=True)] for node in clearance
 + list(node) for node in clearance
 ! certificate/test_certificate_math.py::test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated
 certificate/claims/mean_spending.py
@@ -135,16 +135,16 @@ certificate/claims/recovery.py
 + reach + disturbance
 ! certificate/test_recovery.py::test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at
 certificate/model/transients.py
-- worst = _peak([worst, *ever, *now])
-+ worst = _peak([*ever, *now])
+- worst = _peak([worst, *steady, *at_lag])
++ worst = _peak([*steady, *at_lag])
 ! certificate/test_recovery.py::test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over
 certificate/claims/recovery.py
 - self._check_late(k, reached[k], share)
 + pass
 ! certificate/test_recovery.py::test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too
 certificate/claims/arrival.py
-- spent = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
-+ spent = self.spent
+- delta_v = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
++ delta_v = self.spent
 ! synthesis/schedule/test_arrival.py::test_what_s_corrects_after_t_is_part_of_the_velocity_change
 """  # noqa: E501
 """Of each defect a file of the package, a text that occurs once in it, what stands there instead, a test."""
@@ -168,11 +168,11 @@ class Defect:
         file.write_text(text.replace(self.old, self.new), encoding="utf-8")
         test = ["-m", "pytest", "-qxp", "no:cacheprovider", f"tests/polaris/{self.test}"]
         env = os.environ | {"PYTHONPATH": str(tree)}
-        done = subprocess.run([sys.executable, *test], cwd=tree, env=env, capture_output=True, text=True)
+        process = subprocess.run([sys.executable, *test], cwd=tree, env=env, capture_output=True, text=True)
         file.write_text(text, encoding="utf-8")
-        if " failed" not in done.stdout and " passed" not in done.stdout:  # no test has run
-            raise SystemExit(f"{self.test}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
-        return done.returncode == 1
+        if " failed" not in process.stdout and " passed" not in process.stdout:  # no test has run
+            raise SystemExit(f"{self.test}: {process.stdout[-2000:]}{process.stderr[-2000:]}")
+        return process.returncode == 1
 
 
 def defects():

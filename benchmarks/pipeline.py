@@ -20,9 +20,9 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 
 def timed(code: list[str]) -> float:
-    begun = time.perf_counter()
+    start = time.perf_counter()
     subprocess.run([sys.executable, *code], check=True, capture_output=True)
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def runs(repeats: int) -> None:
@@ -37,15 +37,15 @@ def runs(repeats: int) -> None:
         for _ in range(repeats):
             with tempfile.TemporaryDirectory() as folder:
                 out = Path(folder) / name
-                spent = timed(["-m", "polaris", "run", name, "--out", str(out), "--quiet"])
+                elapsed = timed(["-m", "polaris", "run", name, "--out", str(out), "--quiet"])
                 stages = json.loads((out / "summary.json").read_text())["synthesis"]["seconds"]
-            if spent < total:
-                best, total = stages, spent
-        rest = sum(best[k] for k in ("bounds", "recoverable", "schedule"))
+            if elapsed < total:
+                best, total = stages, elapsed
+        others = sum(best[k] for k in ("bounds", "recoverable", "schedule"))
         row = "".join(
             f"{best[k]:>{w}.3f}" for k, w in (("bounds", 8), ("plan", 8), ("recoverable", 9), ("schedule", 9))
         )
-        print(f"{name:<12}{row}{rest:>11.3f}{total:>9.2f}", flush=True)
+        print(f"{name:<12}{row}{others:>11.3f}{total:>9.2f}", flush=True)
 
 
 def growth() -> None:

@@ -45,7 +45,7 @@ def cone(K, apex, axis, half_angle, sides=8):
 
 
 def problem(
-    unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **more
+    unsafe, goal, K=60, delta=50.0, x0=(0, -1000, 0, 0, 0, 0), margin=10.0, extra=20.0, u=0.9, **options
 ):
     """Return a planning problem with one margin for all cells and facets."""
     system = clohessy_wiltshire(ETA, 10.0, 1.0)
@@ -59,7 +59,7 @@ def problem(
         np.full((K, 3), u),
         goal,
         extra_margin=extra,
-        **more,
+        **options,
     )
 
 
@@ -104,26 +104,26 @@ def field(K, count, seed=0):
     delta = 3000.0 / K
     boxes = []
     for i in range(count):
-        way = np.array([-150.0, -930.0, 0.0]) + (i + 0.5) / count * np.array([-150.0, 750.0, 0.0])
-        center = way + rng.uniform(-1, 1, 3) * (40, 40, 20)
+        waypoint = np.array([-150.0, -930.0, 0.0]) + (i + 0.5) / count * np.array([-150.0, 750.0, 0.0])
+        center = waypoint + rng.uniform(-1, 1, 3) * (40, 40, 20)
         boxes.append(box(f"box {i}", center, rng.uniform(30, 60), K))
     return problem(boxes, NMT, K=K, delta=delta, margin=5.0, extra=5.0)
 
 
 def run(task, solver, limit):
     """Wall time, processor time and result of one solve."""
-    begun, cpu = perf_counter(), process_time()
+    start, cpu = perf_counter(), process_time()
     try:
         answer = plan(task, PlannerOptions(solver=solver, time_limit=limit))
         error = None
     except Exception as problem_found:  # a benchmark reports, it does not stop
         answer, error = None, problem_found
-    return perf_counter() - begun, process_time() - cpu, error, answer
+    return perf_counter() - start, process_time() - cpu, error, answer
 
 
-def show(name, how, seconds, cpu, error, answer):
+def show(name, solver, seconds, cpu, error, answer):
     """Print one line."""
-    start = f"{name:31s} {how:6s} {seconds:7.2f} {cpu:7.2f} "
+    start = f"{name:31s} {solver:6s} {seconds:7.2f} {cpu:7.2f} "
     if error is not None:
         print(start + f"{type(error).__name__}: {str(error)[:80]}", flush=True)
         return
@@ -149,21 +149,21 @@ def main() -> None:
     if args.part != "growth":
         print(head)
         print("tree: the planner's default, linear programs by HiGHS; the others: the back end branches")
-        ways = {"tree": "facets", "HiGHS": "highs", "Gurobi": "gurobi"}
+        solvers = {"tree": "facets", "HiGHS": "highs", "Gurobi": "gurobi"}
         ratios = {}
         for name, task in scenes().items():
             if args.only not in name:
                 continue
-            spent = {}
-            for way, solver in ways.items():
+            cpu_times = {}
+            for label, solver in solvers.items():
                 result = run(task, solver, args.limit)
-                show(name, way, *result)
-                done = result[2] is None and result[3].status == "optimal"
-                spent[way] = result[1] if done else float("nan")
-            ratios[name] = spent
+                show(name, label, *result)
+                optimal = result[2] is None and result[3].status == "optimal"
+                cpu_times[label] = result[1] if optimal else float("nan")
+            ratios[name] = cpu_times
         print("\nprocessor time over that of Gurobi (nan: no optimum in the time given)")
-        for name, spent in ratios.items():
-            tree, highs = (spent[way] / spent["Gurobi"] for way in ("tree", "HiGHS"))
+        for name, cpu_times in ratios.items():
+            tree, highs = (cpu_times[label] / cpu_times["Gurobi"] for label in ("tree", "HiGHS"))
             print(f"{name:31s}  tree {tree:6.2f}   HiGHS {highs:6.2f}")
     if args.part != "scenes":
         print(head)

@@ -48,16 +48,16 @@ def shortcut() -> tuple[LinearSystem, Array]:
 
 def tracking(system: LinearSystem, gain: Array) -> tuple[Law, int]:
     """``clip(gain error)``, and its number of outputs."""
-    return lambda read: np.clip(read @ gain.T / system.u_max, -1, 1), system.m
+    return lambda inputs: np.clip(inputs @ gain.T / system.u_max, -1, 1), system.m
 
 
 def yielding() -> tuple[Law, int]:
     """Return the first law of `dynamic`; while another body is near it aims higher, cross-track."""
     law, m = tracking(*first_law("dynamic"))
 
-    def aside(read: Array) -> Array:
-        error = read[:, :6].copy()
-        error[:, 2] += 130.0 * np.exp(-np.sum(read[:, 6:] ** 2, axis=1) / (2 * 170.0**2))
+    def aside(inputs: Array) -> Array:
+        error = inputs[:, :6].copy()
+        error[:, 2] += 130.0 * np.exp(-np.sum(inputs[:, 6:] ** 2, axis=1) / (2 * 170.0**2))
         return law(error)
 
     return aside, m
@@ -84,20 +84,20 @@ def train(law: Law, m: int, size: Array, width: int, decay: float = DECAY) -> li
         z[:, :errors] *= rng.choice(SCALES, (BATCH, 1))
         if len(size) > errors:
             z[:, errors:] *= rng.choice(PLACES, (BATCH, 1))
-        wanted = law(z * size)
+        target = law(z * size)
         a = np.tanh(z @ P[0].T + P[3])
         b = np.tanh(a @ P[1].T + P[4])
-        out = (b @ P[2].T + P[5] - wanted) / BATCH
-        back = out @ P[2] * (1 - b * b)
+        residual = (b @ P[2].T + P[5] - target) / BATCH
+        back = residual @ P[2] * (1 - b * b)
         front = back @ P[1] * (1 - a * a)
-        slopes = [front.T @ z, back.T @ a, out.T @ b, front.sum(0), back.sum(0), out.sum(0)]
+        slopes = [front.T @ z, back.T @ a, residual.T @ b, front.sum(0), back.sum(0), residual.sum(0)]
         rate = RATE * 0.5 * (1 + np.cos(np.pi * step / STEPS))
         for i, slope in enumerate(slopes):
             first[i] = 0.9 * first[i] + 0.1 * slope
             second[i] = 0.999 * second[i] + 0.001 * slope**2
-            moved = first[i] / (1 - 0.9 ** (step + 1))
-            moved = moved / (np.sqrt(second[i] / (1 - 0.999 ** (step + 1))) + 1e-8)
-            P[i] = P[i] - rate * (moved + (decay * P[i] if i < 3 else 0))
+            update = first[i] / (1 - 0.9 ** (step + 1))
+            update = update / (np.sqrt(second[i] / (1 - 0.999 ** (step + 1))) + 1e-8)
+            P[i] = P[i] - rate * (update + (decay * P[i] if i < 3 else 0))
     return P
 
 

@@ -72,14 +72,14 @@ def case(kind: str, n: int, steps: int) -> dict[str, float | int | str]:
     rows = np.zeros((2, n))
     rows[0, 0] = rows[1, n // 4] = 1.0
     reach.support_tube(*chain(2, dense=True), 1.0, [[1.0, 0.0]], step=0.5)  # imports
-    before, begun = settling(), perf_counter()
+    before, start_time = settling(), perf_counter()
     gap = float("nan")
     if kind == "zonotope":
         reach.zonotope_tube(system, start, horizon, step=horizon / steps)
     else:
         tube = reach.support_tube(system, start, horizon, rows, step=horizon / steps)
         gap = float(np.max((tube.upper - tube.attained) / tube.upper))
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start_time
     return {
         "tube": kind,
         "states": n,
@@ -112,11 +112,11 @@ def main() -> None:
         os.environ[name] = "1"  # for the processes started below
     for kind, n, steps in cases(options.quick):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            result = pool.submit(case, kind, n, steps).result()
+            figures = pool.submit(case, kind, n, steps).result()
         if options.json:
-            print(json.dumps(result), flush=True)
-        gap = "" if kind == "zonotope" else f"{result['gap']:.1e}"
-        table.add_row(kind, f"{n}", f"{steps:,}", f"{result['seconds']:.3f}", f"{result['MB']:.0f}", gap)
+            print(json.dumps(figures), flush=True)
+        gap = "" if kind == "zonotope" else f"{figures['gap']:.1e}"
+        table.add_row(kind, f"{n}", f"{steps:,}", f"{figures['seconds']:.3f}", f"{figures['MB']:.0f}", gap)
     if not options.json:
         Console(width=90).print(table)
 

@@ -40,12 +40,12 @@ def crowded(count: int = 8, steps: int = 120) -> ScheduleScenario:
     The way is inside each box, 3 m from its nearer side.
     """
     longer = load_scenario("static").with_assignments([f"horizon.duration_s={30 * steps}"])
-    way = get_safety(replace(longer.problem(), unsafe=())).reference.chi[: steps + 1, :3]
+    path = get_safety(replace(longer.problem(), unsafe=())).reference.chi[: steps + 1, :3]
     boxes = []
     for i, k in enumerate(np.linspace(0.12 * steps, 0.62 * steps, count).astype(int)):
-        ahead = way[k + 1] - way[k]
-        aside = np.array([-ahead[1], ahead[0], 0.0]) / np.hypot(ahead[0], ahead[1])
-        place = (way[k] + 12.0 * (-1) ** i * aside).round(1).tolist()
+        tangent = path[k + 1] - path[k]
+        normal = np.array([-tangent[1], tangent[0], 0.0]) / np.hypot(tangent[0], tangent[1])
+        place = (path[k] + 12.0 * (-1) ** i * normal).round(1).tolist()
         boxes.append(
             f'{{kind="box", name="box-{i + 1}", center_m={place}, half_widths_m=[15.0, 15.0, 15.0]}}'
         )
@@ -54,8 +54,8 @@ def crowded(count: int = 8, steps: int = 120) -> ScheduleScenario:
 
 def timed(scenario: ScheduleScenario) -> tuple[Schedule, float]:
     """Return the schedule, and the CPU time that it took [s]."""
-    begun = time.process_time()
-    return synthesize(scenario), time.process_time() - begun
+    start = time.process_time()
+    return synthesize(scenario), time.process_time() - start
 
 
 def spent(schedule: Schedule, mode: int | None = None) -> float:
@@ -67,9 +67,9 @@ def row(name: str) -> str:
     """Return a bundled scene: printed, and with U in view."""
     scenario = crowded() if name == "crowded" else load_scenario(name)
     printed, first = timed(scenario.with_assignments([PRINTED]))
-    searched, whole = timed(scenario)
+    searched, total = timed(scenario)
     cells = [f"{name:11s}  S alone {spent(printed, 0):6.3f} m/s"]
-    for schedule, seconds in ((printed, first), (searched, whole)):
+    for schedule, seconds in ((printed, first), (searched, total)):
         goal = schedule.arrival
         arrives = f"by {goal.by:.6g} s" if goal.by is not None else str(goal.reached)
         text = (
@@ -123,9 +123,9 @@ def random_scenes(count: int) -> str:
     fuel = sum(new <= old * (1 + 1e-9) for _, old, new in fuel_of)
     ratio = np.median([new / alone for alone, _, new in fuel_of if alone > 0])
     goal = sum(new.arrival.reached is True for _, new in pairs)
-    better = sum(new.share() > old.share() for old, new in pairs)
+    raised = sum(new.share() > old.share() for old, new in pairs)
     return (
-        f"{count} random scenes (of {seed}): share at least the printed one's in {share} (more in {better}),"
+        f"{count} random scenes (of {seed}): share at least the printed one's in {share} (more in {raised}),"
         f" velocity change at most its in {fuel}, median of (velocity change / S alone) {ratio:.2f},"
         f" goal proven in {goal}"
     )

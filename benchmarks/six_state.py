@@ -50,23 +50,23 @@ def closed_loop() -> tuple[Array, Array]:
 def exact(A: Array, D: Array, t: float) -> Array:
     """Half-widths of the exact reachable set at one time, from below: the midpoint rule per lag."""
     h = t / SAMPLES
-    rows, have, step = np.empty((SAMPLES, 6, 6)), 1, expm(A * h)
+    rows, filled, step = np.empty((SAMPLES, 6, 6)), 1, expm(A * h)
     rows[0] = expm(A * h / 2)
-    while have < SAMPLES:
-        more = min(have, SAMPLES - have)
-        rows[have : have + more] = rows[:more] @ step
-        step, have = step @ step, 2 * have
-    held = np.abs(rows @ D).sum(axis=(0, 2)) * DISTURBANCE * h
-    return np.abs(expm(A * t)) @ RADII + held * (1 - 1e-6)
+    while filled < SAMPLES:
+        count = min(filled, SAMPLES - filled)
+        rows[filled : filled + count] = rows[:count] @ step
+        step, filled = step @ step, 2 * filled
+    spread = np.abs(rows @ D).sum(axis=(0, 2)) * DISTURBANCE * h
+    return np.abs(expm(A * t)) @ RADII + spread * (1 - 1e-6)
 
 
 def measure(run: Callable[[], Any], repeats: int) -> tuple[Any, float]:
     """Result and best time of several runs."""
     result, best = run(), np.inf
     for _ in range(repeats):
-        begun = perf_counter()
+        start = perf_counter()
         result = run()
-        best = min(best, perf_counter() - begun)
+        best = min(best, perf_counter() - start)
     return result, best
 
 
@@ -85,13 +85,13 @@ def main() -> None:
         "support": lambda h: reach.support_tube(system, initial, HORIZON, np.eye(6), step=h),
         "zonotope": lambda h: reach.zonotope_tube(system, initial, HORIZON, step=h),
     }
-    out: dict[str, Any] = {}
+    report: dict[str, Any] = {}
     for kind, make in makers.items():
         for name, h in (("", FINE), ("coarse_", COARSE)):
             tube, seconds = measure(lambda make=make, h=h: make(h), options.repeats)  # type: ignore[misc]
             width = tube.interval if kind == "support" else tube.intervals.half_widths
             k = np.searchsorted(tube.times, INSTANTS * (1 + 1e-12), side="right") - 1
-            out.setdefault(kind, {}).update(
+            report.setdefault(kind, {}).update(
                 {
                     f"{name}step_s": h,
                     f"{name}ratio": float((width[k] / truth).max()),
@@ -99,14 +99,14 @@ def main() -> None:
                     f"{name}seconds": seconds,
                 }
             )
-    out = {**out["support"], **{f"zonotope_{key}": value for key, value in out["zonotope"].items()}}
+    report = {**report["support"], **{f"zonotope_{key}": value for key, value in report["zonotope"].items()}}
     if options.json:
-        print(json.dumps(out, indent=2))
+        print(json.dumps(report, indent=2))
         return
     print(f"{'tube':10}{'step [s]':>10}{'ratio':>10}{'before':>10}{'ms':>10}")
     for kind in ("", "zonotope_"):
         for name in ("", "coarse_"):
-            row = [out[f"{kind}{name}{key}"] for key in ("step_s", "ratio", "before", "seconds")]
+            row = [report[f"{kind}{name}{key}"] for key in ("step_s", "ratio", "before", "seconds")]
             label = kind.rstrip("_") or "support"
             print(f"{label:10}{row[0]:10.0f}{row[1]:10.4f}{row[2]:10.3f}{1e3 * row[3]:10.2f}")
 

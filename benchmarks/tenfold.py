@@ -66,16 +66,16 @@ def settings(error: str, times: float) -> list[str]:
     return [*scaled, *besides, *CHEAP]
 
 
-def judged(scene: str, given: Sequence[str], attacks: int | None, folder: Path) -> Found:
+def judged(scene: str, overrides: Sequence[str], attacks: int | None, folder: Path) -> Found:
     """Return results of a run, of the checker unless `attacks` is None, of attacks; or why there is none."""
-    scenario = load_scenario(scene, given)
+    scenario = load_scenario(scene, overrides)
     try:
-        flown = fly_schedule(scenario, Stages())
+        outcome = fly_schedule(scenario, Stages())
     except (SynthesisInfeasible, NotCertified) as none:
         return {"reason": str(none), "exit_code": none.exit_code}
-    results = said(write_run(folder, scenario, flown.schedule, flown.flown).summary, scenario.step)
+    results = said(write_run(folder, scenario, outcome.schedule, outcome.flown).summary, scenario.step)
     results |= {} if attacks is None else {"outcome": verify(folder).outcome}
-    return results | ({"attacks": falsify(flown.schedule, attacks).summary()} if attacks else {})
+    return results | ({"attacks": falsify(outcome.schedule, attacks).summary()} if attacks else {})
 
 
 def said(summary: Mapping[str, Any], delta: float) -> Found:
@@ -90,8 +90,8 @@ def said(summary: Mapping[str, Any], delta: float) -> Found:
         clear = sum(round((end - start) / delta) for start, end in drift["clear_s"])
         results |= {"drift": f"{clear} of {len(steps)}", "proven_m_s": claim["goal"]["delta_v_max_m_s"]}
         if witness:
-            met = f"{witness['unsafe_set']} {witness['after_s']:.0f} s later"
-            results["drift"] += f" (from {witness['t_s']:g} s: {met})"
+            encounter = f"{witness['unsafe_set']} {witness['after_s']:.0f} s later"
+            results["drift"] += f" (from {witness['t_s']:g} s: {encounter})"
         results["aborts"] = f"{sum(step['why'] is None for step in steps)} of {len(steps)}"
         results["lasts_h"] = claim["upkeep"] and claim["upkeep"]["lasts_s"] / 3600
     return results
@@ -101,10 +101,10 @@ def cell(results: Found) -> str:
     """Return the share of U, and what is not as it should be."""
     if "reason" in results:
         return f"none ({results['exit_code']})"
-    wrong = [] if results.get("outcome", "VERIFIED") == "VERIFIED" else [results["outcome"]]
-    wrong += [] if results["goal"] is True else ["goal not proven"]
-    wrong += ["VIOLATED"] if results.get("attacks", {}).get("violated") else []
-    return ", ".join([f"{100 * results['share']:.1f}", *wrong])
+    problems = [] if results.get("outcome", "VERIFIED") == "VERIFIED" else [results["outcome"]]
+    problems += [] if results["goal"] is True else ["goal not proven"]
+    problems += ["VIOLATED"] if results.get("attacks", {}).get("violated") else []
+    return ", ".join([f"{100 * results['share']:.1f}", *problems])
 
 
 def table(results: Mapping[str, Found], size: float) -> str:
@@ -128,8 +128,8 @@ def together(results: Mapping[str, Found], scenes: Sequence[str]) -> str:
     for scene in scenes:
         for kind in TOGETHER:
             if one := results.get(f"{scene}, {kind}"):
-                lasts, spent = (one.get(key) for key in ("lasts_h", "delta_v_m_s"))
-                cells = [f"{spent:.2f}" if spent else "-", one.get("drift", "-"), one.get("aborts", "-")]
+                lasts, delta_v = (one.get(key) for key in ("lasts_h", "delta_v_m_s"))
+                cells = [f"{delta_v:.2f}" if delta_v else "-", one.get("drift", "-"), one.get("aborts", "-")]
                 cells += [f"{lasts:.1f}" if lasts else "-", one.get("outcome", "-")]
                 lines.append(f"| {' | '.join([f'`{scene}`', kind, cell(one), *cells])} |")
     return "\n".join(lines)
@@ -153,33 +153,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--kept", action="store_true", help="tell what has been found, and compute nothing")
     parser.add_argument("--together", action="store_true", help="all errors at once, not each alone")
     parser.add_argument("--write", action="store_true", help="put the rows into the page")
-    given = parser.parse_args(arguments)
-    given.out.mkdir(parents=True, exist_ok=True)
-    kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
-    known: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    store, errors = args.out / "tenfold.json", args.only or list(ERRORS)
+    stored: dict[str, Found] = json.loads(store.read_text()) if store.is_file() else {}
     jobs = [
-        (f"{scene}, {error}, {size:g}", scene, settings(error, size), size == given.times[-1])
-        for size in reversed(given.times)
-        for scene in given.scenes
+        (f"{scene}, {error}, {size:g}", scene, settings(error, size), size == args.times[-1])
+        for size in reversed(args.times)
+        for scene in args.scenes
         for error in errors
     ]
-    if given.together:
+    if args.together:
         jobs = [
             (f"{scene}, {kind}", scene, [*TOGETHER[kind], CHEAP[0]], True)
-            for scene in given.scenes
+            for scene in args.scenes
             for kind in TOGETHER
         ]
-    for name, scene, sets, attacked in () if given.kept else jobs:
-        attacks = given.attacks if attacked else None
-        if name not in known or (attacks or 0) > known[name].get("attacks", {"runs": attacks or 0})["runs"]:
-            known[name] = judged(scene, sets, attacks, given.out / name.replace(", ", "-").replace(" ", "-"))
-            kept.write_text(json.dumps(known, indent=1))
-        print(f"{name}: {cell(known[name])}", flush=True)
-    text = together(known, given.scenes) if given.together else table(known, given.times[-1])
+    for name, scene, sets, attacked in () if args.kept else jobs:
+        attacks = args.attacks if attacked else None
+        if name not in stored or (attacks or 0) > stored[name].get("attacks", {"runs": attacks or 0})["runs"]:
+            stored[name] = judged(scene, sets, attacks, args.out / name.replace(", ", "-").replace(" ", "-"))
+            store.write_text(json.dumps(stored, indent=1))
+        print(f"{name}: {cell(stored[name])}", flush=True)
+    text = together(stored, args.scenes) if args.together else table(stored, args.times[-1])
     print(f"\n{text}")
-    if given.write:
+    if args.write:
         page = COSTS.read_text(encoding="utf-8")
-        page = renew(page, "together", text) if given.together else put(page, NAME, text)
+        page = renew(page, "together", text) if args.together else put(page, NAME, text)
         COSTS.write_text(page, encoding="utf-8")
 
 

@@ -52,29 +52,29 @@ NOTHING = 1e-6
 def sources(scenario) -> dict[str, list[str]]:
     """Overrides with one source of errors each, in sizes of the scene's own."""
     system, problem = scenario.system(), scenario.problem()
-    period, least = problem.period, float(system.u_max.min())
+    period, limit = problem.period, float(system.u_max.min())
     half = 0.05 * scenario.initial_set().half_widths
     half = np.maximum(half, 0.05 * half.max() * (half == 0) * (system.mean_motion is None))
     if system.mean_motion is None:
-        known = [f"navigation.state_error={half.tolist()}"]
+        navigation = [f"navigation.state_error={half.tolist()}"]
     else:
         d = system.d
-        known = [
+        navigation = [
             f"navigation.position_error_m={half[:d].tolist()}",
             f"navigation.velocity_error_m_s={half[d:].tolist()}",
         ]
     overrides = {
         "none": [],
-        "navigation": known,
+        "navigation": navigation,
         "delay": [f"timing.delay_s={period!r}"],
         "missed periods": ["timing.missed_periods=2"],
         "jitter": [f"timing.jitter_s={0.002 * period!r}"],
         "magnitude": ["thrusters.magnitude_error=0.05"],
         "mass": ["thrusters.mass_error=0.03"],
         "misalignment": ["thrusters.misalignment_deg=2"],
-        "bit, nearest": [f"thrusters.impulse_bit_N_s={0.02 * period * least!r}"],
+        "bit, nearest": [f"thrusters.impulse_bit_N_s={0.02 * period * limit!r}"],
         "bit, carried": [
-            f"thrusters.impulse_bit_N_s={0.02 * period * least!r}",
+            f"thrusters.impulse_bit_N_s={0.02 * period * limit!r}",
             "thrusters.remainder=carried",
         ],
     }
@@ -105,36 +105,36 @@ def tightest(attacker: Attacker) -> Iterator[Place]:
     x0 = claims.schedule.safety.problem.initial_set.c[None]
     middle = Attack(x0, np.zeros((flight.steps, 1, flight.columns[-1].stop)), None).fly(flight).states[0]
     for o, facets in enumerate(claims.facets):
-        best = facets.max(axis=1)
-        period = int(np.argmin(np.where(np.isfinite(best), best, np.inf)))
+        margins = facets.max(axis=1)
+        period = int(np.argmin(np.where(np.isfinite(margins), margins, np.inf)))
         facet = int(np.argmax(facets[period]))
         row, at = -claims.unsafe[o].normals[facet] @ flight.system.position, slice(period, period + 2)
         clear = -(middle[at] @ row) - [part[period, facet] for part in claims.offsets[o]]
-        booked = clear - best[period]
-        if booked.max() > NOTHING * np.abs(clear).max():
-            yield Place(period, row, middle[at], booked)
+        tightening = clear - margins[period]
+        if tightening.max() > NOTHING * np.abs(clear).max():
+            yield Place(period, row, middle[at], tightening)
 
 
 def worst(attacker: Attacker, place: Place) -> float:
     """Return the largest share of what is booked at a place that flights take."""
     flight, used = attacker.flight, 0.0
-    for node, undisturbed, booked in zip(place.nodes, place.undisturbed, place.booked, strict=True):
-        about, target = None, np.array([max(node * flight.substeps, 1)])
+    for node, undisturbed, tightening in zip(place.nodes, place.undisturbed, place.booked, strict=True):
+        previous, target = None, np.array([max(node * flight.substeps, 1)])
         for _ in range(ROUNDS):
-            attack = attacker._towards(place.row[None], target, about)
-            flown = about = attack.fly(flight)
-            away = (flown.states[:, node] - undisturbed) @ place.row
-            used = max(used, float(away.max()) / max(booked, 1e-300))
+            attack = attacker._towards(place.row[None], target, previous)
+            runs = previous = attack.fly(flight)
+            deviation = (runs.states[:, node] - undisturbed) @ place.row
+            used = max(used, float(deviation.max()) / max(tightening, 1e-300))
     return used
 
 
 def unmerged(schedule: Schedule) -> Claims:
     """Return the claims as if the sets of the same schedule kept all of their generators."""
     steps, start, safety = [], schedule.steps[0].tube.nodes[0], schedule.safety
-    fresh = [law.with_reference(safety.reference, safety.tracking) for law in schedule.controllers]
+    laws = [law.with_reference(safety.reference, safety.tracking) for law in schedule.controllers]
     with patch.multiple(controllers, ORDER=1e9, WIDE=1e9, WHOLE=1e9), patch.object(affine_law, "ORDER", 1e9):
         for step in schedule.steps:
-            steps.append(replace(step, tube=fresh[step.mode].propagate(start, step.k)))
+            steps.append(replace(step, tube=laws[step.mode].propagate(start, step.k)))
             start = steps[-1].tube.end
     return Claims(replace(schedule, steps=steps), False)
 
@@ -142,12 +142,12 @@ def unmerged(schedule: Schedule) -> Claims:
 def parts(schedule: Schedule) -> Iterator[tuple[float, float]]:
     """Yield for every set its shares of what is booked: flown, and needed by sets with all generators."""
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
-    claims, kept = attacker.claims, unmerged(schedule)
+    claims, full_claims = attacker.claims, unmerged(schedule)
     for place in tightest(attacker):
         k, at = divmod(place.period, claims.q)
         nominal = schedule.safety.reference.fine(claims.q)[k, at : at + 2]
-        off = (place.undisturbed - nominal) @ place.row
-        tightening = kept._tightenings(place.row[None])[0][k, at : at + 2, 0] - off
+        deviation = (place.undisturbed - nominal) @ place.row
+        tightening = full_claims._tightenings(place.row[None])[0][k, at : at + 2, 0] - deviation
         yield worst(attacker, place), float(np.max(tightening / place.booked))
 
 
@@ -195,7 +195,7 @@ class Sums:
         return self.until_goal[0] / self.until_goal[1], self.per_orbit[0] / self.per_orbit[1]
 
 
-def climb(attacker: Attacker, periods: int, spent: Callable[[Runs], Array]) -> float:
+def climb(attacker: Attacker, periods: int, delta_v_of: Callable[[Runs], Array]) -> float:
     """Return the largest velocity change of flights that follow projections of the relaxed flight [m/s].
 
     The relaxed flight is the one by which the bound is found. A flight follows one of its projections where
@@ -218,11 +218,11 @@ def climb(attacker: Attacker, periods: int, spent: Callable[[Runs], Array]) -> f
         for _ in range(2):  # errors of thrusters are those of the commands just flown
             runs = attacker._towards(rows, np.full(CLIMBERS, flight.steps), runs, signs).fly(flight)
         assert runs is not None
-        each = spent(runs)
-        best, top = np.argsort(-each)[:10], max(top, float(each.max()))
-        around = directions[rng.choice(best, CLIMBERS - len(best))]
-        around /= np.linalg.norm(around, axis=1, keepdims=True)
-        directions = np.concatenate([directions[best], around + size * rng.normal(size=around.shape)])
+        delta_v = delta_v_of(runs)
+        leaders, top = np.argsort(-delta_v)[:10], max(top, float(delta_v.max()))
+        trials = directions[rng.choice(leaders, CLIMBERS - len(leaders))]
+        trials /= np.linalg.norm(trials, axis=1, keepdims=True)
+        directions = np.concatenate([directions[leaders], trials + size * rng.normal(size=trials.shape)])
         size *= 0.7
     return top
 
@@ -260,10 +260,10 @@ def rows(seeds: tuple[int, ...]) -> Iterator[str]:
                 sets += list(parts(schedule))
                 budgets.append(spent(schedule))
             if budgets:
-                used, whole = np.median(sets, axis=0)
-                near = np.mean(np.array(sets)[:, 0] >= 0.75)
-                shown = used, near, whole, np.median(budgets), min(budgets)
-                yield f"| {name} | {' | '.join(f'{x:.0%}' for x in shown)} |"
+                used, full = np.median(sets, axis=0)
+                tight = np.mean(np.array(sets)[:, 0] >= 0.75)
+                shares = used, tight, full, np.median(budgets), min(budgets)
+                yield f"| {name} | {' | '.join(f'{x:.0%}' for x in shares)} |"
 
 
 def main() -> None:
@@ -272,21 +272,21 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--sums", action="store_true")
     parser.add_argument("--write", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     heads = (
         "| Errors | used up, median | sets with 75 % | unmerged | delta-v, median | least |",
         "| Scene | until the goal, proven | flown | per orbit, proven | flown |",
     )
-    head = heads[given.sums]
+    head = heads[options.sums]
     lines = [head, "|---" * (head.count("|") - 1) + "|"]
     print(*lines, sep="\n")
-    for row in sum_rows() if given.sums else rows(tuple(given.seeds)):
+    for row in sum_rows() if options.sums else rows(tuple(options.seeds)):
         lines.append(row)
         print(row, flush=True)
-    if given.write:
-        begin, end = (BEGIN_SUMS, END_SUMS) if given.sums else (BEGIN, END)
-        before, rest = PLACE.read_text(encoding="utf-8").split(begin)
-        page = before + begin + "\n".join(lines) + "\n" + end + rest.split(end)[1]
+    if options.write:
+        begin, end = (BEGIN_SUMS, END_SUMS) if options.sums else (BEGIN, END)
+        before, tail = PLACE.read_text(encoding="utf-8").split(begin)
+        page = before + begin + "\n".join(lines) + "\n" + end + tail.split(end)[1]
         PLACE.write_text(page, encoding="utf-8")
 
 

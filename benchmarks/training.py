@@ -43,21 +43,21 @@ def unpacked(flat: Array, dims: list[int]) -> list[Array]:
     return [flat[:, i:j].reshape(-1, *shape) for i, j, shape in zip(ends, ends[1:], shapes, strict=False)]
 
 
-def commanded(P: list[Array], seen: Array) -> Array:
+def commanded(P: list[Array], values: Array) -> Array:
     """Shares of the limits, (R, m), of R candidates that read (R, r)."""
     for i in range(3):
-        seen = np.einsum("rij,rj->ri", P[i], seen) + P[3 + i]
-        seen = np.tanh(seen) if i < 2 else seen
-    return np.clip(seen, -1, 1)
+        values = np.einsum("rij,rj->ri", P[i], values) + P[3 + i]
+        values = np.tanh(values) if i < 2 else values
+    return np.clip(values, -1, 1)
 
 
 def episodes(env: Any, P: list[Array], seed: int | None = None) -> tuple[Array, Array, Array]:
     """Returns (R,) of one episode each, whether it collided, and the share of it that S flew."""
-    seen, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed)
     total, alive = np.zeros(env.num_envs), np.ones(env.num_envs, dtype=bool)
     collided, steps, by_s = ~alive, np.zeros(env.num_envs), np.zeros(env.num_envs)
     while alive.any():
-        seen, reward, terminated, truncated, info = env.step(commanded(P, seen))
+        observation, reward, terminated, truncated, info = env.step(commanded(P, observation))
         total, by_s, steps = total + reward * alive, by_s + info["intervened"] * alive, steps + alive
         collided = collided | (alive & terminated)
         alive = alive & ~terminated & ~truncated
@@ -74,17 +74,17 @@ def train(env: Any, generations: int, seed: int = 0) -> tuple[Array, int]:
     first, second, collisions, half = np.zeros(count), np.zeros(count), 0, env.num_envs // 2
     env.reset(seed=seed)
     for generation in range(generations):
-        way = rng.normal(size=(half, count))
-        tried = mean + SIGMA * np.concatenate([way, -way])
+        directions = rng.normal(size=(half, count))
+        tried = mean + SIGMA * np.concatenate([directions, -directions])
         value, collided, by_s = episodes(env, unpacked(tried, dims))
         collisions += int(collided.sum())
         rank = np.argsort(np.argsort(value)) / (len(value) - 1) - 0.5
-        slope = (rank[:half] - rank[half:]) @ way / half
+        slope = (rank[:half] - rank[half:]) @ directions / half
         first, second = 0.9 * first + 0.1 * slope, 0.99 * second + 0.01 * slope**2
-        moved = (
+        update = (
             first / (1 - 0.9 ** (generation + 1)) / (np.sqrt(second / (1 - 0.99 ** (generation + 1))) + 1e-8)
         )
-        mean = mean + RATE * 0.5 * (1 + np.cos(np.pi * generation / generations)) * (moved - DECAY * mean)
+        mean = mean + RATE * 0.5 * (1 + np.cos(np.pi * generation / generations)) * (update - DECAY * mean)
     return mean, collisions
 
 
@@ -101,25 +101,25 @@ def speed(env: Any, steps: int = 150) -> float:
     rng, count = np.random.default_rng(0), 0
     env.reset(seed=0)
     env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-    begun = time.process_time()
+    start = time.process_time()
     for _ in range(steps):
-        *_, over, ended, _ = env.step(rng.choice([-1.0, 1.0], env.action_space.shape).astype(np.float32))
-        count += np.size(over)
-        if np.size(over) == 1 and (over or ended):
+        *_, failed, ended, _ = env.step(rng.choice([-1.0, 1.0], env.action_space.shape).astype(np.float32))
+        count += np.size(failed)
+        if np.size(failed) == 1 and (failed or ended):
             env.reset()
-    return count / max(time.process_time() - begun, 1e-3)  # clocks of processes may be coarse
+    return count / max(time.process_time() - start, 1e-3)  # clocks of processes may be coarse
 
 
-def report(schedule: Any, made: Any, policies: dict[str, Array]) -> None:
+def report(schedule: Any, make_env: Any, policies: dict[str, Array]) -> None:
     """Fly what was trained, with the shield and without it, and S alone."""
-    dims = [made(True).single_observation_space.shape[0], WIDTH, WIDTH, schedule.safety.problem.system.m]
+    dims = [make_env(True).single_observation_space.shape[0], WIDTH, WIDTH, schedule.safety.problem.system.m]
     for name, mean in [*policies.items(), ("S alone", np.full_like(policies["shield"], np.nan))]:
         P = [np.repeat(part, CANDIDATES, axis=0) for part in unpacked(mean[None], dims)]
         for shielded in (True, False)[: 1 if name == "S alone" else 2]:
-            value, collided, by_s = episodes(made(shielded, 0.0), P, seed=1)
-            how = name if name == "S alone" else f"trained {NAMES[name]}, flown {NAMES[HOW[shielded]]}"
+            value, collided, by_s = episodes(make_env(shielded, 0.0), P, seed=1)
+            text = name if name == "S alone" else f"trained {NAMES[name]}, flown {NAMES[HOW[shielded]]}"
             print(
-                f"{how:48} return {value.mean():6.2f}  collided {collided.mean():4.0%}  S {by_s.mean():4.0%}"
+                f"{text:48} return {value.mean():6.2f}  collided {collided.mean():4.0%}  S {by_s.mean():4.0%}"
             )
 
 
@@ -131,21 +131,21 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=0.25, help="of decisions while it learns [s]")
     parser.add_argument("--out", type=Path, default=FOLDER / "trained.onnx")
     parser.add_argument("--speed", action="store_true", help="periods per second, and nothing else")
-    asked = parser.parse_args()
-    schedule = polaris.synthesize(polaris.load_scenario(asked.scenario))
+    options = parser.parse_args()
+    schedule = polaris.synthesize(polaris.load_scenario(options.scenario))
 
     def made(shielded: bool, penalty: float = PENALTY) -> Any:
-        env = SwitchingVectorEnv(schedule, CANDIDATES, period_s=asked.period)
+        env = SwitchingVectorEnv(schedule, CANDIDATES, period_s=options.period)
         return VectorShield(env, penalty) if shielded else env
 
     def inspections() -> Any:
         return InspectionVectorEnv("inspection", CANDIDATES)
 
-    if asked.speed:
+    if options.speed:
         for name, env in (
             (f"{CANDIDATES} episodes", made(False)),
             (f"{CANDIDATES} episodes, shielded", made(True)),
-            ("1 episode, shielded", Shield(SwitchingEnv(schedule, period_s=asked.period))),
+            ("1 episode, shielded", Shield(SwitchingEnv(schedule, period_s=options.period))),
             ("inspection, 5 deputies, shielded", Shield(InspectionEnv("inspection"))),
             (f"{CANDIDATES} inspections", inspections()),
             (f"{CANDIDATES} inspections, shielded", VectorShield(inspections())),
@@ -155,11 +155,11 @@ def main() -> None:
         return
     policies = {}
     for name, shielded in (("shield", True), ("none", False)):
-        policies[name], collisions = train(made(shielded), asked.generations)
-        flown = asked.generations * CANDIDATES
-        print(f"training {NAMES[name]}: {collisions} collisions in {flown} episodes")
+        policies[name], collisions = train(made(shielded), options.generations)
+        count = options.generations * CANDIDATES
+        print(f"training {NAMES[name]}: {collisions} collisions in {count} episodes")
     report(schedule, made, policies)
-    write_onnx(asked.out, folded(made(True), policies["shield"]))
+    write_onnx(options.out, folded(made(True), policies["shield"]))
 
 
 if __name__ == "__main__":

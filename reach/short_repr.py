@@ -24,9 +24,9 @@ def short_repr(cls: Class) -> Class:
 
 
 def _values(result: Any) -> Iterator[tuple[str, str]]:
-    known = getattr(result, "_brief", None)
-    if known is not None:
-        yield from ((name, short(value)) for name, value in known().items())
+    brief = getattr(result, "_brief", None)
+    if brief is not None:
+        yield from ((name, short(value)) for name, value in brief().items())
         return
     for one in fields(result):
         if one.repr:

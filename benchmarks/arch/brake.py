@@ -61,10 +61,10 @@ def automaton(name: str) -> tuple[HybridAutomaton, list[float]]:
     """One mode per stretch of time, and the bound on the current in each that is to be kept."""
     low, high = (PERIOD + j for j in JITTER[name])
     count = PHASES if VARIATION[name] else 1
-    ends = [HORIZON * (k + 1) / count for k in range(count)]
-    bounds = currents(ends, VARIATION[name])
+    end_times = [HORIZON * (k + 1) / count for k in range(count)]
+    bounds = currents(end_times, VARIATION[name])
     modes, transitions = [], []
-    for k, end in enumerate(ends):
+    for k, end in enumerate(end_times):
         push = VARIATION[name] * bounds[k]
         system = LinearSystem(A, np.eye(4)[:, [0]], Interval([-push], [push])) if push else LinearSystem(A)
         modes.append(Mode(f"phase {k}", system))
@@ -84,7 +84,7 @@ def automaton(name: str) -> tuple[HybridAutomaton, list[float]]:
     return HybridAutomaton(modes, transitions), bounds
 
 
-def currents(ends: list[float], variation: float) -> list[float]:
+def currents(end_times: list[float], variation: float) -> list[float]:
     """Guessed bounds on the current: what an exact clock and coefficient reach, and room to spare."""
     clock = HybridAutomaton(
         [Mode("brake", LinearSystem(A))],
@@ -94,9 +94,9 @@ def currents(ends: list[float], variation: float) -> list[float]:
     t = np.concatenate([visit.times for visit in path.visits])
     current = np.abs(np.concatenate([visit.states[:, 0] for visit in path.visits]))
     bounds = []
-    for begin, end in zip([0.0, *ends[:-1]], ends, strict=True):
-        near = (t >= begin - 3 * PERIOD) & (t <= end + 3 * PERIOD)
-        bounds.append(float(current[near].max()) * (1 + 0.06 * variation))
+    for begin, end in zip([0.0, *end_times[:-1]], end_times, strict=True):
+        window = (t >= begin - 3 * PERIOD) & (t <= end + 3 * PERIOD)
+        bounds.append(float(current[window].max()) * (1 + 0.06 * variation))
     return bounds
 
 
@@ -109,13 +109,13 @@ def rows(instances: Iterable[str] = tuple(JITTER)) -> Iterator[Row]:
 def run(name: str) -> Row:
     """Verify one instance."""
     model, bounds = automaton(name)
-    both = np.vstack([CURRENT, -CURRENT])
+    sides = np.vstack([CURRENT, -CURRENT])
     specs = {mode.name: [Always(HPolytope(POSITION, [TARGET]))] for mode in model.modes}
     for mode, bound in zip(model.modes, bounds, strict=True):
         if VARIATION[name]:
-            specs[mode.name].append(Always(HPolytope(both, [bound, bound])))
+            specs[mode.name].append(Always(HPolytope(sides, [bound, bound])))
     rest = Zonotope.point(np.zeros(4))
-    begun = perf_counter()
+    start = perf_counter()
     verdict = verify_hybrid(
         model,
         rest,
@@ -125,7 +125,7 @@ def run(name: str) -> Row:
         dt=PERIOD,
         runs=0,
     )
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     assert verdict.tube is not None
     top = max(float(segment.support(POSITION)[0]) for segment in verdict.tube.segments)
     path = simulate_hybrid(model, rest.c, HORIZON, dt=PERIOD, jumps=JUMPS)

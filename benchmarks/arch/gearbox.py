@@ -102,9 +102,9 @@ def rows() -> Iterator[Row]:
 def run(name: str) -> Row:
     """Verify one instance."""
     model, initial = automaton(), INITIAL[name]
-    begun = perf_counter()
+    start = perf_counter()
     verdict = verify_hybrid(model, initial, SPECS, HORIZON, HybridOptions(step=STEPS), dt=1e-4, runs=0)
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     assert verdict.tube is not None
     bound = float(max(verdict.tube.support(mode, GAINED)[0] for mode in SPECS))
     last = max(segment.span(*segment.steps)[:, 1].max() for segment in verdict.tube.in_mode("free"))

@@ -88,9 +88,9 @@ def decide(
     expected: Verdict,
 ) -> Row:
     """Call `reach.verify` and return a row; bound and reached value in units of the output."""
-    begun = perf_counter()
+    start = perf_counter()
     verdict = verify(system, initial, spec, horizon)
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     sign = 1.0 if isinstance(spec, Always) else -1.0
     reached = sign * float(np.max(verdict.reached))
     if verdict.trajectory is not None:
@@ -132,17 +132,17 @@ def heat_start(m: int) -> Interval:
 
 def heat(name: str) -> Row:
     """Temperature at the centre, for 40 s."""
-    m, known = HEAT[name]
+    m, published = HEAT[name]
     system, initial = LinearSystem(heat_matrix(m)), heat_start(m)
     middle = np.zeros((1, m**3))
     middle[0, (m // 2) * (m * m + m + 1)] = 1.0
-    begun = perf_counter()
+    start = perf_counter()
     tube = support_tube(system, initial, 40.0, middle, tolerance=BAND / 4)
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     bound, reached = float(tube.most[0]), float(tube.reached[0])
-    status: Verdict = "proven" if bound <= known + BAND else "unknown"
+    status: Verdict = "proven" if bound <= published + BAND else "unknown"
     note = f"n = {m**3}, {len(tube.times) - 1} steps, dense in time"
-    return Row("heat", name, status, "proven", bound, known, reached, seconds, note)
+    return Row("heat", name, status, "proven", bound, published, reached, seconds, note)
 
 
 BEAM = {100: 70, 500: 350, 1000: 700}
@@ -158,9 +158,9 @@ def beam_system(nodes: int, constant: bool) -> tuple[LinearSystem, Interval]:
     K = sparse.csr_matrix(K * (modulus * area / h))
     mass = np.full(nodes, density * area * h)
     mass[-1] /= 2
-    over = sparse.diags(1 / mass)
+    inverse = sparse.diags(1 / mass)
     damping = 1e-6 * K + sparse.diags(1e-6 * mass)
-    A = sparse.bmat([[None, sparse.identity(nodes)], [-over @ K, -over @ damping]], format="csr")
+    A = sparse.bmat([[None, sparse.identity(nodes)], [-inverse @ K, -inverse @ damping]], format="csr")
     B = np.zeros((2 * nodes, 1))
     B[-1] = 1e4 / mass[-1]
     system, rest = LinearSystem(A, B, Interval([0.99], [1.01])), np.zeros(2 * nodes)
@@ -174,9 +174,9 @@ def beam(nodes: int) -> Iterator[Row]:
         system, initial = beam_system(nodes, constant)
         row = np.zeros((1, system.dim))
         row[0, nodes + BEAM[nodes] - 1] = 1.0
-        begun = perf_counter()
+        start = perf_counter()
         tube = support_tube(system, initial, 0.01, row, tolerance=0.5)
-        seconds = perf_counter() - begun
+        seconds = perf_counter() - start
         bound, reached = float(tube.most[0]), float(tube.reached[0])
         note = f"n = {2 * nodes}, {len(tube.times) - 1} steps; no limit is specified"
         yield Row("beam", f"{kind}{nodes}", "unknown", "unknown", bound, None, reached, seconds, note)

@@ -91,8 +91,8 @@ def acc(file: Path) -> Row:
     x, least = starts(low, high), np.inf
 
     def rate(x: Array, u: Array) -> Array:
-        lead, own = 2 * LEAD - FRICTION * x[:, 1] ** 2, 2 * u - FRICTION * x[:, 4] ** 2
-        parts = (x[:, 1], x[:, 2], lead - 2 * x[:, 2], x[:, 4], x[:, 5], own - 2 * x[:, 5], 0 * x[:, 6])
+        lead, ego = 2 * LEAD - FRICTION * x[:, 1] ** 2, 2 * u - FRICTION * x[:, 4] ** 2
+        parts = (x[:, 1], x[:, 2], lead - 2 * x[:, 2], x[:, 4], x[:, 5], ego - 2 * x[:, 5], 0 * x[:, 6])
         return np.stack(parts, axis=1)
 
     for _ in range(50):
@@ -103,7 +103,7 @@ def acc(file: Path) -> Row:
             third = rate(x + h / 2 * second, u)
             x = x + h / 6 * (first + 2 * second + 2 * third + rate(x + h * third, u))
             least = min(least, float((x @ ROOM.T).min()))
-    begun = perf_counter()
+    start = perf_counter()
     tube = cruise(network).tube(Zonotope.box((low + high) / 2, (high - low) / 2), 50)
     bound = -float(tube.support(-ROOM).max())
     axes = np.eye(7)[[1, 4]]
@@ -112,7 +112,7 @@ def acc(file: Path) -> Row:
     proven: Verdict = "proven" if within and bound >= 10 else "unknown"
     verdict: Verdict = "violated" if least < 10 else proven
     note = "room [m], to stay above; published: verified (JuliaReach)"
-    return Row("ACC", "ReLU 5x20", verdict, "proven", bound, 10.0, least, perf_counter() - begun, note)
+    return Row("ACC", "ReLU 5x20", verdict, "proven", bound, 10.0, least, perf_counter() - start, note)
 
 
 # -- docking ------------------------------------------------------------------------------------------
@@ -146,25 +146,25 @@ def docking(file: Path, speed: float, note: str) -> Row:
     def proves(node: Zonotope) -> bool:
         largest = -np.inf
         for _ in range(40):
-            after, intersample, _ = loop.step(node)
-            towards = (node.c + after.c)[:2]
-            away = np.tile(-2 * MEAN * towards / np.linalg.norm(towards), (len(FASTEST), 1))
-            rows = np.hstack([away, FASTEST])  # at least 2 n |p|, at most |v|: one row for both
-            levels = np.maximum(node.support(rows), after.support(rows)) + np.abs(rows) @ intersample
+            next_set, intersample, _ = loop.step(node)
+            towards = (node.c + next_set.c)[:2]
+            position_rows = np.tile(-2 * MEAN * towards / np.linalg.norm(towards), (len(FASTEST), 1))
+            rows = np.hstack([position_rows, FASTEST])  # at least 2 n |p|, at most |v|: one row for both
+            levels = np.maximum(node.support(rows), next_set.support(rows)) + np.abs(rows) @ intersample
             largest = max(largest, float(levels.max()))
             if largest > 0.2:
                 return False
-            node = after if after.order_count <= ORDER * 4 else after.reduce(ORDER / 3)
+            node = next_set if next_set.order_count <= ORDER * 4 else next_set.reduce(ORDER / 3)
         bounds.append(largest)
         return True
 
-    begun = perf_counter()
+    start = perf_counter()
     scale = np.array([100, 100, 0.5, 0.5])
-    done, parts, tried = (False, 0, 0) if reached > 0.2 else halved(proves, low, high, scale)
-    proven: Verdict = "proven" if done else "unknown"
+    complete, parts, tried = (False, 0, 0) if reached > 0.2 else halved(proves, low, high, scale)
+    proven: Verdict = "proven" if complete else "unknown"
     verdict: Verdict = "violated" if reached > 0.2 else proven
     text = f"excess speed [m/s], {parts} parts of {tried} tried; {note}"
-    bound, seconds = (max(bounds) if done else None), perf_counter() - begun
+    bound, seconds = (max(bounds) if complete else None), perf_counter() - start
     return Row("docking", f"+-{speed} m/s", verdict, "proven", bound, 0.2, reached, seconds, text)
 
 
@@ -187,12 +187,12 @@ def double_integrator(file: Path, parts: int) -> Row:
     x = low + (high - low) * np.array(list(product(grid, grid)))
     for _ in range(5):
         x = x @ Ad.T + network(x) @ Bd.T
-    begun, half, ends = perf_counter(), (high - low) / (2 * parts), []
+    start, half, final_sets = perf_counter(), (high - low) / (2 * parts), []
     for place in product(range(parts), repeat=2):
-        ends.append(loop.tube(Zonotope.box(low + half * (2 * np.array(place) + 1), half), 5).nodes[5])
-    seconds = perf_counter() - begun
-    below = np.min([z.c - z.half_widths for z in ends], axis=0)
-    above = np.max([z.c + z.half_widths for z in ends], axis=0)
+        final_sets.append(loop.tube(Zonotope.box(low + half * (2 * np.array(place) + 1), half), 5).nodes[5])
+    seconds = perf_counter() - start
+    below = np.min([z.c - z.half_widths for z in final_sets], axis=0)
+    above = np.max([z.c + z.half_widths for z in final_sets], axis=0)
     holds = bool(np.all(below <= x.min(axis=0)) and np.all(x.max(axis=0) <= above))
     error = float(np.prod(above - below) / np.prod(np.ptp(x, axis=0)) - 1)
     note = "error of the last box; published of another such network: 206 and 848, in parts 19 and 20"

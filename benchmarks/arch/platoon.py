@@ -95,11 +95,11 @@ def switched(name: str) -> Row:
     """PLAD01, for one of its limits."""
     specs = {mode: [Always(HPolytope(SPACING, [LIMITS[name]] * 3))] for mode in MATRICES}
     model, start = automaton(), Zonotope.point(np.zeros(9))
-    begun = perf_counter()
+    start_time = perf_counter()
     verdict = verify_hybrid(
         model, start, specs, HORIZON, HybridOptions(step=STEP[name], order=ORDER[name]), dt=0.1, runs=0
     )
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start_time
     assert verdict.tube is not None
     bound = float(np.max([verdict.tube.support(mode, SPACING) for mode in MATRICES]))
     status = "proven" if verdict else "unknown"
@@ -127,7 +127,7 @@ def worst(modes: list[str], h: float = 0.02) -> float:
 
 def arbitrary() -> Row:
     """PLAN01: any switching, for all times."""
-    begun = perf_counter()
+    start = perf_counter()
     middle = sum(MATRICES.values()) / 2
     half = (MATRICES["connected"] - MATRICES["disconnected"])[[2, 5]] / 2
     inputs = np.hstack([B, np.eye(9)[:, [2, 5]]])
@@ -140,7 +140,7 @@ def arbitrary() -> Row:
     holds = bool(np.all(z > 0) and np.all(G @ z + g <= z * (1 + 1e-9)) and np.all(G @ z < z))
     shift = leader_gain(middle, SPACING)
     bound = float((shift + np.stack([gain[2:] for gain in others], axis=1) @ z).max() * (1 + 1e-9))
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     status = "proven" if holds and bound <= LIMITS["PLAN01-UNB50"] else "unknown"
     reached = max(worst([a, b] * 2) for a in MATRICES for b in MATRICES)
     note = "largest -spacing, m; any switching, unbounded time"
@@ -164,7 +164,7 @@ def _for_ever(A: Array, b: Array, D: Array, U: Interval) -> Array:
     )
     first, states = tube.most[: len(D)], tube.most[len(D) :].reshape(2, -1).max(axis=0)
     # |x| <= states after one stretch; what is left of it after the next ones is e^{A T} of that, and so on.
-    after = np.abs(expm(A * FOR_EVER)) * (1 + 1e-6)
-    assert np.max(after.sum(axis=1)) < 0.5
-    series = np.linalg.solve(np.eye(len(A)) - after, states) * (1 + 1e-9)
-    return first + np.abs(D) @ (after @ series)
+    decay = np.abs(expm(A * FOR_EVER)) * (1 + 1e-6)
+    assert np.max(decay.sum(axis=1)) < 0.5
+    series = np.linalg.solve(np.eye(len(A)) - decay, states) * (1 + 1e-9)
+    return first + np.abs(D) @ (decay @ series)

@@ -66,14 +66,14 @@ def system(theta: int, shaft: float, gap: float, torque: float) -> LinearSystem:
     A[load_speed, [load, n - 2]] = np.array([-STIFF, STIFF]) / LOAD
     A[load_speed, load_speed] = -FRICTION_LOAD / LOAD
     chain = [*range(first, n, 2), load]  # angles from the gear to the load
-    for here, after in zip(chain[:-1], chain[1:], strict=True):
-        A[here, here + 1] = 1.0
-        A[here + 1, here] -= STIFF / MASS
-        A[here + 1, after] += STIFF / MASS
-        A[here + 1, here + 1] = -FRICTION_MASS / MASS
-    for before, here in zip(chain[:-2], chain[1:-1], strict=True):
-        A[here + 1, here] -= STIFF / MASS
-        A[here + 1, before] += STIFF / MASS
+    for node, next_node in zip(chain[:-1], chain[1:], strict=True):
+        A[node, node + 1] = 1.0
+        A[node + 1, node] -= STIFF / MASS
+        A[node + 1, next_node] += STIFF / MASS
+        A[node + 1, node + 1] = -FRICTION_MASS / MASS
+    for last_node, node in zip(chain[:-2], chain[1:-1], strict=True):
+        A[node + 1, node] -= STIFF / MASS
+        A[node + 1, last_node] += STIFF / MASS
     A[first + 1, twist] = shaft / MASS
     c[first + 1] = -shaft * gap / MASS
     return LinearSystem(A, c=c)
@@ -121,16 +121,16 @@ def run(name: str) -> Row:
     n = start.dim
     # At the end nothing is left of the other modes, wherever it be (all of x1 <= 1 and of x1 >= 1).
     ended = (HORIZON, HORIZON)
-    none = [Never(HPolytope(side * np.eye(n)[[0]], [side]), during=ended) for side in (1, -1)]
-    specs = {mode.name: none for mode in model.modes if mode.name != "positive"}
-    begun = perf_counter()
+    never = [Never(HPolytope(side * np.eye(n)[[0]], [side]), during=ended) for side in (1, -1)]
+    specs = {mode.name: never for mode in model.modes if mode.name != "positive"}
+    start_time = perf_counter()
     verdict = verify_hybrid(
         model, start, specs, HORIZON, HybridOptions(step=STEP, order=ORDER), dt=1e-3, runs=0
     )
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start_time
     assert verdict.tube is not None
-    ends = np.vstack([np.eye(n)[0], -np.eye(n)[0]])
-    bound = np.max([sets.support(ends).max(axis=0) for _, sets in verdict.tube.at(HORIZON)], axis=0).sum()
+    axes = np.vstack([np.eye(n)[0], -np.eye(n)[0]])
+    bound = np.max([sets.support(axes).max(axis=0) for _, sets in verdict.tube.at(HORIZON)], axis=0).sum()
     paths = [
         simulate_hybrid(model, x, HORIZON, dt=1e-3)
         for x in start.c + np.linspace(-1, 1, 9)[:, None] * start.G.T

@@ -108,7 +108,7 @@ def run(name: str) -> Row:
     """Verify one instance."""
     abort, expected = ABORTS[name]
     model = automaton(abort)
-    begun = perf_counter()
+    start = perf_counter()
     specs = {mode.name: SPECS[mode.name] for mode in model.modes if mode.name in SPECS}
     verdict = verify_hybrid(
         model,
@@ -118,7 +118,7 @@ def run(name: str) -> Row:
         HybridOptions(step=STEPS, tolerance=TOLERANCE, clusters=CLUSTERS),
         dt=0.2,
     )
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     if verdict.trajectory is not None:
         reached = distance(verdict.trajectory)
         return Row("rendezvous", name, "violated", expected, None, SIDE, reached, seconds, verdict.reason)
@@ -131,8 +131,8 @@ def run(name: str) -> Row:
             float((v.states @ SLOW.A[:4].T).max()) for p in paths for v in p.visits if v.mode == "attempt"
         )
         return Row("rendezvous", name, status, expected, top, SPEED[0], speed, seconds, "velocity, m/min")
-    keep, reached = clearance(verdict.tube), min(distance(path) for path in trials(model))
-    return Row("rendezvous", name, status, expected, keep, SIDE, reached, seconds, "distance after abort, m")
+    bound, reached = clearance(verdict.tube), min(distance(path) for path in trials(model))
+    return Row("rendezvous", name, status, expected, bound, SIDE, reached, seconds, "distance after abort, m")
 
 
 def trials(model: HybridAutomaton) -> list[HybridTrajectory]:

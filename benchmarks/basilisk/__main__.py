@@ -152,7 +152,7 @@ class Scene:
         safe = self.modes[per_node[:-1]] == 0
         residual = residuals(system, flight, mass) / system.w_max
         noisy = np.array(system.timing.measured_error or system.navigation)
-        seen = np.abs(flight.seen - flight.shown)[:, noisy > 0] / noisy[noisy > 0]
+        error_share = np.abs(flight.seen - flight.shown)[:, noisy > 0] / noisy[noisy > 0]
         h = float(flight.times[1])
         return Found(
             self.distance(flight.times, x, rng),
@@ -160,7 +160,7 @@ class Scene:
             float(np.max(np.abs(flight.asked)[safe] / system.u_max, initial=0.0)),
             float(residual.max()),
             float(np.linalg.norm(x[residual.argmax(), :3])),
-            float(seen.max()),
+            float(error_share.max()),
             float(np.abs(flight.asked).sum() * h / system.mass),
         )
 
@@ -168,10 +168,10 @@ class Scene:
         """Least to any unsafe set [m], along held inputs between the control periods."""
         h, s = times[1], np.linspace(0, 1, 8, endpoint=False)
         path = held_path(self.system, h, x[:-1], x[1:], s)[..., :3].reshape(1, -1, 3)
-        when = (times[:-1, None] + h * s).ravel()
+        instants = (times[:-1, None] + h * s).ravel()
         sets = self.scenario.obstacles()
-        truth = true_states(sets, self.system, when, 1, rng)
-        return float(signed_distances(sets, when, path, self.system, truth).min())
+        truth = true_states(sets, self.system, instants, 1, rng)
+        return float(signed_distances(sets, instants, path, self.system, truth).min())
 
 
 def kept_beside(folder: Path, precision: str | None) -> Path:
@@ -183,14 +183,14 @@ def scene(
     name: str, flights: int, folder: Path, settings: list[str], precision: str | None = None
 ) -> list[Found]:
     """Flights of one scene, a line each in a file beside its run folder; what is there is not flown again."""
-    one, kept = Scene(name, folder, settings, precision), kept_beside(folder, precision)
-    lines = kept.read_text().splitlines() if kept.is_file() else []
-    with kept.open("a") as file:
+    case, log_file = Scene(name, folder, settings, precision), kept_beside(folder, precision)
+    lines = log_file.read_text().splitlines() if log_file.is_file() else []
+    with log_file.open("a") as file:
         for seed in range(len(lines), flights):
-            lines.append(json.dumps(asdict(one.fly(seed))))
+            lines.append(json.dumps(asdict(case.fly(seed))))
             print(lines[-1], file=file, flush=True)
-    if one.code is not None:
-        print(f"answers of the code by mode and fault: {dict(one.code.answers)}", file=sys.stderr)
+    if case.code is not None:
+        print(f"answers of the code by mode and fault: {dict(case.code.answers)}", file=sys.stderr)
     return [Found(**json.loads(line)) for line in lines[:flights]]
 
 
@@ -200,9 +200,9 @@ def fly_cubesat(flights: int, out: Path | None, settings: list[str], precision: 
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = (out or Path(scratch)) / "cubesat"
-        scene, flown = fly_scene("cubesat", flights, folder, settings, precision)
+        scene, records = fly_scene("cubesat", flights, folder, settings, precision)
         print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|")
-        print("\n".join(table(scene, flown)))
+        print("\n".join(table(scene, records)))
 
 
 def main() -> None:
@@ -219,18 +219,18 @@ def main() -> None:
         "--code", choices=PRECISIONS, help="fly the exported C code, with numbers of this type"
     )
     parser.add_argument("--out", type=Path, help="where to keep run folders and flights")
-    given = parser.parse_args()
-    if "cubesat" in given.scenes:  # it declares errors itself, and has a table of its own
-        given.scenes = [name for name in given.scenes if name != "cubesat"]
-        fly_cubesat(given.flights, given.out, given.set, given.code)
-        if not given.scenes:
+    options = parser.parse_args()
+    if "cubesat" in options.scenes:  # it declares errors itself, and has a table of its own
+        options.scenes = [name for name in options.scenes if name != "cubesat"]
+        fly_cubesat(options.flights, options.out, options.set, options.code)
+        if not options.scenes:
             return
     columns = "scene", "flights", "U", "entered", "least distance [m]", "tube", "thrust of S", "residual"
     print("| " + " | ".join([*columns, "at [m]", "navigation", "m/s"]) + " |\n" + "|---" * 11 + "|")
     with tempfile.TemporaryDirectory() as scratch:
-        for name in given.scenes:
-            folder = (given.out or Path(scratch)) / name
-            flights = scene(name, given.flights, folder, [*REAL, *given.set], given.code)
+        for name in options.scenes:
+            folder = (options.out or Path(scratch)) / name
+            flights = scene(name, options.flights, folder, [*REAL, *options.set], options.code)
             share = np.mean(np.array(FlightSoftware(folder).modes) > 0)
             worst, entered = Found.worst(flights), sum(one.distance <= 0 for one in flights)
             cells = [f"`{name}`", str(len(flights)), f"{share:.0%}", str(entered), f"{worst.distance:.2f}"]

@@ -103,17 +103,17 @@ class CraftScene(Scene):
         target = inertial(env, latitude, near_circular(env, np.array(latitude), np.array(tilt)))
         area = env.ballistic, env.ballistic + rng.choice([-1.0, 1.0]) * env.ballistic_difference
         stuck = self.stuck(seed, software, rng)
-        wrong = HALF * software.settled * rng.uniform(-1, 1, 6)
+        estimate_error = HALF * software.settled * rng.uniform(-1, 1, 6)
         back = expm(-self.system.A * WARM * software.period)
         first = back @ start
         for aiming in (True, False):  # a coasting flight tells where to begin
             bodies = target, absolute(target, first)
             late = expm(-self.system.A * (software.period + software.delay))
             software = CraftSoftware(self.folder, self.code)
-            software.estimate = late @ (first + wrong)
+            software.estimate = late @ (first + estimate_error)
             duration = 0.0 if aiming else self.proven["by"]
-            given = None if aiming else stuck
-            flight = fly(software, env, self.system.mass, bodies, area, errors, duration, seed, given, WARM)
+            fault = None if aiming else stuck
+            flight = fly(software, env, self.system.mass, bodies, area, errors, duration, seed, fault, WARM)
             first = first - back @ (flight.states[0] - start)
         return self.judge_craft(flight, software, errors.mass, stuck, rng)
 
@@ -134,14 +134,14 @@ class CraftScene(Scene):
         per_node = np.minimum(at // per_step, steps - 1)
         middle, half = (self.upper + self.lower)[per_node] / 2, (self.upper - self.lower)[per_node] / 2
         fails, ends = (len(x), len(x)) if stuck is None else (int(stuck.begins / h), stuck.isolated)
-        within = (np.abs(x - middle) / half)[: min(fails, steps * per_step) + 1]
+        tube_share = (np.abs(x - middle) / half)[: min(fails, steps * per_step) + 1]
         ticks = at[:-1]
         safe = (ticks >= min(ends, steps * per_step)) | (self.modes[per_node[:-1]] == 0)
         calm = (ticks < fails) | (ticks >= ends)
         residual = residuals(system, flight, mass) / system.w_max
         problem = self.scenario.problem()
         rows, sides = goal_rows(problem)
-        seen = (flight.seen - flight.shown) @ software.measures.T / software.noise
+        camera_error = (flight.seen - flight.shown) @ software.measures.T / software.noise
         return Flown(
             stuck.kind if stuck else "",
             stuck.nozzle if stuck else -1,
@@ -150,10 +150,10 @@ class CraftScene(Scene):
             self.distance(flight.times, x, rng),
             float(distance(problem.goal.conditions, x[-1:] @ rows.T - sides)[0]),
             float(flight.pushed.sum() / (system.mass * mass)),
-            float(within.max()),
+            float(tube_share.max()),
             float(np.max(np.abs(flight.asked)[safe] / system.u_max, initial=0.0)),
             float(residual[calm].max()),
-            float(np.abs(seen).max()),
+            float(np.abs(camera_error).max()),
         )
 
 
@@ -161,16 +161,16 @@ def table(scene: CraftScene, flights: list[Flown]) -> list[str]:
     """Return rows of figures of flights without a fault, and with a valve stuck either way."""
     proven, rows = scene.proven, []
     for kind, name in (("", "all valves work"), ("stuck_off", "stuck shut"), ("stuck_on", "stuck open")):
-        some = [one for one in flights if one.stuck == kind]
-        if not some:
+        group = [one for one in flights if one.stuck == kind]
+        if not group:
             continue
-        least, goal = min(one.distance for one in some), max(one.goal for one in some)
-        reached = sum(one.goal <= proven["tolerance"] for one in some)
-        spent = np.array([one.delta_v for one in some])
-        cells = [name, str(len(some)), str(sum(one.distance <= 0 for one in some)), f"{least:.2f}"]
-        cells += [f"{reached}", f"{goal:.2f}", f"{spent.mean():.2f}", f"{spent.max():.2f}"]
+        least, goal = min(one.distance for one in group), max(one.goal for one in group)
+        reached = sum(one.goal <= proven["tolerance"] for one in group)
+        delta_v = np.array([one.delta_v for one in group])
+        cells = [name, str(len(group)), str(sum(one.distance <= 0 for one in group)), f"{least:.2f}"]
+        cells += [f"{reached}", f"{goal:.2f}", f"{delta_v.mean():.2f}", f"{delta_v.max():.2f}"]
         cells += [
-            f"{max(getattr(one, of) for one in some):.0%}" for of in ("tube", "thrust", "residual", "seen")
+            f"{max(getattr(one, of) for one in group):.0%}" for of in ("tube", "thrust", "residual", "seen")
         ]
         rows.append("| " + " | ".join(cells).replace("%", " %") + " |")
     limits = [f"{proven['distance']:.2f}", "", f"{proven['goal']:.2f}", "", f"{proven['delta_v']:.2f}"]
@@ -187,9 +187,9 @@ def fly_scene(
     name: str, flights: int, folder: Path, settings: list[str], precision: str | None = None
 ) -> tuple[CraftScene, list[Flown]]:
     """Flights of a craft, a line each in a file beside its run folder; what is there is not flown again."""
-    scene, kept = CraftScene(name, folder, settings, precision), kept_beside(folder, precision)
-    lines = kept.read_text().splitlines() if kept.is_file() else []
-    with kept.open("a") as file:
+    scene, log_file = CraftScene(name, folder, settings, precision), kept_beside(folder, precision)
+    lines = log_file.read_text().splitlines() if log_file.is_file() else []
+    with log_file.open("a") as file:
         for seed in range(len(lines), flights):
             lines.append(json.dumps(vars(scene.fly_craft(seed))))
             print(lines[-1], file=file, flush=True)

@@ -94,14 +94,14 @@ class FlightSoftware:
         system = json.loads((folder / "gains.json").read_text())["system"]
         return CraftSoftware(folder, code) if "observer" in system else cls(folder, code)
 
-    def command(self, tick: int, seen: np.ndarray) -> np.ndarray:
+    def command(self, tick: int, state: np.ndarray) -> np.ndarray:
         """Thrust [N] in Hill's frame, shape (3,), that takes effect at tick `tick`, the first being 0.
 
-        `seen` is the relative state [m, m/s] as navigation has it at that tick. From it follows what takes
+        `state` is the relative state [m, m/s] as navigation has it at that tick. From it follows what takes
         effect `late` periods after; from the first one what does before that, too.
         """
         phi, gamma = self.held(self.period)
-        x = seen
+        x = state
         for u in self.issued[tick:]:
             x = phi @ x + gamma @ u
         for due in range(len(self.issued), tick + self.late + 1):
@@ -119,17 +119,17 @@ class FlightSoftware:
         limit = self.period * self.limit
         due = np.clip(self.period * u, -limit, limit) + self.left
         if self.bit > 0 and self.carries:
-            made = self.bit * np.floor(np.abs(due) / self.bit * (1 + 1e-12))
+            impulse = self.bit * np.floor(np.abs(due) / self.bit * (1 + 1e-12))
         else:
-            made = self.bit * np.round(np.abs(due) / self.bit) if self.bit > 0 else np.abs(due)
-        made = np.sign(due) * np.minimum(made, limit)
-        self.left = (due - made) * self.carries
-        return np.asarray(made)
+            impulse = self.bit * np.round(np.abs(due) / self.bit) if self.bit > 0 else np.abs(due)
+        impulse = np.sign(due) * np.minimum(impulse, limit)
+        self.left = (due - impulse) * self.carries
+        return np.asarray(impulse)
 
     def on_times(self, u: np.ndarray) -> np.ndarray:
         """Times [s] for which the nozzles are to be open, (6,), for a command u [N] along their axes."""
-        along = self.impulse(u) / self.limit
-        return np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
+        share = self.impulse(u) / self.limit
+        return np.stack([np.maximum(share, 0.0), np.maximum(-share, 0.0)], axis=1).ravel()
 
     def law(self, tick: int, x: np.ndarray) -> np.ndarray:
         """Return the scheduled controller's command [N] at the instant of a tick, shape (3,)."""
@@ -138,8 +138,8 @@ class FlightSoftware:
         mode = self.modes[k] if k < len(self.modes) else 0
         gain, states, inputs = self.laws[mode]
         last = len(states) - 2
-        k, since = min(k, last), t - min(k, last) * self.step
-        phi, gamma = self.held(round(since, 9))
+        k, elapsed = min(k, last), t - min(k, last) * self.step
+        phi, gamma = self.held(round(elapsed, 9))
         u = np.asarray(inputs[k] + gain @ (phi @ states[k] + gamma @ inputs[k] - x))
         return u if self.code is None else np.asarray(self.code.step(tick, x[None], mode, u[None])[0])
 
@@ -163,9 +163,9 @@ class CraftSoftware(FlightSoftware):
         self.mixes, self.tops = np.array(layout["mixes"]), np.array(layout["limits"])
         self.directions, self.kind = np.array(layout["directions"]), layout.get("kind", MIXES)
         if self.kind not in (MIXES, PAIRS, PROGRAM):
-            known = ", ".join((MIXES, PAIRS, PROGRAM))
+            kinds = ", ".join((MIXES, PAIRS, PROGRAM))
             raise ValueError(
-                f"{folder}: thrusters.allocation is {self.kind}, but this software flies {known} alone"
+                f"{folder}: thrusters.allocation is {self.kind}, but this software flies {kinds} alone"
             )
         self.nozzles = self.directions * self.tops[:, None]
         self.measures, self.gain = np.array(observer["measures"]), np.array(observer["gain"])
@@ -190,20 +190,20 @@ class CraftSoftware(FlightSoftware):
         self.isolated[nozzle], self.modes = True, [0] * len(self.modes)
         self.left[nozzle] = 0.0
 
-    def command(self, tick: int, seen: np.ndarray | None) -> np.ndarray:
+    def command(self, tick: int, state: np.ndarray | None) -> np.ndarray:
         """Thrust [N] in Hill's frame, shape (3,), that takes effect at a tick.
 
-        `seen` is the relative state as navigation had it `delay` before, of which the observer takes what is
+        `state` is the relative state as navigation had it `delay` before, of which the observer takes what is
         measured; None without a measurement.
         """
         x = self.estimate
         for span, u in ((self.delay, self.before), (self.period - self.delay, self.last)):
             phi, gamma = self.held(span)
             x = phi @ x + gamma @ u
-        x = x if seen is None else x + self.gain @ self.measures @ (seen - x)
+        x = x if state is None else x + self.gain @ self.measures @ (state - x)
         phi, gamma = self.held(self.delay)
-        ahead = phi @ x + gamma @ self.last
-        u = np.clip(self.law(tick, ahead), -self.limit, self.limit) if tick >= 0 else np.zeros(3)
+        predicted = phi @ x + gamma @ self.last
+        u = np.clip(self.law(tick, predicted), -self.limit, self.limit) if tick >= 0 else np.zeros(3)
         self.estimate, self.before, self.last = x, self.last, u
         return u
 
@@ -214,8 +214,8 @@ class CraftSoftware(FlightSoftware):
             forth, back = self.mixes[self.case]
             return np.asarray(np.maximum(u, 0) @ forth + np.maximum(-u, 0) @ back)
         if self.kind == PAIRS:
-            some = self.paired()
-            f[some] = 2 * np.maximum(u @ np.linalg.pinv(D[some]), 0.0)
+            nozzles = self.paired()
+            f[nozzles] = 2 * np.maximum(u @ np.linalg.pinv(D[nozzles]), 0.0)
             return f
         tops = np.where(self.isolated, 0.0, self.tops)
         bounds, scaled = np.column_stack([0 * tops, tops]), D.T / self.limit[:, None]
@@ -224,13 +224,13 @@ class CraftSoftware(FlightSoftware):
 
     def paired(self) -> list[int]:
         """Return the nozzles that work and have an opposite one that works, as many either way of a line."""
-        left: list[int] = []
+        pairs: list[int] = []
         working = np.flatnonzero(~self.isolated).tolist()
         for j in working:
             same = [i for i in working if np.array_equal(self.directions[i], self.directions[j])]
             other = [i for i in working if np.array_equal(self.directions[i], -self.directions[j])]
-            left += [j] * (same.index(j) < len(other))
-        return left
+            pairs += [j] * (same.index(j) < len(other))
+        return pairs
 
     def on_times(self, u: np.ndarray) -> np.ndarray:
         """Times [s] for which the nozzles are to be open, (N,), for a command u [N] in the axes of the craft.
@@ -238,7 +238,7 @@ class CraftSoftware(FlightSoftware):
         Every nozzle makes whole bits of what it owes, and carries the rest to its next pulse.
         """
         owed = self.period * self.thrusts(u) + self.left
-        whole = self.bit * np.floor(owed / self.bit * (1 + 1e-12)) if self.bit > 0 else owed
-        made = np.minimum(whole, self.period * self.tops)
-        self.left = np.where(self.isolated | (not self.carries), 0.0, owed - made)
-        return np.asarray(np.where(self.isolated, 0.0, made / self.tops))
+        rounded = self.bit * np.floor(owed / self.bit * (1 + 1e-12)) if self.bit > 0 else owed
+        impulse = np.minimum(rounded, self.period * self.tops)
+        self.left = np.where(self.isolated | (not self.carries), 0.0, owed - impulse)
+        return np.asarray(np.where(self.isolated, 0.0, impulse / self.tops))

@@ -24,7 +24,7 @@ class Stuck:
         if first >= last:
             return spans
         others = [each for each in spans if each[0] != self.nozzle]
-        own = [(a, b) for j, a, b in spans if j == self.nozzle]
-        own = [part for a, b in own for part in ((a, min(b, first)), (max(a, last), b))]
-        own += [(first, last)] * (self.kind == "stuck_on")
-        return others + [(self.nozzle, a, b) for a, b in own if b > a + EXACT]
+        openings = [(a, b) for j, a, b in spans if j == self.nozzle]
+        openings = [part for a, b in openings for part in ((a, min(b, first)), (max(a, last), b))]
+        openings += [(first, last)] * (self.kind == "stuck_on")
+        return others + [(self.nozzle, a, b) for a, b in openings if b > a + EXACT]

@@ -140,12 +140,12 @@ class Computer:
 
     def measure(self) -> None:
         """Ask navigation, which has its errors, for the relative state now."""
-        seen, true = (
-            [np.concatenate([said.r_BN_N, said.v_BN_N]) for said in (each() for each in readers)]
+        estimates, true = (
+            [np.concatenate([message.r_BN_N, message.v_BN_N]) for message in (reader() for reader in readers)]
             for readers in (self.navigators, self.craft)
         )
         hill = frame(true[0][:3], true[0][3:])
-        self.latest = relative(*seen, hill)
+        self.latest = relative(*estimates, hill)
         self.log["seen"].append(self.latest)
         self.log["shown"].append(relative(*true, hill))
 
@@ -154,19 +154,19 @@ class Computer:
         target, chaser = (each() for each in self.craft)
         hill = frame(np.array(target.r_BN_N), np.array(target.v_BN_N))
         force = self.software.command(tick, self.latest)
-        turned = RigidBodyKinematics.MRP2C(np.array(chaser.sigma_BN)) @ hill[0].T
+        attitude = RigidBodyKinematics.MRP2C(np.array(chaser.sigma_BN)) @ hill[0].T
         self.log["asked"].append(force)
-        return self.software.on_times(turned @ force), turned
+        return self.software.on_times(attitude @ force), attitude
 
-    def open(self, windows: list[tuple[int, float, float]], since: float, now: int) -> None:
+    def open(self, windows: list[tuple[int, float, float]], elapsed: float, instant: int) -> None:
         """Command the nozzles that burn some time [s] into the period, for as long as they still do."""
-        left = [0.0] * len(self.software.nozzles)
+        on_times = [0.0] * len(self.software.nozzles)
         for nozzle, begins, ends in windows:
-            if begins - EXACT < since < ends - EXACT:
-                left[nozzle] = ends - since
+            if begins - EXACT < elapsed < ends - EXACT:
+                on_times[nozzle] = ends - elapsed
         payload = messaging.THRArrayOnTimeCmdMsgPayload()
-        payload.OnTimeRequest = left
-        self.output.write(payload, now, 0)
+        payload.OnTimeRequest = on_times
+        self.output.write(payload, instant, 0)
 
 
 def gravity() -> Any:
@@ -267,23 +267,23 @@ def fly(
             navigate(computer, navigators, begin)
         if tick == stuck.isolated and np.isfinite(stuck.begins):
             software.isolate(stuck.kind, stuck.nozzle)
-        on, turned = computer.burns(tick)
+        on, attitude = computer.burns(tick)
         windows = stuck.windows(tick, h, on)
-        made = np.zeros((2, len(on)))
+        moments = np.zeros((2, len(on)))
         for j, a, b in windows:
-            made[:, j] += b - a, (b - a) ** 3 / 12
-        computer.log["impulse"].append(made[0] @ true @ turned)
-        computer.log["spread"].append(made[1] @ true @ turned)
-        computer.log["pushed"].append(made[0] @ strength)
+            moments[:, j] += b - a, (b - a) ** 3 / 12
+        computer.log["impulse"].append(moments[0] @ true @ attitude)
+        computer.log["spread"].append(moments[1] @ true @ attitude)
+        computer.log["pushed"].append(moments[0] @ strength)
         edges = [edge for _, *span in windows for edge in span]
         instants = np.unique(np.round(np.array([*edges, software.since, 0.0, h]) / EXACT)) * EXACT
         for since, until in pairwise(instants.tolist()):
-            now = begin + macros.sec2nano(since)
+            instant = begin + macros.sec2nano(since)
             if 0 < since == round(software.since / EXACT) * EXACT:
-                craft[0][0].UpdateState(now)
-                navigate(computer, navigators, now)
-            computer.open(windows, since, now)
-            thrusters.UpdateState(now)
+                craft[0][0].UpdateState(instant)
+                navigate(computer, navigators, instant)
+            computer.open(windows, since, instant)
+            thrusters.UpdateState(instant)
             craft[1][0].UpdateState(begin + macros.sec2nano(until))
         craft[0][0].UpdateState(begin + macros.sec2nano(h))
     states = relative(*(np.hstack([log.r_BN_N, log.v_BN_N]) for log in logs))[warm:]
@@ -291,8 +291,8 @@ def fly(
     return Flight(times, states, **{name: np.array(log[warm:]) for name, log in computer.log.items()})
 
 
-def navigate(computer: Computer, navigators: list[Any], now: int) -> None:
+def navigate(computer: Computer, navigators: list[Any], instant: int) -> None:
     """Bring navigation up to date [ns], and let the computer ask it."""
     for navigator in navigators:
-        navigator.UpdateState(now)
+        navigator.UpdateState(instant)
     computer.measure()

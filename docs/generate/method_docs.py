@@ -16,10 +16,10 @@ PAGE = Path(__file__).parents[1] / "comparison.md"
 def put(text: str, name: str, table: str) -> str:
     """The page with one generated part replaced."""
     pattern = rf"(<!-- table {name} -->\n\n).*?(\n\n<!-- end -->)"
-    out, count = re.subn(pattern, lambda match: match[1] + table + match[2], text, flags=re.S)
+    page, count = re.subn(pattern, lambda match: match[1] + table + match[2], text, flags=re.S)
     if count != 1:
         raise SystemExit(f"{PAGE}: no place for the table {name}")
-    return out
+    return page
 
 
 def tables() -> dict[str, str]:

@@ -44,8 +44,8 @@ def schema() -> dict[str, Any]:
 
 def file_schema() -> dict[str, Any]:
     """JSON Schema of a file, whose orbit and start set may follow from sources that it names."""
-    whole, sources = schema(), _tidy(TypeAdapter(OrbitSource | StartSource).json_schema()["$defs"])
-    tables = whole["$defs"]
+    root, sources = schema(), _tidy(TypeAdapter(OrbitSource | StartSource).json_schema()["$defs"])
+    tables = root["$defs"]
     orbit, start = tables["Orbit"], sources["StartSource"]
     orbit["properties"] |= sources["OrbitSource"]["properties"]
     orbit["required"] = [
@@ -53,8 +53,8 @@ def file_schema() -> dict[str, Any]:
     ]
     tables["ClohessyWiltshire"]["required"].remove("mean_motion_rad_s")
     tables["StartSource"] = start
-    whole["properties"]["initial_set"]["oneOf"].append({"$ref": "#/$defs/StartSource"})
-    return whole
+    root["properties"]["initial_set"]["oneOf"].append({"$ref": "#/$defs/StartSource"})
+    return root
 
 
 def inspection_schema() -> dict[str, Any]:
@@ -74,15 +74,15 @@ def _tidy(node: Any) -> Any:
         return [_tidy(entry) for entry in node]
     if not isinstance(node, dict):
         return node
-    kept = {}
+    tidied = {}
     for key, value in node.items():
         if key in ("properties", "$defs"):
-            kept[key] = {name: _tidy(entry) for name, entry in value.items()}
+            tidied[key] = {name: _tidy(entry) for name, entry in value.items()}
         elif key == "description" and "unit" in node:  # of a field: one line, however it is broken there
-            kept[key] = " ".join(value.split())
+            tidied[key] = " ".join(value.split())
         elif key not in ("title", "discriminator"):
-            kept[key] = _tidy(value)
-    return kept
+            tidied[key] = _tidy(value)
+    return tidied
 
 
 # -- the reference page -----------------------------------------------------------------------------
@@ -93,19 +93,19 @@ def reference_text() -> str:
     text = (DOCS / REFERENCE_FILE).read_text(encoding="utf-8")
     for part, lines in (("schedule", _schedule_lines()), ("inspection", _inspection_lines())):
         pattern = rf"(<!-- {part}: .+? -->\n\n).*?(\n\n<!-- end -->)"
-        made = "\n".join(lines).strip("\n")
-        text = re.sub(pattern, lambda match, made=made: match[1] + made + match[2], text, flags=re.S)
+        section = "\n".join(lines).strip("\n")
+        text = re.sub(pattern, lambda match, section=section: match[1] + section + match[2], text, flags=re.S)
     return text
 
 
 def _schedule_lines() -> Iterator[str]:
     """Yield the top level, then every table with its keys."""
-    whole = schema()
-    tables = whole["$defs"]
-    homes = _homes(whole)
-    yield from ("## Top level", "", *_top(whole, tables))
+    root = schema()
+    tables = root["$defs"]
+    homes = _homes(root)
+    yield from ("## Top level", "", *_top(root, tables))
     described = False  # what a controller follows is described once
-    for key, node in whole["properties"].items():
+    for key, node in root["properties"].items():
         members = list(_members(node, tables))
         if not members:
             continue
@@ -121,15 +121,15 @@ def _schedule_lines() -> Iterator[str]:
         yield from _choices(node, members, tables, "" if key == "recoverable" else "###", heading, rows)
         for name, inner in inner_tables.items():
             if parts := list(_members(inner, tables)):
-                inside = _heading(f"{key}.{name}", inner)
-                yield from ("", f"### `{inside}`")
-                own = [part for part in parts if json.dumps(part, sort_keys=True) not in homes]
-                if own != parts:
+                title = _heading(f"{key}.{name}", inner)
+                yield from ("", f"### `{title}`")
+                local = [part for part in parts if json.dumps(part, sort_keys=True) not in homes]
+                if local != parts:
                     yield from ("", inner["description"])
-                yield from _choices(inner if own == parts else {}, own, tables, "####", inside, rows)
+                yield from _choices(inner if local == parts else {}, local, tables, "####", title, rows)
                 elsewhere: dict[str, list[str]] = {}
                 for part in parts:
-                    if part not in own:
+                    if part not in local:
                         elsewhere.setdefault(homes[json.dumps(part, sort_keys=True)], []).append(_kinds(part))
                 for place, kinds in elsewhere.items():
                     yield from ("", *_wrapped(f"{', '.join(kinds)}: as in `{place}`."))
@@ -141,48 +141,48 @@ def _schedule_lines() -> Iterator[str]:
                 yield from _choices({}, list(_members(reference, tables)), tables, "#####", "reference")
 
 
-def _homes(whole: dict[str, Any]) -> dict[str, str]:
+def _homes(root: dict[str, Any]) -> dict[str, str]:
     """Return the headings of tables at the top level of schedules' scenarios, by their contents."""
     return {
         json.dumps(member, sort_keys=True): _heading(key, node)
-        for key, node in whole["properties"].items()
-        for member in _members(node, whole["$defs"])
+        for key, node in root["properties"].items()
+        for member in _members(node, root["$defs"])
     }
 
 
 def _inspection_lines() -> Iterator[str]:
     """Yield the top level of each kind, then every table once."""
     tables, homes = inspection_schema()["$defs"], _homes(schema())
-    seen = set[str]()
+    written = set[str]()
     tops: dict[str, str] = {}
     for kind, model in INSPECTIONS.items():
-        whole = tables[model.__name__]
-        yield from ("", f'## `kind="{kind}"`', "", whole["description"], "")
-        yield from _top(whole, tables, f'`kind="{kind}"`', tops)
+        root = tables[model.__name__]
+        yield from ("", f'## `kind="{kind}"`', "", root["description"], "")
+        yield from _top(root, tables, f'`kind="{kind}"`', tops)
         earlier: dict[str, list[str]] = {}
         parts: list[str] = []
-        for key, node in whole["properties"].items():
+        for key, node in root["properties"].items():
             members = list(_members(node, tables))
             names = key + json.dumps(members, sort_keys=True)
             if not members:
                 continue
             heading = _heading(key, node)
-            if names in seen:
+            if names in written:
                 earlier.setdefault("above", []).append(f"`{heading}`")
                 continue
             if len(members) == 1 and (place := homes.get(json.dumps(members[0], sort_keys=True))):
                 assert place == heading
                 earlier.setdefault("for schedules", []).append(f"`{heading}`")
                 continue
-            seen.add(names)
+            written.add(names)
             parts += ["", f"### `{heading}`"]
             parts += _choices(node, members, tables, "#####", heading)
             if key == "strengthening":
                 parts += ["", "#### Function of one kind of constraint"]
                 parts += _choices({}, [tables["Alpha"]], tables, "", heading)
         if earlier:
-            said = "; ".join(f"{', '.join(named)}: as {place}" for place, named in earlier.items())
-            yield from ("", *_wrapped(f"{said}."))
+            text = "; ".join(f"{', '.join(headings)}: as {place}" for place, headings in earlier.items())
+            yield from ("", *_wrapped(f"{text}."))
         yield from parts
 
 
@@ -197,15 +197,15 @@ def _kinds(member: dict[str, Any]) -> str:
 
 
 def _top(
-    whole: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
+    root: dict[str, Any], tables: dict[str, Any], place: str = "", rows: dict[str, str] | None = None
 ) -> Iterator[str]:
     """Yield the keys of a file's top level, then the names of its tables."""
-    held = {key: node for key, node in whole["properties"].items() if any(_members(node, tables))}
-    plain = {key: node for key, node in whole["properties"].items() if key not in held}
-    yield from _fields({**whole, "properties": plain}, tables, place, rows)
-    named = [f"`{_heading(key, node)}`" for key, node in held.items() if key in whole["required"]]
-    if named:
-        text = f"Required {'table' if len(named) == 1 else 'tables'}: {', '.join(named)}."
+    nested = {key: node for key, node in root["properties"].items() if any(_members(node, tables))}
+    plain = {key: node for key, node in root["properties"].items() if key not in nested}
+    yield from _fields({**root, "properties": plain}, tables, place, rows)
+    required = [f"`{_heading(key, node)}`" for key, node in nested.items() if key in root["required"]]
+    if required:
+        text = f"Required {'table' if len(required) == 1 else 'tables'}: {', '.join(required)}."
         yield from ("", *_wrapped(f"{text} The others are optional."))
 
 
@@ -238,8 +238,8 @@ def _choices(
             yield from ("", f"{level} {kinds}")
         for paragraph in member["description"].split("\n\n"):
             yield from ("", *_wrapped(" ".join(paragraph.split())))
-        own = {key: entry for key, entry in member["properties"].items() if key not in shared}
-        if fields := list(_fields({**member, "properties": own}, tables, kinds or f"`{heading}`", rows)):
+        unique = {key: entry for key, entry in member["properties"].items() if key not in shared}
+        if fields := list(_fields({**member, "properties": unique}, tables, kinds or f"`{heading}`", rows)):
             yield from ("", *fields)
 
 
@@ -289,7 +289,7 @@ def _row(table: dict[str, Any], key: str, tables: dict[str, Any]) -> str | None:
     node = table["properties"].get(key)
     if node is None:
         return None
-    shown = "required" if key in table.get("required", ()) else _default(node)
+    status = "required" if key in table.get("required", ()) else _default(node)
     text = node["description"]
     words = _words(node)
     kinds = "" if words and all(f"`{word}`" in text for word in words) else _value(node, tables)
@@ -297,7 +297,7 @@ def _row(table: dict[str, Any], key: str, tables: dict[str, Any]) -> str | None:
         kinds = ""
     if not key.endswith(_ending(node["unit"])) and node["unit"] not in OF_STATES:
         kinds += f" [{node['unit']}]"
-    value = ", ".join(filter(None, (kinds.strip(), shown)))
+    value = ", ".join(filter(None, (kinds.strip(), status)))
     return (f" ({value})" if value else "") + ("" if _named(key, text) else f": {text}")
 
 
@@ -322,8 +322,8 @@ def _default(node: dict[str, Any]) -> str:
     """Return the default of a field that may be left out, or nothing if the description says it."""
     default = node.get("default")
     number = isinstance(default, int | float) and not isinstance(default, bool)
-    shown = exact(default) if number else f"`{json.dumps(default)}`"
-    return "" if default in (None, "", []) else f"default {shown}"
+    text = exact(default) if number else f"`{json.dumps(default)}`"
+    return "" if default in (None, "", []) else f"default {text}"
 
 
 def _words(node: dict[str, Any]) -> list[str]:
@@ -361,8 +361,8 @@ def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
 def _range(node: dict[str, Any]) -> str:
     """Return the bounds of a number, without those that its meaning or an error message tells well enough."""
     words = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
-    known = [(key, sign) for key, sign in words.items() if key in node]
-    bounds = [f"{sign}{exact(node[key])}" for key, sign in known if 1e-2 < node[key] < LARGE]
+    limits = [(key, sign) for key, sign in words.items() if key in node]
+    bounds = [f"{sign}{exact(node[key])}" for key, sign in limits if 1e-2 < node[key] < LARGE]
     return ", ".join(bound for bound in bounds if bound != "≥1")
 
 

@@ -246,9 +246,9 @@ class Declared:
         return "booked"
 
 
-def differing(given: Mapping[Any, Any], base: Mapping[Any, Any]) -> str:
+def differing(values: Mapping[Any, Any], base: Mapping[Any, Any]) -> str:
     """Names of what is not empty and differs from the same in another dictionary."""
-    names = [name for name, value in given.items() if value and base.get(name) != value]
+    names = [name for name, value in values.items() if value and base.get(name) != value]
     return ", ".join(names) or "-"
 
 

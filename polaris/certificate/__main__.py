@@ -8,8 +8,8 @@ def main(arguments: list[str]) -> int:
 
     Gives 0 verified, 5 rejected, 6 unknown, 7 statistical, 2 if there was nothing to check.
     """
-    coded = arguments[1:2] == ["--code"] and len(arguments) == 3
-    if not (len(arguments) == 1 or coded) or arguments[0].startswith("-"):
+    has_code = arguments[1:2] == ["--code"] and len(arguments) == 3
+    if not (len(arguments) == 1 or has_code) or arguments[0].startswith("-"):
         print("usage: python -m polaris.certificate RUN_OR_FILE [--code DIR]", file=sys.stderr)
         return 2
     try:
@@ -20,7 +20,7 @@ def main(arguments: list[str]) -> int:
         print(MISSING, file=sys.stderr)
         return 2
     try:
-        verdict = verify(arguments[0], arguments[2] if coded else None)
+        verdict = verify(arguments[0], arguments[2] if has_code else None)
     except OSError as error:
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2

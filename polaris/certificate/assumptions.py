@@ -126,52 +126,52 @@ class Assumptions:
         errors, applied = list(self.estimate), list(self.thrusters)
         delay, jitter, missed, clock = list(self.timing) or (0.0, 0.0, 0, 0.0)
         predicted = delay > 0 or missed > 0
-        seen = "an estimate of the state" if any(errors) else "the exact state"
-        seen = "a prediction of the state" if predicted else seen
-        yield f"sampling: commands are renewed on time every {self.period:g} s from {seen}, and held"
+        source = "an estimate of the state" if any(errors) else "the exact state"
+        source = "a prediction of the state" if predicted else source
+        yield f"sampling: commands are renewed on time every {self.period:g} s from {source}, and held"
         if measured := list(self.observer):
             of = " in each period that is not missed" if missed else " in each period"
-            known = f"errors of measurements{of} are at most [{_listed(measured)}]"
+            accuracy = f"errors of measurements{of} are at most [{_listed(measured)}]"
             if constant := list(self.constant):
-                known += f", of which [{_listed(constant)}] is constant in a flight"
+                accuracy += f", of which [{_listed(constant)}] is constant in a flight"
             first = f"errors of the first estimate are at most [{_listed(self.initial)}]"
-            made = first if list(self.initial) else "the filter has run long before the start"
-            yield f"observer: {known}, the filter has the stated gain, and {made}"
+            text = first if list(self.initial) else "the filter has run long before the start"
+            yield f"observer: {accuracy}, the filter has the stated gain, and {text}"
         elif any(errors):
-            apart = ", and in each step at most the bounds stated for it" if self.by_step else ""
-            yield f"navigation: at all times estimate errors by state are at most [{_listed(errors)}]{apart}"
+            bounds = ", and in each step at most the bounds stated for it" if self.by_step else ""
+            yield f"navigation: at all times estimate errors by state are at most [{_listed(errors)}]{bounds}"
         if any(applied):
             if self.carried:
                 applied[3] = 0.0
             if self.layout:
                 units = "of it lengthwise", "of it sideways", "of it by the mass", "N of an input by rounding"
-                asked = "rounded impulse" if self.carried else "command"
-                off = ", ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                yield f"thrusters: each is off its {asked} by at most {off}"
+                command = "rounded impulse" if self.carried else "command"
+                bound = ", ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
+                yield f"thrusters: each is off its {command} by at most {bound}"
             else:
                 units = "|u_i|", "norm(u_other, 2)", "", "N"
-                off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                asked = "u_i, the thrust made of its command" if self.carried else "its command u_i"
+                bound = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
+                command = "u_i, the thrust made of its command" if self.carried else "its command u_i"
                 same = ", by one constant matrix in a flight" * self.same_shares
-                yield f"thrusters: the thrust applied to an input is within {off} of {asked}{same}"
+                yield f"thrusters: the thrust applied to an input is within {bound} of {command}{same}"
         if self.carried and self.layout:
-            left = f"zero at first and at most {self.carried:g} N s of an input in all"
-            yield f"impulses: the remainder of each thruster, {left}, is carried to the next period"
+            remainder = f"zero at first and at most {self.carried:g} N s of an input in all"
+            yield f"impulses: the remainder of each thruster, {remainder}, is carried to the next period"
         elif self.carried:
-            made = "its command unless that is below" if self.fine else "a multiple of"
-            made = f"each input makes in a period {made} {self.carried:g} N s, or all that its limit allows"
-            yield f"impulses: {made}; the remainder, zero at first, is carried to the next period"
+            text = "its command unless that is below" if self.fine else "a multiple of"
+            text = f"each input makes in a period {text} {self.carried:g} N s, or all that its limit allows"
+            yield f"impulses: {text}; the remainder, zero at first, is carried to the next period"
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
-            made = f"each input is one pulse per period, {PLACES[self.placed]}, of the thrusts [{fired}]"
+            text = f"each input is one pulse per period, {PLACES[self.placed]}, of the thrusts [{fired}]"
             if self.layout:
-                made = f"each thruster fires one pulse per period, {PLACES[self.placed]}; simultaneous ones "
-                made += f"make at most [{fired}] N"
-            made += f"; thrust rises and falls within {self.edge:g} s, impulses are kept" * (self.edge > 0)
-            made += (
+                text = f"each thruster fires one pulse per period, {PLACES[self.placed]}; simultaneous ones "
+                text += f"make at most [{fired}] N"
+            text += f"; thrust rises and falls within {self.edge:g} s, impulses are kept" * (self.edge > 0)
+            text += (
                 "; a pulse keeps its impulse whenever it begins, and overlaps no other of its thruster"
                 * (jitter > 0)
             )
-            yield f"pulses: {made}; thruster errors are constant in a period"
+            yield f"pulses: {text}; thruster errors are constant in a period"
         late = ", ".join(f"{name} within {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
             yield (
@@ -189,8 +189,8 @@ class Assumptions:
             late += f", with at most {missed} missed periods in a row" if missed else ""
             yield f"{late}; commands in force meanwhile are known, and the model holds before the start, too"
         if clock > 0:
-            own = "schedule and reference count from the same instant"
-            yield f"clocks: {own}, unsafe sets from an instant within {clock:g} s of it"
+            common = "schedule and reference count from the same instant"
+            yield f"clocks: {common}, unsafe sets from an instant within {clock:g} s of it"
         else:
             yield "clocks: exact; schedule, reference and unsafe sets count from the same instant"
 
@@ -217,10 +217,10 @@ def _of_samples(
 ) -> list[str]:
     """Return the conditions of a statement about black boxes."""
     bound = f"{math.ceil(probability * 1e6) / 1e6:g}"
-    doubt = f"{float(f'{1 - confidence:.12g}'):g}"
+    risk = f"{float(f'{1 - confidence:.12g}'):g}"
     return [
         "black boxes: a random flight leaves the bands of their commands with a probability of at most"
-        f" {bound}; this statement is wrong with a probability of {doubt} over samples ({flights} flights,"
+        f" {bound}; this statement is wrong with a probability of {risk} over samples ({flights} flights,"
         f" {outside} outside, seed {seed}, attempt {attempts}); flights that leave the bands are not covered",
         "distribution: the initial state of a flight is uniform in the generators of the initial set, its"
         " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
@@ -232,8 +232,8 @@ def _of_samples(
 
 def hand_over(moving: bool, faulty: bool) -> tuple[str, ...]:
     """Return the assumptions of a mission beyond those of its legs: `moving` sets, thrusters that fail."""
-    known = "the scenario of every leg holds from the start of the leg on, whatever was flown before"
+    scenarios = "the scenario of every leg holds from the start of the leg on, whatever was flown before"
     start = "a leg starts at a node at which GO is given, known on board before its first command is made"
     moves = "sets that move: their motion counts from the start of the first leg"
     fails = "faults: at most one thruster fails in all legs together"
-    return f"GO: {start}", f"legs: {known}", *[moves] * moving, *[fails] * faulty
+    return f"GO: {start}", f"legs: {scenarios}", *[moves] * moving, *[fails] * faulty

@@ -61,18 +61,18 @@ def verify(path: str | Path, code: str | Path | None = None) -> Verdict:
     OSError
         If the file cannot be read.
     """
-    given = Path(path)
-    whole = given.is_dir()
-    file = given / NAME if whole else given
-    flown = None if code is None else Path(code)
+    source = Path(path)
+    is_folder = source.is_dir()
+    file = source / NAME if is_folder else source
+    code_folder = None if code is None else Path(code)
 
     def check(record: Record) -> list[str]:
         data = untrusted(file)
         if data.get("format") == MISSION:
-            if flown is not None:
+            if code_folder is not None:
                 raise Rejected("code", "must be checked with the run folder of its leg")
             return check_mission(data, file.parent, record, _check_leg)
-        return _check(Document(data), file.parent, record, whole, code=flown)
+        return _check(Document(data), file.parent, record, is_folder, code=code_folder)
 
     return _judge(check)
 
@@ -84,7 +84,7 @@ def verify_document(data: dict[str, object], folder: Path | None = None) -> Verd
 
 def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     """Run a check and turn how it ends into a verdict."""
-    begun, before, record = time.perf_counter(), flint.ctx.prec, Record()
+    start, precision, record = time.perf_counter(), flint.ctx.prec, Record()
     flint.ctx.prec = PRECISION
     outcome, claim, witness, excess, trusted = VERIFIED, "", "", None, []
     try:
@@ -95,8 +95,8 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     except FAILURES as error:
         outcome, claim, witness = UNKNOWN, "arithmetic", f"{type(error).__name__}: {error}"[:LONGEST]
     finally:
-        flint.ctx.prec = before
-    seconds = time.perf_counter() - begun
+        flint.ctx.prec = precision
+    seconds = time.perf_counter() - start
     parts = tuple(record.checked), tuple(trusted), seconds, tuple(record.unchecked)
     return Verdict(outcome, claim, witness, excess, *parts)
 
@@ -117,7 +117,7 @@ def _check(
     """Check everything; return the assumptions that are trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"unchanged, {document.scenario}, {document.steps} steps of {document.delta:g} s")
-    trusted, stated = list(document.assumptions), None
+    trusted, claims = list(document.assumptions), None
     if folder is None or not (whole or has_artefacts(document, folder)):
         trusted.append("the certificate was made from the scenario it names: no other file lies beside it")
     else:
@@ -125,18 +125,18 @@ def _check(
         scenario = read_scenario(folder)
         check_inputs(document, scenario, record)
         check_networks(document, scenario, folder, record)
-        stated = check_artefacts(document, folder, scenario, record)
-        stated = replace(stated, joint=joint)
+        claims = check_artefacts(document, folder, scenario, record)
+        claims = replace(claims, joint=joint)
         trusted += unchecked(document, scenario, folder)
         record.unchecked += unchecked_demands(scenario)
-        if stated.tank is not None and stated.upkeep is None:
+        if claims.tank is not None and claims.upkeep is None:
             record.unchecked.append("that the tank lasts, of which the run says nothing: tank.delta_v_m_s")
     if code is not None:
         trusted += check_code(document, code, record)
     confirmed = len(record.checked)
     while True:
         try:
-            Argument(document, record, stated, code).run()
+            Argument(document, record, claims, code).run()
             break
         except Imprecise:
             if flint.ctx.prec >= MOST_BITS:

@@ -74,34 +74,34 @@ def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run:
     """Check a mission's certificate, with data read from JSON; return the assumptions trusted besides."""
     if data.get("digest") != digest(data):
         raise Rejected("digest", "the certificate was changed")
-    stated = conform(data, KEYS, "format", "certificate")
+    certificate = conform(data, KEYS, "format", "certificate")
     for name in (SCENARIO, "trace.npz"):
-        if stated["artefacts"].get(name) != sha256(folder / name):
+        if certificate["artefacts"].get(name) != sha256(folder / name):
             raise Rejected("artefacts", f"the hash of {name} differs from the certificate")
     mission = _toml(folder / SCENARIO)
-    legs = _legs(mission, stated, folder)
-    if len(stated["joints"]) != len(legs) - 1:
+    legs = _legs(mission, certificate, folder)
+    if len(certificate["joints"]) != len(legs) - 1:
         raise Rejected("legs", "there must be a joint between any two legs")
     assumed = hand_over(any(map(_moves, legs)), any(leg.document.allocation for leg in legs))
-    if stated["assumptions"] != list(assumed):
+    if certificate["assumptions"] != list(assumed):
         raise Rejected("assumptions", "the mission rests on other assumptions than those of its format")
-    trusted = dict.fromkeys(stated["assumptions"])
+    trusted = dict.fromkeys(certificate["assumptions"])
     record.holds("legs", ", then ".join(leg.name for leg in legs))
-    joints = [_joint(legs, i, each) for i, each in enumerate(stated["joints"])]
+    joints = [_joint(legs, i, each) for i, each in enumerate(certificate["joints"])]
     for i, leg in enumerate(legs):
-        own = Record()
+        leg_record = Record()
         try:
-            trusted |= dict.fromkeys(check_run(leg.document, leg.folder, own, [*joints, None][i]))
+            trusted |= dict.fromkeys(check_run(leg.document, leg.folder, leg_record, [*joints, None][i]))
         except Failed as error:
             raise type(error)(error.claim, f"leg {leg.name}: {error.witness}", error.excess) from error
-        if joints[i:] and "joint" not in dict(own.checked):
+        if joints[i:] and "joint" not in dict(leg_record.checked):
             raise Rejected("joint", f"the end of leg {leg.name} was not derived")
-        if own.sampled or leg.document.guarantee != "proved":
+        if leg_record.sampled or leg.document.guarantee != "proved":
             raise Rejected("guarantee", f"leg {leg.name} is not proved")
-        record.checked += [(f"{leg.name}: {claim}", statement) for claim, statement in own.checked]
-        record.unchecked += [line for line in own.unchecked if line not in record.unchecked]
-    record.holds("delta_v", _sums(legs, stated))
-    _check_summary(folder / SUMMARY, stated)
+        record.checked += [(f"{leg.name}: {claim}", statement) for claim, statement in leg_record.checked]
+        record.unchecked += [line for line in leg_record.unchecked if line not in record.unchecked]
+    record.holds("delta_v", _sums(legs, certificate))
+    _check_summary(folder / SUMMARY, certificate)
     return list(trusted)
 
 
@@ -112,27 +112,27 @@ def _toml(path: Path) -> dict[str, Any]:
         raise Rejected("artefacts", f"{path.name} cannot be read: {error}") from error
 
 
-def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -> list[CheckedLeg]:
+def _legs(mission: Mapping[str, Any], claims: Mapping[str, Any], folder: Path) -> list[CheckedLeg]:
     """Return the legs; the scenario of each run is the mission's statement of it, in the mission's order."""
     specs, start, legs = mission.get("legs"), Fraction(0), list[CheckedLeg]()
-    if mission.get("kind") != "mission" or not isinstance(specs, list) or len(specs) != len(stated["legs"]):
+    if mission.get("kind") != "mission" or not isinstance(specs, list) or len(specs) != len(claims["legs"]):
         raise Rejected("legs", "the certificate has other legs than the mission")
     shared = {key: value for key, value in mission.items() if key not in OWN}
-    for i, (spec, known) in enumerate(zip(specs, stated["legs"], strict=True)):
-        if not isinstance(spec, dict) or spec.get("name") != known["name"]:
-            raise Rejected("legs", f"leg {i + 1} is {known['name']}, but another one in the mission")
-        own = folder / f"{i + 1}-{known['name']}"
-        data = untrusted(own / CERTIFICATE)
+    for i, (spec, leg_claim) in enumerate(zip(specs, claims["legs"], strict=True)):
+        if not isinstance(spec, dict) or spec.get("name") != leg_claim["name"]:
+            raise Rejected("legs", f"leg {i + 1} is {leg_claim['name']}, but another one in the mission")
+        run_folder = folder / f"{i + 1}-{leg_claim['name']}"
+        data = untrusted(run_folder / CERTIFICATE)
         document = Document(data)
-        if data["digest"] != known["digest"]:
-            reason = f"the run of leg {known['name']} differs from that of the mission"
+        if data["digest"] != leg_claim["digest"]:
+            reason = f"the run of leg {leg_claim['name']} differs from that of the mission"
             raise Rejected("legs", reason)
         heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
         scenario = {**shared, **heading, **spec}
         stay = _number(scenario.pop("stay_s", 0.0))
-        _same(scenario, _toml(own / SCENARIO), start, known["name"])
-        claim = strict_json(contents(own / "schedule.json"))["guarantee"]
-        legs.append(CheckedLeg(known["name"], own, document, scenario, start, stay, claim))
+        _same(scenario, _toml(run_folder / SCENARIO), start, leg_claim["name"])
+        claim = strict_json(contents(run_folder / "schedule.json"))["guarantee"]
+        legs.append(CheckedLeg(leg_claim["name"], run_folder, document, scenario, start, stay, claim))
         start += legs[-1].T + stay
     return legs
 
@@ -143,11 +143,11 @@ def _number(x: Any) -> Fraction:
     return Fraction(x)
 
 
-def _same(asked: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
+def _same(planned: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
     """Refuse a run of another scenario; sets that move are where they are when the leg starts."""
-    rest = [{key: x for key, x in each.items() if key not in SETS} for each in (asked, run)]
-    sets = [[each.get(key, []) for key in SETS] for each in (asked, run)]
-    if rest[0] != rest[1] or [*map(len, sets[0])] != [*map(len, sets[1])]:
+    other_keys = [{key: x for key, x in each.items() if key not in SETS} for each in (planned, run)]
+    sets = [[each.get(key, []) for key in SETS] for each in (planned, run)]
+    if other_keys[0] != other_keys[1] or [*map(len, sets[0])] != [*map(len, sets[1])]:
         raise Rejected("legs", f"the run of leg {name} is of another scenario than the mission says")
     for a, b in zip(*(chain(*each) for each in sets), strict=True):
         places = _places(a, start)
@@ -169,15 +169,15 @@ def _places(table: Mapping[str, Any], start: Fraction) -> dict[str, list[arb]]:
     """Return the numbers that say where a set is that moves or turns, at a time [s]; none of any other."""
     t, v = arb(fmpq(start.numerator, start.denominator)), [arb(x) for x in table.get("velocity_m_s") or ()]
     if table.get("kind") == "turning":
-        angle, off = table["rate_rad_s"] * t, table.get("rate_error_rad_s", 0.0) * t * 180 / arb.pi()
+        angle, error = table["rate_rad_s"] * t, table.get("rate_error_rad_s", 0.0) * t * 180 / arb.pi()
         sides = [[arb(x) for x in row] for row in table["normals"]]
         normals = [x for side in sides for x in turned(side, table.get("axis"), angle)]
-        return {"normals": normals, "angle_error_deg": [table.get("angle_error_deg", 0.0) + off]}
+        return {"normals": normals, "angle_error_deg": [table.get("angle_error_deg", 0.0) + error]}
     if table.get("kind") == "satellite" or not any(table.get("velocity_m_s") or ()):
         return {}
     if table.get("kind") == "polytope":
-        moved = [dot([arb(a) for a in row], v) for row in table["normals"]]
-        return {"offsets_m": [b + x * t for b, x in zip(table["offsets_m"], moved, strict=True)]}
+        speeds = [dot([arb(a) for a in row], v) for row in table["normals"]]
+        return {"offsets_m": [b + x * t for b, x in zip(table["offsets_m"], speeds, strict=True)]}
     return {"center_m": [x + y * t for x, y in zip(table["center_m"], v, strict=True)]}
 
 
@@ -189,42 +189,42 @@ def _moves(leg: CheckedLeg) -> bool:
     )
 
 
-def _joint(legs: list[CheckedLeg], i: int, stated: Mapping[str, Any]) -> Joint:
+def _joint(legs: list[CheckedLeg], i: int, claim: Mapping[str, Any]) -> Joint:
     """Return the claim of a joint, once its instants and its boxes are those of the legs on both sides."""
-    leg, after = legs[i], legs[i + 1]
-    where = f"from {leg.name} to {after.name}"
-    box = after.scenario["initial_set"]
-    if box["kind"] != "box" or stated["center"] != box["center"]:
-        raise Rejected("joint", f"{where}: the GO box is not about the middle of the next leg's start set")
-    if len(stated["half_widths"]) != len(box["half_widths"]) or len(box["center"]) != len(leg.document.A):
-        raise Rejected("joint", f"{where}: the GO box is one of other states")
-    _same_craft(leg.document, after.document, where)
+    leg, next_leg = legs[i], legs[i + 1]
+    context = f"from {leg.name} to {next_leg.name}"
+    box = next_leg.scenario["initial_set"]
+    if box["kind"] != "box" or claim["center"] != box["center"]:
+        raise Rejected("joint", f"{context}: the GO box is not about the middle of the next leg's start set")
+    if len(claim["half_widths"]) != len(box["half_widths"]) or len(box["center"]) != len(leg.document.A):
+        raise Rejected("joint", f"{context}: the GO box is one of other states")
+    _same_craft(leg.document, next_leg.document, context)
     if any(map(_moves, legs[i + 1 :])):
         node = leg.stay / leg.period
         if abs(node - round(node)) > PLACED * (1 + node):
-            raise Rejected("joint", f"{where}: GO must be planned at a node, as later sets move")
-        if stated["later"] or stated["first"] != [[round(node)] * 2]:
-            raise Rejected("joint", f"{where}: GO must be given as planned or never, as later sets move")
+            raise Rejected("joint", f"{context}: GO must be planned at a node, as later sets move")
+        if claim["later"] or claim["first"] != [[round(node)] * 2]:
+            raise Rejected("joint", f"{context}: GO must be given as planned or never, as later sets move")
     if any(_satellite(each) for each in legs[i + 1 :]):
-        raise Rejected("joint", f"{where}: another satellite in a later leg")
-    given = stated["half_widths"], stated["first"], stated["later"], stated["assured"]
-    return Joint(box["center"], box["half_widths"], *given)
+        raise Rejected("joint", f"{context}: another satellite in a later leg")
+    terms = claim["half_widths"], claim["first"], claim["later"], claim["assured"]
+    return Joint(box["center"], box["half_widths"], *terms)
 
 
 def _satellite(leg: CheckedLeg) -> bool:
     return any(each["kind"] == "satellite" for each in leg.scenario.get("obstacles", ()))
 
 
-def _same_craft(one: Document, two: Document, where: str) -> None:
+def _same_craft(one: Document, two: Document, context: str) -> None:
     """Refuse legs of two craft, and, where a loop remembers more than the error, of two loops."""
     if one.transients or two.transients:
-        raise Rejected("joint", f"{where}: a fault may last across the hand-over")
+        raise Rejected("joint", f"{context}: a fault may last across the hand-over")
     if (one.observer or {}).get("initial") or (two.observer or {}).get("initial"):
-        raise Rejected("joint", f"{where}: an observer's first errors are those of the first leg alone")
+        raise Rejected("joint", f"{context}: an observer's first errors are those of the first leg alone")
     remembers = any(each.timing or each.observer for each in (one, two))
     for key in {*one.system, *two.system} if remembers else PLANT:
         if one.system.get(key) != two.system.get(key):
-            raise Rejected("joint", f"{where}: {key} of the system differs")
+            raise Rejected("joint", f"{context}: {key} of the system differs")
 
 
 def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
@@ -238,33 +238,33 @@ def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
     return arb(upkeep["until_settled_m_s"]) + (waited * upkeep["rate_m_s2"] if waited > 0 else 0)
 
 
-def _sums(legs: list[CheckedLeg], stated: Mapping[str, Any]) -> str:
+def _sums(legs: list[CheckedLeg], certificate: Mapping[str, Any]) -> str:
     """Check when legs are left, their spending until then and in all, and for how long they are safe."""
     total: arb | None = arb(0)
-    for i, (leg, known) in enumerate(zip(legs, stated["legs"], strict=True)):
-        leaves, doc = known["leaves_s"], leg.document
+    for i, (leg, leg_claim) in enumerate(zip(legs, certificate["legs"], strict=True)):
+        leaves, doc = leg_claim["leaves_s"], leg.document
         node = (Fraction(leaves) - leg.T) / leg.period
         if abs(node - round(node)) > PLACED * (1 + abs(node)) or Fraction(leaves) < (leg.T + leg.stay) * (
             1 - PLACED
         ):
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, which is no node from GO on")
-        if i < len(stated["joints"]) and not _within(stated["joints"][i], round(node), leg):
+        if i < len(certificate["joints"]) and not _within(certificate["joints"][i], round(node), leg):
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, but GO is not given then")
-        spent = _spent(leg, leaves)
-        if spent is not None and i:  # impulses that the leg before leaves behind
-            spent += carried_impulse(plant_of(doc)) / doc.mass
-        _no_less(f"velocity change of leg {leg.name}", known["delta_v_max_m_s"], spent)
-        total = None if total is None or spent is None else total + spent
+        delta_v = _spent(leg, leaves)
+        if delta_v is not None and i:  # impulses that the leg before leaves behind
+            delta_v += carried_impulse(plant_of(doc)) / doc.mass
+        _no_less(f"velocity change of leg {leg.name}", leg_claim["delta_v_max_m_s"], delta_v)
+        total = None if total is None or delta_v is None else total + delta_v
         rate = None if leg.claim["upkeep"] is None else arb(leg.claim["upkeep"]["rate_m_s2"])
-        _no_less(f"velocity change per second of leg {leg.name}", known["waiting_m_s2"], rate)
-        if known["safe_until_s"] != doc.claim_end:
+        _no_less(f"velocity change per second of leg {leg.name}", leg_claim["waiting_m_s2"], rate)
+        if leg_claim["safe_until_s"] != doc.claim_end:
             raise Rejected("end", f"leg {leg.name} is safe until another instant in its run")
-        drift, clear = doc.drift, 0.0
+        drift, clear_s = doc.drift, 0.0
         if drift is not None and all(part is not None for part in drift.steps):
-            clear = drift.horizon
-        if known["drift_s"] is not None and known["drift_s"] > clear:
+            clear_s = drift.horizon
+        if leg_claim["drift_s"] is not None and leg_claim["drift_s"] > clear_s:
             raise Rejected("passive", f"the drift of leg {leg.name} is not clear from all steps for so long")
-    _no_less("velocity change of the mission", stated["delta_v_max_m_s"], total)
+    _no_less("velocity change of the mission", certificate["delta_v_max_m_s"], total)
     return "nothing claimed" if total is None else f"at most {plain(total)} m/s in all"
 
 
@@ -282,18 +282,18 @@ def _within(joint: Mapping[str, Any], node: int, leg: CheckedLeg) -> bool:
     return any(a <= phase and phase <= b for a, b in joint["later"])
 
 
-def _no_less(what: str, claimed: float | None, derived: arb | None) -> None:
+def _no_less(quantity: str, claimed: float | None, derived: arb | None) -> None:
     """Refuse a figure below the derived one; null claims nothing."""
     if claimed is not None and not (derived is not None and derived <= arb(claimed) * (1 + PLACED)):
-        shown = "nothing" if derived is None else plain(derived)
-        raise Rejected("delta_v", f"{what}: {claimed:g} claimed, {shown} derived")
+        bound = "nothing" if derived is None else plain(derived)
+        raise Rejected("delta_v", f"{quantity}: {claimed:g} claimed, {bound} derived")
 
 
-def _check_summary(path: Path, stated: Mapping[str, Any]) -> None:
+def _check_summary(path: Path, certificate: Mapping[str, Any]) -> None:
     """Refuse a summary that claims something else than the certificate."""
     if path.exists():
         claims = strict_json(contents(path))["mission"]
-        legs = [{key: value for key, value in leg.items() if key != "digest"} for leg in stated["legs"]]
+        legs = [{key: value for key, value in leg.items() if key != "digest"} for leg in certificate["legs"]]
         for key in ("legs", "joints", "delta_v_max_m_s", "assumptions"):
-            if claims.get(key) != (legs if key == "legs" else stated[key]):
+            if claims.get(key) != (legs if key == "legs" else certificate[key]):
                 raise Rejected("summary", f"{key} in {path.name} is not what the certificate says")

@@ -34,7 +34,7 @@ def model_error_command(
     from ..simulation.orbit.environment import Environment
     from ..simulation.orbit.model_error import error_within, justify, model_error
 
-    loaded = load_target(target, assignments or (), apart="orbit")
+    loaded = load_target(target, assignments or (), table="orbit")
     Environment.from_scenario(loaded.scenario)  # what is missing is refused before the synthesis
     for note in () if as_json else loaded.scenario.derived:
         echo(f"note: {note}", err=True)
@@ -80,8 +80,8 @@ def falsify_command(
     print_result(attack.summary(), as_json, partial(_show_falsification, scenario.name, attack))
     if attack.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, attack, force=force)
-        flown = "" if code is None else f" --code {shlex.quote(code)}"
-        echo(f"Saved: polaris replay {shlex.quote(str(path))}{flown}", err=True)
+        option = "" if code is None else f" --code {shlex.quote(code)}"
+        echo(f"Saved: polaris replay {shlex.quote(str(path))}{option}", err=True)
     return REFUTED if attack.failure is not None else None
 
 
@@ -91,8 +91,8 @@ def _mission(target: str) -> RunFolder | None:
     from ..runs.run import read_run
     from ..scenario.scenario import bundled_files
 
-    known = target in bundled_files() or not Path(target).is_dir()
-    folder = None if known else read_run(target)
+    is_scenario = target in bundled_files() or not Path(target).is_dir()
+    folder = None if is_scenario else read_run(target)
     return folder if folder is not None and folder.kind is MISSION else None
 
 
@@ -143,16 +143,16 @@ def verify(
 
     place = Path(run)
     if not (place / "certificate.json" if place.is_dir() else place).is_file():
-        there = "it has no certificate.json" if place.is_dir() else "no such file or folder exists"
-        raise ScenarioError("run", run, f"must be a run folder or a certificate file, but {there}")
+        problem = "it has no certificate.json" if place.is_dir() else "no such file or folder exists"
+        raise ScenarioError("run", run, f"must be a run folder or a certificate file, but {problem}")
     return main([run] if code is None else [run, "--code", code])
 
 
-def _show_falsification(name: str, result: Falsification) -> None:
+def _show_falsification(name: str, attack: Falsification) -> None:
     """Print the least margin of every limit beside the proven one, and a violation if there is one."""
     from ..synthesis.safety.recoverable import directed
 
-    summary = result.summary()
+    summary = attack.summary()
     echo(f"{name}: {summary['runs']} trajectories, {summary['runs_per_s']:.0f} per second")
     echo(f"{'limit':24} {'least flown':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
     for row in summary["limits"]:
@@ -161,7 +161,7 @@ def _show_falsification(name: str, result: Falsification) -> None:
         echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
     proven = directed(summary["delta_v_proven_m_s"], ".4g", up=True)
     echo(f"delta-v until T: at most {summary['delta_v_m_s']:.4g} m/s flown, bound {proven} m/s proven")
-    echo("No violation." if result.failure is None else f"VIOLATED: {result.failure}")
+    echo("No violation." if attack.failure is None else f"VIOLATED: {attack.failure}")
 
 
 def _show_within(summary: dict[str, Any]) -> None:

@@ -54,7 +54,7 @@ SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
 def campaign_command(
     options: CampaignOptions,
     output: Output,
-    asked: BlackBoxes,
+    programs: BlackBoxes,
     scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
 ) -> int | None:
     """Fly many runs over scenarios and grids of values, and count the violations.
@@ -72,25 +72,25 @@ def campaign_command(
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
     with stages.stage("load"):
         loaded = [load_scenario(name) for name in scenarios]
-    inspected = [one for one in loaded if not isinstance(one, ScheduleScenario)]
-    if inspected and asked.black_box:
-        raise ScenarioError("--black-box", asked.black_box, "must be left out for inspections")
-    if inspected:
-        _fly_inspection(loaded, inspected[0], options, output, crew)
+    inspections = [one for one in loaded if not isinstance(one, ScheduleScenario)]
+    if inspections and programs.black_box:
+        raise ScenarioError("--black-box", programs.black_box, "must be left out for inspections")
+    if inspections:
+        _fly_inspection(loaded, inspections[0], options, output, crew)
         return None
     from ..runs.campaign import run_campaign
     from ..runs.campaign.folder import check_place
 
-    if asked.commands:
+    if programs.commands:
         if options.workers or scheduler:
             rule = "must be left out with --black-box, because one process asks the black boxes"
             raise ScenarioError("--workers, --scheduler", scheduler or options.workers, rule)
         crew = nullcontext(local(1))
-    plan = _plan(loaded, options, list(asked.commands), stages)
+    plan = _plan(loaded, options, list(programs.commands), stages)
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
     check_place(out, fresh=not options.resume)
-    with asked.running() as boxes, crew as executor, stages.stage("runs"):
+    with programs.running() as boxes, crew as executor, stages.stage("runs"):
         stages.note("waiting for the first batch")
         progress, plan = stages.counting("{:,} of {:,} runs"), plan.asking(boxes)
         folder = run_campaign(
@@ -101,7 +101,7 @@ def campaign_command(
 
 @verb("campaign-replay")
 def replay_command(
-    asked: BlackBoxes,
+    programs: BlackBoxes,
     campaign: str = Argument(..., metavar="DIR", help="Folder of a campaign."),
     case: int | None = Option(None, min=0, help="Number of the case."),
     batch: int | None = Option(None, min=0, help="Number of the batch."),
@@ -126,7 +126,7 @@ def replay_command(
         raise ScenarioError("--worst", worst, "must be left out with --batch or --run")
     if worst is None and (case is None or batch is None or run is None):
         raise ScenarioError("campaign-replay", None, "must have --case, --batch and --run, or --worst")
-    with asked.running() as boxes:
+    with programs.running() as boxes:
         folder = read_campaign(campaign)
         if worst is not None:
             chosen = find_worst(folder, worst, mode, case)
@@ -145,17 +145,17 @@ def _plan(
     """Return the campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
 
-    given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
+    choices = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
     sized = {"batch": options.batch} if options.batch else {}
     with stages.stage("cases"):
-        kind = ScheduleRuns(tuple(options.mode or ["polaris"]), **given)
+        kind = ScheduleRuns(tuple(options.mode or ["polaris"]), **choices)
         cases = make_cases(scenarios, parse_grid(options.grid), options.assignments or (), boxes)
         return CampaignPlan(cases, options.runs or 1000, options.seed or 0, kind=kind, **sized)
 
 
 def _fly_inspection(
     scenarios: Sequence[Scenario],
-    one: Scenario,
+    scenario: Scenario,
     options: CampaignOptions,
     output: Output,
     crew: AbstractContextManager[Workers],
@@ -165,19 +165,19 @@ def _fly_inspection(
     from ..scenario.scenario import MonteCarloScenario
 
     if len(scenarios) > 1:
-        raise ScenarioError("scenario", one.name, "is an inspection scenario, which must be alone")
+        raise ScenarioError("scenario", scenario.name, "is an inspection scenario, which must be alone")
     for name in SCHEDULES_ONLY:
         value = getattr(options, name)
         if value is not None and value != []:
-            rule = f"must be left out for the inspection scenario {one.name}; use --set instead"
+            rule = f"must be left out for the inspection scenario {scenario.name}; use --set instead"
             raise ScenarioError(f"--{name}", value, rule)
-    if not isinstance(one, MonteCarloScenario):
-        raise ScenarioError("scenario", one.name, "is a single flight; use polaris run")
+    if not isinstance(scenario, MonteCarloScenario):
+        raise ScenarioError("scenario", scenario.name, "is a single flight; use polaris run")
     overrides = list(options.assignments or [])
     overrides += [f"campaign.runs={options.runs}"] if options.runs is not None else []
-    how: dict[str, Any] = {"draw": output.draw, "stages": output.stages, "fresh": not options.resume}
+    settings: dict[str, Any] = {"draw": output.draw, "stages": output.stages, "fresh": not options.resume}
     with crew as executor:
-        folder = run(one, options.out, overrides=overrides, executor=executor, **how)
+        folder = run(scenario, options.out, overrides=overrides, executor=executor, **settings)
     output.finish(folder)
 
 

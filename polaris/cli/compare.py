@@ -19,10 +19,10 @@ class _Compare(TyperCommand):
         from ..rta.arena import tunable
         from ..rta.methods import METHODS
 
-        known = {"methods": METHODS, "tune": tunable()}
+        values = {"methods": METHODS, "tune": tunable()}
         for one in self.params:
-            if isinstance(one, TyperOption) and one.name in known:
-                one.help = f"{one.help} Known: {', '.join(known[one.name])}."
+            if isinstance(one, TyperOption) and one.name in values:
+                one.help = f"{one.help} Known: {', '.join(values[one.name])}."
         super().format_help(ctx, formatter)
 
 
@@ -49,12 +49,12 @@ class CompareOptions:
 
 
 @verb("compare", cls=_Compare)
-def compare_command(target: Target, options: CompareOptions, asked: BlackBoxes, output: Output) -> None:
+def compare_command(target: Target, options: CompareOptions, programs: BlackBoxes, output: Output) -> None:
     """Compare run-time assurance methods on one scenario under equal disturbances."""
     stages = output.stages
-    given, tuning = options.estimate_error, _tuning(options.tune)
-    numbers = None if given is None else _numbers("--estimate-error", given)
-    named = None if options.methods is None else options.methods.replace(" ", "").split(",")
+    error_text, tuning = options.estimate_error, _tuning(options.tune)
+    numbers = None if error_text is None else _numbers("--estimate-error", error_text)
+    methods = None if options.methods is None else options.methods.replace(" ", "").split(",")
     with stages.stage("load"):
         import numpy as np
 
@@ -65,7 +65,7 @@ def compare_command(target: Target, options: CompareOptions, asked: BlackBoxes, 
         from ..runs.files.atomic import check_target
         from ..simulation.on_board import FlightCode
 
-        selected(named, tuning)  # here and below: what is wrong is refused before the synthesis
+        selected(methods, tuning)  # here and below: what is wrong is refused before the synthesis
         loaded = load_target(target, options.assignments or ())
         scenario = loaded.scenario
         out = options.out if options.out is not None else f"runs/{scenario.name}-comparison"
@@ -73,7 +73,7 @@ def compare_command(target: Target, options: CompareOptions, asked: BlackBoxes, 
         half = None if numbers is None else np.squeeze(numbers)
         code = None if options.code is None else FlightCode(options.code)
         check_decisions(scenario.problem(), options.period, options.latency, half)
-    with asked.running() as boxes:
+    with programs.running() as boxes:
         with stages.stage("schedule"):
             schedule = loaded.schedule(boxes)
         with stages.stage("flights"):
@@ -81,7 +81,7 @@ def compare_command(target: Target, options: CompareOptions, asked: BlackBoxes, 
                 DecisionGrid.from_schedule(schedule, options.period, options.latency, half),
                 options.runs,
                 options.seed,
-                methods=named,
+                methods=methods,
                 tuning=tuning,
                 progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
                 code=code,
@@ -99,14 +99,14 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _tuning(assignments: list[str]) -> dict[str, float]:
-    out = {}
+    tuning = {}
     for text in assignments:
         name, _, value = text.partition("=")
         try:
-            out[name.strip()] = float(value)
+            tuning[name.strip()] = float(value)
         except ValueError:
             raise ScenarioError("--tune", text, "must be METHOD.OPTION=NUMBER") from None
-    return out
+    return tuning
 
 
 @dataclass
@@ -128,7 +128,7 @@ class TradeoffOptions:
 
 
 @verb("tradeoff")
-def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes, output: Output) -> None:
+def tradeoff_command(scenario: Name, options: TradeoffOptions, programs: BlackBoxes, output: Output) -> None:
     """Trade the share of time under U against delta-v and switches: one run folder per price.
 
     With --sweep, vary numbers of the scenario instead. A trade-off that was stopped resumes.
@@ -139,7 +139,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
     if options.sweep and options.prices is not None:
         raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
     prices = PRICES if options.prices is None else _numbers("--prices", options.prices)
-    with asked.running() as boxes:
+    with programs.running() as boxes:
         folder = tradeoff(
             scenario,
             options.out,
@@ -154,8 +154,8 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         text = f"planner.time_limit_s ended the search early ({', '.join(cut)})"
-        why = "another machine or run may find another plan; raise the limit"
-        warnings.warn(f"{text}: {why}", ClockWarning, stacklevel=2)
+        advice = "another machine or run may find another plan; raise the limit"
+        warnings.warn(f"{text}: {advice}", ClockWarning, stacklevel=2)
     output.finish(folder)
 
 
@@ -163,12 +163,12 @@ def _sweep(text: str) -> tuple[str, list[float]]:
     """Key and values of a text ``key=0.1,0.2`` or ``key=0.1:10:5``, rounded to six digits."""
     import numpy as np
 
-    key, equals, given = text.partition("=")
-    ends = given.split(":")
+    key, equals, values = text.partition("=")
+    ends = values.split(":")
     if not equals or len(ends) not in (1, 3):
         raise ScenarioError("--sweep", text, "must be KEY=V,V,... or KEY=LOW:HIGH:COUNT")
     if len(ends) == 1:
-        return key.strip(), _numbers("--sweep", given)
+        return key.strip(), _numbers("--sweep", values)
     low, high, count = (_numbers("--sweep", end)[0] for end in ends)
     if not (0 < low < high < np.inf and 2 <= count <= 1000 and count == int(count)):
         raise ScenarioError("--sweep", text, "must be 0 < LOW < HIGH and a COUNT of 2 to 1000")

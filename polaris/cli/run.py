@@ -12,7 +12,7 @@ FOLDER = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or a fol
 @verb("run")
 def run(
     scenario: Name,
-    asked: BlackBoxes,
+    programs: BlackBoxes,
     output: Output,
     out: str | None = Option(None, metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     assignments: Assignments = None,
@@ -28,8 +28,8 @@ def run(
     An inspection scenario is flown under its filter instead, a Monte Carlo on all processors. A single
     flight that violates a constraint or its fuel limit ends with exit code 5.
     """
-    short = {"planner.solver": solver, "recoverable.kind": recoverable}
-    overrides = [*(assignments or []), *(f"{key}={value}" for key, value in short.items() if value)]
+    shortcuts = {"planner.solver": solver, "recoverable.kind": recoverable}
+    overrides = [*(assignments or []), *(f"{key}={value}" for key, value in shortcuts.items() if value)]
     stages = output.stages
     with stages.stage("load"):
         from ..runs.campaign.workers import local
@@ -39,9 +39,9 @@ def run(
         loaded = load_scenario(scenario, overrides)
         if not output.quiet:
             _show_warnings(loaded, err=True)
-    with asked.running() as boxes:
-        flying: dict[str, Any] = {"draw": output.draw, "stages": stages, "executor": local()}
-        folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
+    with programs.running() as boxes:
+        settings: dict[str, Any] = {"draw": output.draw, "stages": stages, "executor": local()}
+        folder = run_scenario(loaded, out, black_boxes=boxes, **settings)
     if folder.kind.name == "schedule" and folder.summary["guarantee"]["kind"] == "statistical":
         echo("warning: the guarantee is statistical, as steps of black boxes rest on samples", err=True)
     if not folder.summary.get("model_error", {"covered": True})["covered"]:
@@ -89,9 +89,9 @@ def plot(folder: str = FOLDER, quiet: Quiet = False) -> None:
     from .console import ShownStages
 
     with ShownStages(quiet).stage("figures"):
-        drawn = draw_run(read_run(folder))
+        paths = draw_run(read_run(folder))
     if not quiet:
-        echo("\n".join(str(path) for path in drawn))
+        echo("\n".join(str(path) for path in paths))
 
 
 @verb("report")

@@ -63,11 +63,11 @@ def complete_scenario(incomplete: str) -> list[str]:
     names = [name for name in bundled_files() if name.startswith(incomplete)]
     folder, slash, start = incomplete.rpartition("/")
     try:
-        here = sorted(Path(folder + slash or ".").iterdir())
+        entries = sorted(Path(folder + slash or ".").iterdir())
     except OSError:
         return names
-    fitting = [one for one in here if one.name.startswith(start) and one.name[0] != "."]
-    files = [one for one in fitting if one.is_dir() or one.suffix == ".toml"]
+    matches = [one for one in entries if one.name.startswith(start) and one.name[0] != "."]
+    files = [one for one in matches if one.is_dir() or one.suffix == ".toml"]
     return names + [f"{folder}{slash}{one.name}{'/' if one.is_dir() else ''}" for one in files]
 
 
@@ -181,8 +181,8 @@ class Output:
                 echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         from ..model.version import version
 
         echo(f"polaris {version()}")
@@ -205,8 +205,8 @@ def main(
 # -- what verbs have in common ----------------------------------------------------------------------
 
 
-def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
-    """Add a verb, `how` as typer takes it; it returns its exit code, or nothing where it went well.
+def verb(name: str, **options: Any) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
+    """Add a verb, `options` as typer takes it; it returns its exit code, or nothing where it went well.
 
     Fields of its parameters that are dataclasses become options of their own.
     """
@@ -216,15 +216,15 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
         groups: dict[str, Any] = {key: hint for key, hint in hints.items() if is_dataclass(hint)}
 
         @wraps(work)
-        def guarded(**given: Any) -> None:
+        def guarded(**values: Any) -> None:
             for key, group in groups.items():
-                given[key] = group(**{one.name: given.pop(one.name) for one in fields(group)})
+                values[key] = group(**{one.name: values.pop(one.name) for one in fields(group)})
             with answering():
                 try:
                     packages.check()
                 except ReachError as error:  # versions that nobody tested
                     raise failed(str(error), 2) from None
-                code = work(**given)
+                code = work(**values)
             if code:
                 raise typer.Exit(code)
 
@@ -233,10 +233,10 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
             group = groups.get(key)
             types = get_type_hints(group, include_extras=True) if group else hints
             for item in fields(group) if group else [one]:
-                how_told = {"default": item.default, "annotation": types[item.name]}
-                parameters.append(Parameter(item.name, Parameter.KEYWORD_ONLY, **how_told))
+                attributes = {"default": item.default, "annotation": types[item.name]}
+                parameters.append(Parameter(item.name, Parameter.KEYWORD_ONLY, **attributes))
         vars(guarded)["__signature__"] = Signature(parameters)
-        app.command(name, **how)(guarded)
+        app.command(name, **options)(guarded)
         return guarded
 
     return add
@@ -263,9 +263,9 @@ def print_result(data: object, as_json: bool, show: Callable[[], None]) -> None:
 @contextmanager
 def answering() -> Iterator[None]:
     """Turn everything that can go wrong into one message and an exit code; tell of a clock that struck."""
-    ends = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
-    heard = [number for number in ends if signal.getsignal(number) != signal.SIG_IGN]  # nohup
-    before = {number: signal.signal(number, _terminated) for number in heard}
+    stop_signals = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    signals = [number for number in stop_signals if signal.getsignal(number) != signal.SIG_IGN]  # nohup
+    handlers = {number: signal.signal(number, _terminated) for number in signals}
     try:
         with _warning():
             yield
@@ -285,11 +285,11 @@ def answering() -> Iterator[None]:
         raise
     except Exception as error:  # a fault of the program: still one message, with where it happened
         *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-        where = f"{frame.f_globals.get('__name__', '?')}:{line}"
-        _fail(f"internal fault ({where}): {type(error).__name__}: {error}", 1)
+        location = f"{frame.f_globals.get('__name__', '?')}:{line}"
+        _fail(f"internal fault ({location}): {type(error).__name__}: {error}", 1)
     finally:
-        for number, known in before.items():
-            signal.signal(number, known)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

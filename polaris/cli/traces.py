@@ -54,17 +54,17 @@ def evaluate_command(
     system = None
     if eta is not None:
         system = clohessy_wiltshire(positive("--mean-motion", eta, "rad/s"), mass=1.0, u_max=1.0)
-    how: dict[str, Any] = {
+    axes: dict[str, Any] = {
         "dims": options.dims,
         "velocity": parse_velocity(options.velocity, options.heading, options.speed),
     }
-    read = read_trace(trace)
+    loaded = read_trace(trace)
     if options.legacy:
-        agents = evaluate_legacy(read, **how)
+        agents = evaluate_legacy(loaded, **axes)
         summary, show = {"legacy_rtaeval": True, "agents": agents}, partial(show_legacy, agents)
     else:
         radius = options.agent_radius
-        metrics = evaluate_trace(read, restamp=options.restamp, system=system, agent_radius=radius, **how)
+        metrics = evaluate_trace(loaded, restamp=options.restamp, system=system, agent_radius=radius, **axes)
         summary, show = metrics.summary(), partial(show_metrics, metrics)
     print_result(summary, options.as_json, (lambda: None) if options.quiet else show)
 

@@ -81,8 +81,8 @@ def export_c(
     if monitor:
         tables = with_monitor(tables, document, read_schedule(run.path), precision)
     texts = files(tables, prefix, precision, document.digest)
-    given = calls(tables, FLIGHTS * (1 + monitor), 0)
-    texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, given)
+    test_calls = calls(tables, FLIGHTS * (1 + monitor), 0)
+    texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, test_calls)
     texts |= {} if glue is None else glue_files(tables, prefix, precision, glue, name, module, monitor)
     target = check_target(out, texts)
     with replacing(target) as place:
@@ -94,8 +94,8 @@ def export_c(
 
 def default_prefix(scenario: str) -> str:
     """Return a prefix made of a scenario's name."""
-    kept = "".join(c if c.isascii() and c.isalnum() else "_" for c in scenario.lower())
-    return f"polaris_{kept}"[:20]
+    letters = "".join(c if c.isascii() and c.isalnum() else "_" for c in scenario.lower())
+    return f"polaris_{letters}"[:20]
 
 
 def flight_tables(document: Document) -> Tables:

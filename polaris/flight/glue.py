@@ -59,21 +59,21 @@ def glue_files(
     if framework not in FILES:
         raise ScenarioError("glue", framework, f"must be one of {', '.join(FILES)}")
     name = default_name(prefix, framework) if name is None else name
-    for field, given in (("name", name), ("module", module)):
+    for field, value in (("name", name), ("module", module)):
         longest = LONGEST["fprime" if field == "module" else framework]
-        if not NAME.fullmatch(given) or len(given) > longest:
+        if not NAME.fullmatch(value) or len(value) > longest:
             rule = f"must be at most {longest} letters, digits and _, a letter first"
-            raise ScenarioError(field, given, rule)
+            raise ScenarioError(field, value, rule)
     if name == prefix:
         raise ScenarioError("name", name, "must not be the prefix of the flight code")
     n, m = tables.sizes["N"], tables.sizes["M"]
-    known = {"PREFIX": prefix, "GUARD": prefix.upper(), "NAME": name, "APP": name.upper(), "MODULE": module}
+    values = {"PREFIX": prefix, "GUARD": prefix.upper(), "NAME": name, "APP": name.upper(), "MODULE": module}
     entry = f"{prefix}_online" if online else prefix
-    known |= {"ENTRY": entry, "MEMORY": entry if online else f"{prefix}_memory"}
-    known |= {"N": str(n), "M": str(m), "REAL": "F64" if precision == "double" else "F32"}
+    values |= {"ENTRY": entry, "MEMORY": entry if online else f"{prefix}_memory"}
+    values |= {"N": str(n), "M": str(m), "REAL": "F64" if precision == "double" else "F32"}
     place = Path(__file__).parent / "templates"
     texts = {path.format(name): (place / one).read_text() for path, one in FILES[framework].items()}
-    return {path: KEY.sub(lambda key: known[key[1]], text) for path, text in texts.items()}
+    return {path: KEY.sub(lambda key: values[key[1]], text) for path, text in texts.items()}
 
 
 def default_name(prefix: str, framework: str) -> str:

@@ -51,52 +51,51 @@ def with_monitor(tables: Tables, document: Document, schedule: Schedule, precisi
         raise ScenarioError("monitor", True, f"must be off: {error}") from error
     gain, limit = np.array(document.laws[0].gain), np.array(document.u_max)
     with np.errstate(divide="ignore"):
-        apart = np.minimum((2 * limit[:, None] / np.abs(gain)).min(axis=0), 1e6)
-    off = gap_error(document, tables, precision)
+        box = np.minimum((2 * limit[:, None] / np.abs(gain)).min(axis=0), 1e6)
+    noise = gap_error(document, tables, precision)
     for _ in range(SHRINKS):
-        count = _lags(prospect, apart + off)
+        count = _lags(prospect, box + noise)
         if count:
             break
-        apart = apart / 2
+        box = box / 2
     else:
         raise ScenarioError("monitor", True, "must be off: later limits have no slack")
-    return _laid_out(tables, document, prospect, precision, apart, off, count)
+    return _laid_out(tables, document, prospect, precision, box, noise, count)
 
 
-def _size(prospect: Permission, apart: Array) -> float:
+def _size(prospect: Permission, box: Array) -> float:
     """Bound on ``norm(W e)`` at every stage of a decision on errors in a box."""
     stages = (slice(first, last) for first, last in prospect._norms)
     ends = (
-        np.abs(prospect.stack[:, one]).T @ apart + np.abs(prospect.known[:, one]).max(axis=0)
-        for one in stages
+        np.abs(prospect.stack[:, one]).T @ box + np.abs(prospect.known[:, one]).max(axis=0) for one in stages
     )
     return float(max(np.linalg.norm(each) for each in ends)) + prospect.radius
 
 
-def _tightenings(prospect: Permission, apart: Array) -> Array:
+def _tightenings(prospect: Permission, box: Array) -> Array:
     """Return the tightening of every row so many nodes after the decision, shape (lags, r)."""
     recovery, n = prospect.recovery, prospect.grid.system.n
-    size, facets = _size(prospect, apart), len(recovery.intersample)
+    size, facets = _size(prospect, box), len(recovery.intersample)
     tall = prospect.demand.tall
     later = (tall[:, n] * size + tall[:, n + 1]).reshape(-1, len(recovery.rows))
     first = np.full(len(recovery.rows), -FREE)  # S commands nothing before the next node
-    known = np.abs(recovery.rows[:facets, :n]) @ prospect.grid.half_widths
-    first[:facets] = recovery.intersample + recovery._bent * (size + recovery._radius) + known
+    estimate_error = np.abs(recovery.rows[:facets, :n]) @ prospect.grid.half_widths
+    first[:facets] = recovery.intersample + recovery._bent * (size + recovery._radius) + estimate_error
     return np.vstack([first, later])
 
 
-def _lags(prospect: Permission, apart: Array) -> int:
+def _lags(prospect: Permission, box: Array) -> int:
     """Number of nodes after which errors in a box meet all limits whatever they are; 0 if none is enough."""
     recovery, grid, n = prospect.recovery, prospect.grid, prospect.grid.system.n
-    end = np.abs(prospect.end.M) @ apart + np.abs(prospect.end.offset).max(axis=0)
+    end = np.abs(prospect.end.M) @ box + np.abs(prospect.end.offset).max(axis=0)
     carried = prospect.demand.tall[:, :n].reshape(recovery.lags, -1, n)
-    tightening = np.abs(carried) @ end + _tightenings(prospect, apart)[1:]
-    least = np.minimum.accumulate(recovery.limits[::-1], axis=0)[::-1]
-    since = np.arange(recovery.lags) // grid.clearance.q * grid.clearance.q  # all of a step at once
-    met = (tightening * MORE <= least[since]).all(axis=1)
+    tightening = np.abs(carried) @ end + _tightenings(prospect, box)[1:]
+    limits = np.minimum.accumulate(recovery.limits[::-1], axis=0)[::-1]
+    step_start = np.arange(recovery.lags) // grid.clearance.q * grid.clearance.q  # all of a step at once
+    satisfied = (tightening * MORE <= limits[step_start]).all(axis=1)
     beyond = min(recovery.far(node) for node in range(1, grid.last + 1))
-    last = int(np.flatnonzero(~met).max(initial=0)) + 1
-    return 0 if last >= recovery.lags or _size(prospect, apart) > beyond else last + 1
+    last = int(np.flatnonzero(~satisfied).max(initial=0)) + 1
+    return 0 if last >= recovery.lags or _size(prospect, box) > beyond else last + 1
 
 
 def _laid_out(
@@ -104,81 +103,81 @@ def _laid_out(
     document: Document,
     prospect: Permission,
     precision: str,
-    apart: Array,
-    off: Array,
+    box: Array,
+    noise: Array,
     lags: int,
 ) -> Tables:
-    """Return the tables for errors up to `apart`, rounded by up to `off`, and so many nodes a decision."""
+    """Return the tables for errors up to `box`, rounded by up to `noise`, and so many nodes a decision."""
     grid, recovery, u = prospect.grid, prospect.recovery, float(UNIT[precision])
     n, q, facets = grid.system.n, grid.clearance.q, len(recovery.intersample)
     gain = np.array(document.laws[0].gain)
-    held, force = discretize(np.array(document.A), np.array(document.B), grid.h)
+    Phi, force = discretize(np.array(document.A), np.array(document.B), grid.h)
     rows, kind, sign = _kinds(-recovery.rows[:, :n], facets)
     kinds = int(max(kind[:facets], default=-1)) + 1
-    made = replace(
+    draft = replace(
         tables,
         rows=rows.tolist(),
         facets=kinds,
-        held=held.tolist(),
+        held=Phi.tolist(),
         force=force.tolist(),
-        loop=(held - force @ gain).tolist(),
-        apart=apart.tolist(),
+        loop=(Phi - force @ gain).tolist(),
+        apart=box.tolist(),
     ).rounded(precision)
-    none, largest = (_tightenings(prospect, share * apart + off)[:lags] for share in (0, 1))
-    lost = _rounding(made, (held, force, held - force @ gain, rows), np.array(document.inputs), off, lags, u)
-    booked, full = np.full((2, lags, len(rows)), -FREE)
+    smallest, largest = (_tightenings(prospect, share * box + noise)[:lags] for share in (0, 1))
+    loss = _rounding(draft, (Phi, force, Phi - force @ gain, rows), np.array(document.inputs), noise, lags, u)
+    base, full = np.full((2, lags, len(rows)), -FREE)
     for lag in range(lags):
-        np.maximum.at(booked[lag], kind, none[lag])
+        np.maximum.at(base[lag], kind, smallest[lag])
         np.maximum.at(full[lag], kind, largest[lag])
-    sized = np.maximum(full - booked, 0.0)
-    booked = np.where(booked > -FREE, booked + lost + 16 * u * (np.abs(booked) + sized), -FREE)
+    sized = np.maximum(full - base, 0.0)
+    base = np.where(base > -FREE, base + loss + 16 * u * (np.abs(base) + sized), -FREE)
     cells = (grid.last + lags - 2) // q + 1
     clearance = _clearances(grid, kind, sign, cells, u, document.horizon == "infinite")
-    return replace(made, booked=booked.tolist(), sized=sized.tolist(), clearance=clearance.tolist()).rounded(
+    return replace(draft, booked=base.tolist(), sized=sized.tolist(), clearance=clearance.tolist()).rounded(
         precision
     )
 
 
 def _kinds(rows: Array, facets: int) -> tuple[Array, NDArray[np.intp], Array]:
     """Rows of each kind, equal or opposite ones being of a kind, facets apart; kind and sign of every row."""
-    kept, kinds, signs, first = list[Array](), [], [], 0
+    distinct, kinds, signs, first = list[Array](), [], [], 0
     for i, row in enumerate(rows):
-        first = len(kept) if i == facets else first
-        others = ((j, s) for j in range(first, len(kept)) for s in (1, -1))
-        same = [(j, s) for j, s in others if np.abs(kept[j] - s * row).max() <= SAME]
-        j, s = same[0] if same else (len(kept), 1)
-        kept += [] if same else [row]
+        first = len(distinct) if i == facets else first
+        others = ((j, s) for j in range(first, len(distinct)) for s in (1, -1))
+        matches = [(j, s) for j, s in others if np.abs(distinct[j] - s * row).max() <= SAME]
+        j, s = matches[0] if matches else (len(distinct), 1)
+        distinct += [] if matches else [row]
         kinds.append(j)
         signs.append(s)
-    return np.array(kept) + 0.0, np.array(kinds), np.array(signs)
+    return np.array(distinct) + 0.0, np.array(kinds), np.array(signs)
 
 
 def _rounding(
-    tables: Tables, exact: tuple[Array, Array, Array, Array], inputs: Array, off: Array, count: int, u: float
+    tables: Tables, exact: tuple[Array, Array, Array, Array], feeds: Array, noise: Array, count: int, u: float
 ) -> Array:
     """Bound on the rounding error of a value along a row, and of its sum with a tightening, (count, r)."""
-    (held, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
-    apart, fed = np.array(tables.apart), np.abs(inputs).max(axis=0)
-    given = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))
+    (Phi, force, loop, rows), (n, m) = exact, np.array(tables.force).shape
+    box, feed = np.array(tables.apart), np.abs(feeds).max(axis=0)
+    stored = (np.array(one) for one in (tables.held, tables.force, tables.loop, tables.rows))
     slack = 64 * 2.0**-53
-    wrong = [
+    diffs = [
         np.abs(one - other) + slack * np.maximum(1, np.abs(other).max(axis=1, keepdims=True))
-        for one, other in zip(given, exact, strict=True)
+        for one, other in zip(stored, exact, strict=True)
     ]
     sums = u * (n + m + 4)
-    first = np.abs(held) @ apart + np.abs(force) @ fed
-    off1 = np.abs(held) @ off + sums * first + wrong[0] @ apart + wrong[1] @ fed + np.abs(force) @ fed * u
-    powers, (start, added) = [np.eye(n)], (first + off1, list[Array]())
-    sizes, lost = [apart], [np.abs(rows) @ off]
+    first = np.abs(Phi) @ box + np.abs(force) @ feed
+    initial = np.abs(Phi) @ noise + sums * first + diffs[0] @ box + diffs[1] @ feed + np.abs(force) @ feed * u
+    powers, (start, added) = [np.eye(n)], (first + initial, list[Array]())
+    sizes, totals = [box], [np.abs(rows) @ noise]
     for _ in range(1, count):
         spread = np.abs(np.array(powers))  # of later periods, the newest last
         sizes.append(spread[-1] @ start + sum(map(np.matmul, spread[-2::-1], added)))
-        known = np.abs(rows @ np.array(powers))
-        lost.append(known[-1] @ off1 + sum(map(np.matmul, known[-2::-1], added)))
-        added.append((sums * np.abs(loop) + wrong[2]) @ sizes[-1])
+        weights = np.abs(rows @ np.array(powers))
+        totals.append(weights[-1] @ initial + sum(map(np.matmul, weights[-2::-1], added)))
+        added.append((sums * np.abs(loop) + diffs[2]) @ sizes[-1])
         powers.append(powers[-1] @ loop)
     value = np.array(sizes) @ np.abs(rows).T
-    return np.asarray(1.05 * (np.array(lost) + np.array(sizes) @ wrong[3].T + sums * value) + 8 * u * value)
+    return np.asarray(1.05 * (np.array(totals) + np.array(sizes) @ diffs[3].T + sums * value) + 8 * u * value)
 
 
 def _clearances(
@@ -186,16 +185,16 @@ def _clearances(
 ) -> Array:
     """Clearance along and against each row at the start of cells, its change by period, (cells, r, 4)."""
     (begin, end), q = grid.clearance.limits.available, grid.clearance.q
-    planned, known = grid.clearance.planned, grid.clearance.cells
+    planned, cell_count = grid.clearance.planned, grid.clearance.cells
     clearance = np.full((cells, kind.max() + 1, 4), 0.0)
     clearance[..., ::2] = FREE
     for cell in range(cells):
-        if cell >= known and not (repeats and known > planned):
+        if cell >= cell_count and not (repeats and cell_count > planned):
             break
-        at = cell if cell < known else planned + (cell - planned) % (known - planned)
-        here = slice(at * q, at * q + q)
-        nodes = np.vstack([begin[here], np.full((1, begin.shape[1]), np.inf)])
-        nodes[1:] = np.minimum(nodes[1:], end[here])
+        source = cell if cell < cell_count else planned + (cell - planned) % (cell_count - planned)
+        span = slice(source * q, source * q + q)
+        nodes = np.vstack([begin[span], np.full((1, begin.shape[1]), np.inf)])
+        nodes[1:] = np.minimum(nodes[1:], end[span])
         for j, s in set(zip(kind.tolist(), sign.tolist(), strict=True)):
             along = nodes[:, (kind == j) & (sign == s)].min(axis=1)
             places = np.flatnonzero(np.isfinite(along))

@@ -30,11 +30,11 @@ def stated_rounding(document: Document, tables: Tables, precision: str) -> float
     with localcontext() as context:
         context.prec = DIGITS
         u, (gain, limit) = UNIT[precision], (np.abs(exact(x)) for x in (tables.gain, tables.limit))
-        handed = u if precision == "float" else Decimal(0)
+        input_unit = u if precision == "float" else Decimal(0)
         worst, feed = Decimal(0), np.abs(exact(tables.feed)).max(axis=0)
-        for error, apart in _gaps(document, tables, precision):
-            spread = gain @ (apart + error) + feed + limit
-            worst = max(worst, *(gain @ error + spread * (u * (gain.shape[1] + 3) + 2 * handed)))
+        for error, gap in _gaps(document, tables, precision):
+            spread = gain @ (gap + error) + feed + limit
+            worst = max(worst, *(gain @ error + spread * (u * (gain.shape[1] + 3) + 2 * input_unit)))
         return float(worst) * MORE
 
 
@@ -49,17 +49,17 @@ def gap_error(document: Document, tables: Tables, precision: str) -> Array:
 def _gaps(document: Document, tables: Tables, precision: str) -> Iterator[tuple[Exact, Exact]]:
     """Rounding of the error at the nodes of a step, and the size of the error, (n,) each, part by part."""
     n, m, u = len(document.A), len(document.u_max), UNIT[precision]
-    handed = u if precision == "float" and not tables.seen else Decimal(0)
+    input_unit = u if precision == "float" and not tables.seen else Decimal(0)
     reach, path, starts = np.abs(exact(tables.range)), _path(document), exact(tables.waypoints)
     feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
     feeds[: len(tables.feed)] = exact(tables.feed)
-    for part, (moved, pushed) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
-        Phi, Gamma = exact(moved), exact(pushed)
-        off = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
+    for part, (state_map, input_map) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
+        Phi, Gamma = exact(state_map), exact(input_map)
+        mismatch = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
         size = np.abs(Phi) @ np.abs(starts).max(axis=0) + np.abs(Gamma) @ np.abs(feeds).max(axis=0)
-        error = off + size * u * (n + m + 2)
-        apart = size + error + reach
-        yield error + apart * u + reach * handed, apart
+        error = mismatch + size * u * (n + m + 2)
+        gap = size + error + reach
+        yield error + gap * u + reach * input_unit, gap
 
 
 def disturbance_taken(document: Document, error: float) -> float:

@@ -27,26 +27,26 @@ def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
     rng, q = np.random.default_rng(seed), len(tables.moved)
     last, waypoints = len(tables.waypoints) * q + 2 * q, np.array(tables.waypoints)
     reach, limit = np.array(tables.range), np.array(tables.limit)
-    known, apart, seen = FlightStep(tables), np.array(tables.apart), np.array(tables.seen)
+    flight_step, box, C = FlightStep(tables), np.array(tables.apart), np.array(tables.seen)
     for flight in range(flights):
         start = 2 if tables.rows and flight // 2 % 2 else 1
         period = 0 if flight % 2 else int(rng.integers(0, last))
-        left = FLIGHT if flight % 3 else 2 * q
-        for place in range(left):
+        count = FLIGHT if flight % 3 else 2 * q
+        for place in range(count):
             cell = min(max(period, 0) // q, len(waypoints) - 1)
             spread = rng.uniform(-1, 1, len(reach)) * 10.0 ** rng.uniform(-6, 0.3)
             state = waypoints[cell] + spread * reach
             if start == 2:  # about the reference at the node
-                state = np.array(known.gap(cell, period % q, [0.0] * len(reach)))
-                state += spread * apart * (1 + place % 3)
+                state = np.array(flight_step.gap(cell, period % q, [0.0] * len(reach)))
+                state += spread * box * (1 + place % 3)
             command = rng.uniform(-1.2, 1.2, len(limit)) * limit
             mode = tables.modes[cell] if cell < len(tables.modes) else 0
             mode = int(place % 5 < 4) if start == 2 else mode  # S may fly in between
-            odd = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
-            measured = seen @ state if tables.seen else state
-            call = _call(rng, 0 if place else start, period, state, mode, command, int(odd))
+            fault = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
+            measured = C @ state if tables.seen else state
+            call = _call(rng, 0 if place else start, period, state, mode, command, int(fault))
             yield _measured(rng, call, measured) if tables.seen else call
-            period += 1 if odd != 4 else int(rng.integers(-3, 6))
+            period += 1 if fault != 4 else int(rng.integers(-3, 6))
             period = PERIODS[0] if call.period == LATEST else max(period, PERIODS[0])  # the counter wraps
 
 
@@ -58,14 +58,14 @@ def _measured(rng: np.random.Generator, call: Call, measured: Array) -> Call:
 
 
 def _call(
-    rng: np.random.Generator, start: int, period: int, state: Array, mode: int, command: Array, odd: int
+    rng: np.random.Generator, start: int, period: int, state: Array, mode: int, command: Array, fault: int
 ) -> Call:
-    if odd == 0:
+    if fault == 0:
         state[rng.integers(0, len(state))] = rng.choice(SPECIAL)
-    elif odd == 1:
+    elif fault == 1:
         command[rng.integers(0, len(command))] = rng.choice(SPECIAL)
-    elif odd == 2:
+    elif fault == 2:
         mode = int(rng.choice([0, mode + 1, -1, 2**31 - 1]))
-    elif odd == 3:
+    elif fault == 3:
         period = int(rng.choice(PERIODS))
     return Call(start, period, tuple(state.tolist()), mode, tuple(command.tolist()))

@@ -130,30 +130,30 @@ class ClosestApproach:
             parts = parts.reshape(*shape, 5)
             return ApproachResult(parts[..., 0], parts[..., 1], parts[..., 2:])
         parts = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
-        distance, when, place = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
-        return ApproachResult(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
+        distance, time, place = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        return ApproachResult(distance.reshape(shape), time.reshape(shape), place.reshape(*shape, 3))
 
     def _block(self, z: Array, beyond: float) -> ApproachResult:
         places = (z @ self.positions).reshape(len(z), -1, 3)
         squares = dot(places, places)
         nearest = squares.argmin(axis=1)
-        every = np.arange(len(z))
+        flights = np.arange(len(z))
         approach = ApproachResult(
-            np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest]
+            np.sqrt(squares[flights, nearest]), self.times[nearest], places[flights, nearest]
         )
         gain_p, gain_v = self.speed_gain
         speed = gain_p * length(z[:, :3]) + gain_v * length(z[:, 3:])
         bound = approach.distance - speed * (self.times[1] / 2)
         far = bound > beyond
         near = np.flatnonzero(~far)
-        some = near if far.any() else slice(None)  # a view is quicker than a copy
+        selected = near if far.any() else slice(None)  # a view is quicker than a copy
         if len(near):
-            self._refine(z[some], places[some], squares[some], approach, near)
+            self._refine(z[selected], places[selected], squares[selected], approach, near)
         approach.distance[far] = bound[far]
         return approach
 
     def _refine(
-        self, z: Array, places: Array, squares: Array, best: ApproachResult, at: NDArray[np.intp]
+        self, z: Array, places: Array, squares: Array, approach: ApproachResult, flights: NDArray[np.intp]
     ) -> None:
         """Lower the distances found for these flights, which are at these places, to their infima."""
         n, length = self.mean_motion, self.times[1]
@@ -163,9 +163,9 @@ class ClosestApproach:
         intersample = pull * (length**2 / 8)
         drop = (np.sqrt(squares.max(axis=1)) + intersample) * intersample
         # Near an instant q >= q_k + rate (t - t_k) - C (t - t_k)^2 / 2: least half a segment away.
-        above = (squares - squares.min(axis=1, keepdims=True)) / 2 - drop[:, None]
+        excess = (squares - squares.min(axis=1, keepdims=True)) / 2 - drop[:, None]
         rates_half = rates * (length / 2)
-        low = (above[:, :-1] + rates_half[:, :-1] < 0) | (above[:, 1:] - rates_half[:, 1:] < 0)
+        low = (excess[:, :-1] + rates_half[:, :-1] < 0) | (excess[:, 1:] - rates_half[:, 1:] < 0)
         row, segment = np.nonzero(low)
         if not len(row):
             return
@@ -175,7 +175,7 @@ class ClosestApproach:
         speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
         reach = np.sqrt(squares.max(axis=1))[row] + intersample[row]
         quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
-        _Search(best, at[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
+        _Search(approach, flights[row], parts, n, quartic).run(start, end, _ends(*first), _ends(*last))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +194,8 @@ class _Search:
         for _ in range(HALVINGS):
             length = float(end[0] - start[0])
             (half_1, rate_1, bend_1), (half_2, rate_2, bend_2) = first, last
-            doubt = self.quartic[index] * (length**2 / 8)  # of the bend, between the ends
-            convex = np.minimum(bend_1, bend_2) > doubt
+            deviation = self.quartic[index] * (length**2 / 8)  # of the bend, between the ends
+            convex = np.minimum(bend_1, bend_2) > deviation
             dip = convex & (rate_1 < 0) & (rate_2 > 0)
             if dip.any():
                 guess = start[dip] + length * rate_1[dip] / (rate_1[dip] - rate_2[dip])
@@ -203,39 +203,39 @@ class _Search:
             # The cubic through values and rates at the ends is at least its least Bezier coefficient.
             third = length / 3
             corners = (half_1, half_2, half_1 + rate_1 * third, half_2 - rate_2 * third)
-            least = np.min(corners, axis=0) - self.quartic[index] * (length**4 / 384)
+            lower = np.min(corners, axis=0) - self.quartic[index] * (length**4 / 384)
             goal = np.maximum(self.best.distance[self.row[index]] - TOLERANCE, 0.0)
-            open_ = np.flatnonzero(~convex & (least < goal**2 / 2))
+            open_ = np.flatnonzero(~convex & (lower < goal**2 / 2))
             if not len(open_):
                 return
             index, start, end = index[open_], start[open_], end[open_]
             middle = (start + end) / 2
-            there = flown(np.take(self.parts, index, axis=1), self.n, middle)
-            self._keep(index, middle, there[0])
-            halves = _ends(*there)
+            motion = flown(np.take(self.parts, index, axis=1), self.n, middle)
+            self._keep(index, middle, motion[0])
+            halves = _ends(*motion)
             first = np.concatenate([first[:, open_], halves], axis=1)
             last = np.concatenate([halves, last[:, open_]], axis=1)
             index = np.concatenate([index, index])
             start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
 
-    def _newton(self, index: NDArray[np.intp], low: Array, high: Array, at: Array) -> None:
+    def _newton(self, index: NDArray[np.intp], low: Array, high: Array, time: Array) -> None:
         """Minimum of a convex q between two times, where its rate changes its sign."""
         parts = np.take(self.parts, index, axis=1)
         for _ in range(NEWTON):
-            _, rate, bend = _ends(*flown(parts, self.n, at))
-            low, high = np.where(rate < 0, at, low), np.where(rate < 0, high, at)
-            step = at - rate / np.where(bend > 0, bend, 1.0)
+            _, rate, bend = _ends(*flown(parts, self.n, time))
+            low, high = np.where(rate < 0, time, low), np.where(rate < 0, high, time)
+            step = time - rate / np.where(bend > 0, bend, 1.0)
             after = np.where((bend > 0) & (step >= low) & (step <= high), step, (low + high) / 2)
-            moved = np.abs(after - at).max()
-            at = after
-            if moved < 1e-7:
+            change = np.abs(after - time).max()
+            time = after
+            if change < 1e-7:
                 break
-        self._keep(index, at, flown(parts, self.n, at)[0])
+        self._keep(index, time, flown(parts, self.n, time)[0])
 
-    def _keep(self, index: NDArray[np.intp], when: Array, place: Array) -> None:
+    def _keep(self, index: NDArray[np.intp], time: Array, place: Array) -> None:
         """Write down what is nearer than what was known."""
-        best, row = self.best, self.row[index]
+        least, row = self.best, self.row[index]
         distance = np.sqrt(dot(place, place))
-        better = np.flatnonzero(distance < best.distance[row])
-        for k in better[np.argsort(-distance[better])]:  # the least of a flight is written last
-            best.distance[row[k]], best.when[row[k]], best.place[row[k]] = distance[k], when[k], place[k]
+        improved = np.flatnonzero(distance < least.distance[row])
+        for k in improved[np.argsort(-distance[improved])]:  # the least of a flight is written last
+            least.distance[row[k]], least.when[row[k]], least.place[row[k]] = distance[k], time[k], place[k]

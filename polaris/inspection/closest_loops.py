@@ -23,25 +23,25 @@ def approaches(x: Array, pairs: Array, beyond: float, flight: Array) -> Array:
     out = np.zeros((runs, deputies + len(pairs), 5))
     for r in range(runs):
         for k in range(deputies + len(pairs)):
-            one = k if k < deputies else pairs[k - deputies, 0]
+            first = k if k < deputies else pairs[k - deputies, 0]
             for j in range(6):
-                z[j] = x[r, one, j] - (x[r, pairs[k - deputies, 1], j] if k >= deputies else 0.0)
-            distance, when = closest(z, beyond, flight)
-            out[r, k, 0], out[r, k, 1] = distance, when
+                z[j] = x[r, first, j] - (x[r, pairs[k - deputies, 1], j] if k >= deputies else 0.0)
+            distance, time = closest(z, beyond, flight)
+            out[r, k, 0], out[r, k, 1] = distance, time
             if distance <= beyond:
-                angle = n * when
-                _position(_parts(z, n), when, 2 * np.sin(angle / 2) ** 2, np.sin(angle), out[r, k, 2:])
+                angle = n * time
+                _position(_parts(z, n), time, 2 * np.sin(angle / 2) ** 2, np.sin(angle), out[r, k, 2:])
     return out
 
 
 @compiled
-def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
-    """Bounds as of `Motion`, (R, N + P, 5); of known thrust if it is `held` (R, N, 3), not (1, 0, 3).
+def motions(x: Array, pairs: Array, inputs: Array, numbers: Array) -> Array:
+    """Bounds as of `Motion`, (R, N + P, 5); of known thrust if it is `inputs` (R, N, 3), not (1, 0, 3).
 
     For `numbers` see `polaris.inspection.loops.rows`.
     """
     runs, deputies, n, D, growth = len(x), x.shape[1], numbers[0], numbers[11], numbers[13]
-    out, known = np.empty((runs, deputies + len(pairs), 5)), held.shape[1] > 0
+    out, has_inputs = np.empty((runs, deputies + len(pairs), 5)), inputs.shape[1] > 0
     z, push = np.empty(6), np.zeros(3)
     for r in range(runs):
         for k in range(deputies + len(pairs)):
@@ -49,12 +49,12 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
             one, two = (k, -1) if k < deputies else (pairs[k - deputies, 0], pairs[k - deputies, 1])
             for j in range(6):
                 z[j] = x[r, one, j] - (x[r, two, j] if two >= 0 else 0.0)
-            if known:
+            if has_inputs:
                 for j in range(3):
-                    push[j] = (held[r, one, j] - (held[r, two, j] if two >= 0 else 0.0)) * numbers[1]
+                    push[j] = (inputs[r, one, j] - (inputs[r, two, j] if two >= 0 else 0.0)) * numbers[1]
                 thrust, spread = np.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2), 0.0
             ax, ay = 3 * n**2 * z[0] + 2 * n * z[4] + push[0], push[1] - 2 * n * z[3]
-            a = np.sqrt(ax**2 + ay**2 + (push[2] - n**2 * z[2]) ** 2) + (0.0 if known else thrust)
+            a = np.sqrt(ax**2 + ay**2 + (push[2] - n**2 * z[2]) ** 2) + (0.0 if has_inputs else thrust)
             speed = np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
             a = (a + 3 * n**2 * speed * D) * growth
             fastest = speed + a * D
@@ -108,12 +108,12 @@ def closest(z: Array, beyond: float, flight: Array) -> Two:
         largest = max(largest, squares[k])
         if squares[k] < squares[nearest]:
             nearest = k
-    distance, when, length = np.sqrt(squares[nearest]), flight[nearest + 1, 0], flight[2, 0]
-    gained = flight[0, 1] * np.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2)
-    gained += flight[0, 2] * np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
-    bound = distance - gained * (length / 2)
+    distance, time, length = np.sqrt(squares[nearest]), flight[nearest + 1, 0], flight[2, 0]
+    speed_bound = flight[0, 1] * np.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2)
+    speed_bound += flight[0, 2] * np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
+    bound = distance - speed_bound * (length / 2)
     if bound > beyond:
-        return bound, when
+        return bound, time
     circle = 0.0
     for j in range(3):
         circle += parts[2, j] ** 2 + parts[3, j] ** 2
@@ -128,53 +128,53 @@ def closest(z: Array, beyond: float, flight: Array) -> Two:
             fastest = np.sqrt(max(speed, speed_after)) + pull * half
             quartic = pull * (3 * pull + n * (4 * fastest + n * reach))
             span = flight[k + 1, 0], flight[k + 2, 0]
-            distance, when = _searched(parts, n, quartic, span, distance, when)
+            distance, time = _searched(parts, n, quartic, span, distance, time)
         rate, speed = after, speed_after
-    return distance, when
+    return distance, time
 
 
 @compiled
-def _searched(parts: Array, n: float, quartic: float, span: Two, distance: float, when: float) -> Two:
+def _searched(parts: Array, n: float, quartic: float, span: Two, distance: float, time: float) -> Two:
     """The least distance on a segment and its time, if it is less than the one found so far."""
     starts, ends, depths = np.empty(HALVINGS + 2), np.empty(HALVINGS + 2), np.zeros(HALVINGS + 2, np.int64)
-    starts[0], ends[0], left = span[0], span[1], 1
-    while left:
-        left -= 1
-        start, end, depth = starts[left], ends[left], depths[left]
+    starts[0], ends[0], pending = span[0], span[1], 1
+    while pending:
+        pending -= 1
+        start, end, depth = starts[pending], ends[pending], depths[pending]
         length, third = end - start, (end - start) / 3
         half_1, rate_1, bend_1, _ = _ends(parts, n, start)
         half_2, rate_2, bend_2, _ = _ends(parts, n, end)
-        convex, at = min(bend_1, bend_2) > quartic * (length**2 / 8), (start + end) / 2
+        convex, instant = min(bend_1, bend_2) > quartic * (length**2 / 8), (start + end) / 2
         if convex:
             if not (rate_1 < 0 and rate_2 > 0):
                 continue
-            at = _newton(parts, n, start, end, start + length * rate_1 / (rate_1 - rate_2))
+            instant = _newton(parts, n, start, end, start + length * rate_1 / (rate_1 - rate_2))
         else:
-            least = min(min(half_1, half_2), min(half_1 + rate_1 * third, half_2 - rate_2 * third))
-            if not least - quartic * (length**4 / 384) < max(distance - TOLERANCE, 0.0) ** 2 / 2:
+            lower = min(min(half_1, half_2), min(half_1 + rate_1 * third, half_2 - rate_2 * third))
+            if not lower - quartic * (length**4 / 384) < max(distance - TOLERANCE, 0.0) ** 2 / 2:
                 continue
-        here = np.sqrt(2 * _ends(parts, n, at)[0])
-        if here < distance:
-            distance, when = here, at
+        trial = np.sqrt(2 * _ends(parts, n, instant)[0])
+        if trial < distance:
+            distance, time = trial, instant
         if not convex and depth < HALVINGS - 1:
-            starts[left], ends[left], depths[left] = start, at, depth + 1
-            starts[left + 1], ends[left + 1], depths[left + 1] = at, end, depth + 1
-            left += 2
-    return distance, when
+            starts[pending], ends[pending], depths[pending] = start, instant, depth + 1
+            starts[pending + 1], ends[pending + 1], depths[pending + 1] = instant, end, depth + 1
+            pending += 2
+    return distance, time
 
 
 @compiled
-def _newton(parts: Array, n: float, low: float, high: float, at: float) -> float:
+def _newton(parts: Array, n: float, low: float, high: float, time: float) -> float:
     """Minimum of a convex q between two times, where its rate changes its sign."""
     for _ in range(NEWTON):
-        _, rate, bend, _ = _ends(parts, n, at)
+        _, rate, bend, _ = _ends(parts, n, time)
         if rate < 0:
-            low = at
+            low = time
         else:
-            high = at
-        step = at - rate / bend if bend > 0 else low
+            high = time
+        step = time - rate / bend if bend > 0 else low
         after = step if bend > 0 and low <= step <= high else (low + high) / 2
-        moved, at = abs(after - at), after
-        if moved < 1e-7:
+        change, time = abs(after - time), after
+        if change < 1e-7:
             break
-    return at
+    return time

@@ -84,10 +84,10 @@ class Ellipses:
         a_aim, c_aim = np.clip(a, self.least, self.largest), np.minimum(c, self.cross_track)
         n = self.mean_motion
         out = np.empty(x.shape)
-        off, across = a > TINY, c > TINY
-        scale = a_aim / np.where(off, a, 1.0)
+        in_plane, across = a > TINY, c > TINY
+        scale = a_aim / np.where(in_plane, a, 1.0)
         out[..., 0] = scale * x[..., 0]
-        out[..., 1] = np.where(off, scale * x[..., 1], 2 * a_aim)
+        out[..., 1] = np.where(in_plane, scale * x[..., 1], 2 * a_aim)
         out[..., 3] = n / 2 * out[..., 1]
         out[..., 4] = -2 * n * out[..., 0]
         out[..., 2::3] = (c_aim / np.where(across, c, 1.0))[..., None] * x[..., 2::3]

@@ -40,8 +40,8 @@ def rows(
     """Values (R, M), ``G`` (R, M, 3) and bounds (R, M) at states x (R, N, 6) and sun angles (R,) [rad]."""
     runs, deputies, count, n = x.shape[0], x.shape[1], len(table), numbers[0]
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
-    z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
-    s, v, known, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
+    z, gradient, geometry = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
+    s, v, motion, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
     for r in range(runs):
         z[:deputies] = x[r]
         for k in range(len(pairs)):
@@ -55,26 +55,26 @@ def rows(
             for j in range(6):
                 s[j] = z[at, j]
             for j in range(5):
-                known[j] = about[r, at, j]
+                motion[j] = about[r, at, j]
             if formula == SEGMENTS:
                 last = m + 2 * len(flights) - 6
                 part = h[r, m:last], G[r, m:last], bound[r, m:last]
-                _segments(s, known, v, numbers, flights, part)
+                _segments(s, motion, v, numbers, flights, part)
                 m = last
                 continue
             if formula == SPHERE:
-                value = _sphere(s, v, numbers, gradient, seen)
+                value = _sphere(s, v, numbers, gradient, geometry)
             elif formula == CONE:
-                value, change = _cone(s, cone, v, numbers, gradient, seen)
+                value, change = _cone(s, cone, v, numbers, gradient, geometry)
             elif formula == PASSIVE:
-                value = known[0] - v[0]
-                _passive(known, numbers[10], numbers[0], gradient)
+                value = motion[0] - v[0]
+                _passive(motion, numbers[10], numbers[0], gradient)
             elif formula == SPEED:
-                value, curvature = _speed(s, tight, known, numbers, gradient)
+                value, curvature = _speed(s, tight, motion, numbers, gradient)
             else:
-                value, curvature = _velocity(s, int(v[0]), tight, known, numbers, gradient)
+                value, curvature = _velocity(s, int(v[0]), tight, motion, numbers, gradient)
             if tight and formula <= CONE:
-                curvature = _curvature(s, seen, formula == CONE, known, v, numbers)
+                curvature = _curvature(s, geometry, formula == CONE, motion, v, numbers)
             h[r, m] = value
             for j in range(3):
                 G[r, m, j] = gradient[3 + j] * numbers[1]
@@ -96,9 +96,9 @@ def _least(rate: float, h: float, curvature: float, values: Array, numbers: Arra
 
 
 @inlined
-def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, numbers: Array) -> float:
-    """As `Braking.curvature`, of the signed distance, its rate and the distance that are `seen`."""
-    delta, rate, distance, D = seen[0], seen[1], seen[2], numbers[11]
+def _curvature(z: Array, geometry: Array, cone: bool, motion: Array, values: Array, numbers: Array) -> float:
+    """As `Braking.curvature`; `geometry` holds the signed distance, its rate and the distance."""
+    delta, rate, distance, D = geometry[0], geometry[1], geometry[2], numbers[11]
     v, push, jerk = motion[0], motion[1], motion[2]
     n, depth, centre, a = numbers[0], numbers[2], numbers[5], values[1]
     outside, share = cone or values[2] > 0, np.cos(numbers[4]) if cone else 1.0
@@ -109,8 +109,8 @@ def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, 
         jerk += n * first + 2 * n * push + n**2 * v
     nearest = distance - v * D
     near = max(nearest, centre)
-    around = share * v**2 / near
-    low, high = (push, push + around) if outside else (push + around, push)
+    centripetal = share * v**2 / near
+    low, high = (push, push + centripetal) if outside else (push + centripetal, push)
     slowest, quickest = rate - low * D, rate + high * D
     closest, farthest = delta + min(slowest, 0.0) * D, delta + max(quickest, 0.0) * D
     if closest >= 0 and _braking(closest, a, depth, numbers[3])[0] + slowest >= 0:
@@ -143,7 +143,7 @@ def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: A
             for j in range(3):
                 growth[j] += part * flights[s, i, 3 + j]
     rate = turn * motion[3]
-    turned = intersample * (rate**2 / max(amplitude - rate * numbers[11], margin) + n * rate)
+    turning = intersample * (rate**2 / max(amplitude - rate * numbers[11], margin) + n * rate)
     for s in range(S - 1):
         along = across = 0.0
         for i in range(3):
@@ -163,7 +163,7 @@ def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: A
             for j in range(3):
                 turns = o[0] * gain[0, 3 + j] + o[1] * gain[1, 3 + j] + o[2] * gain[2, 3 + j]
                 G[k, j] = (turns - growth[j]) * numbers[1]
-            curvature = motion[1] * gain[3, 0] + motion[2] * gain[3, 1] + turned
+            curvature = motion[1] * gain[3, 0] + motion[2] * gain[3, 1] + turning
             h[k], bound[k] = value, _least(rate, value, curvature, values, numbers)
 
 
@@ -197,30 +197,30 @@ def _braking(delta: float, a: float, depth: float, back: float) -> tuple[float, 
 
 
 @inlined
-def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, seen: Array) -> float:
-    """Value; `seen` are the signed distance, its rate and the distance."""
+def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, geometry: Array) -> float:
+    """Value; `geometry` are the signed distance, its rate and the distance."""
     centre, side = numbers[5], values[2]
     distance, by = _rounded(z[0], z[1], z[2], centre)
     delta = side * (distance - values[0])
     speed, slope = _braking(delta, values[1], numbers[2], numbers[3])
-    away = 0.0
+    rate = 0.0
     for j in range(3):
         gradient[3 + j] = z[j] / by
-        away += gradient[3 + j] * z[3 + j]
-    along, over = (away, distance) if distance > centre else (0.0, max(distance, centre))
+        rate += gradient[3 + j] * z[3 + j]
+    along, over = (rate, distance) if distance > centre else (0.0, max(distance, centre))
     for j in range(3):
         toward = gradient[3 + j]
         gradient[j] = side * (slope * toward + (z[3 + j] - along * toward) / over)
         gradient[3 + j] = side * toward
-    seen[0], seen[1], seen[2] = delta, side * away, distance
-    return float(speed + side * away)
+    geometry[0], geometry[1], geometry[2] = delta, side * rate, distance
+    return float(speed + side * rate)
 
 
 @inlined
 def _cone(
-    z: Array, cone: tuple[float, ...], values: Array, numbers: Array, gradient: Array, seen: Array
+    z: Array, cone: tuple[float, ...], values: Array, numbers: Array, gradient: Array, geometry: Array
 ) -> tuple[float, float]:
-    """Value, and its change with time: the cone turns at -n; `seen` as in `_sphere`."""
+    """Value, and its change with time: the cone turns at -n; `geometry` as in `_sphere`."""
     n, centre, (cosine, sine, c, s) = numbers[0], numbers[5], cone
     ax, ay = -values[2] * cosine, -values[2] * sine
     along = z[0] * ax + z[1] * ay
@@ -233,15 +233,15 @@ def _cone(
     vx, vy, vz = z[3] - n * z[1], z[4] + n * z[0], z[5]  # relative to the turning cone
     forward = vx * ax + vy * ay
     wx, wy = vx - forward * ax, vy - forward * ay
-    away = ox * wx + oy * wy + oz * vz
-    held, over = (away, radius) if radius > centre else (0.0, max(radius, centre))
-    gradient[0] = slope * nx + n * ny + c * ((wx - held * ox) / over)
-    gradient[1] = slope * ny - n * nx + c * ((wy - held * oy) / over)
-    gradient[2] = slope * nz + c * ((vz - held * oz) / over)
+    radial = ox * wx + oy * wy + oz * vz
+    faded, over = (radial, radius) if radius > centre else (0.0, max(radius, centre))
+    gradient[0] = slope * nx + n * ny + c * ((wx - faded * ox) / over)
+    gradient[1] = slope * ny - n * nx + c * ((wy - faded * oy) / over)
+    gradient[2] = slope * nz + c * ((vz - faded * oz) / over)
     gradient[3], gradient[4], gradient[5] = nx, ny, nz
     change = gradient[1] * z[0] - gradient[0] * z[1] + ny * z[3] - nx * z[4]
-    rate = c * away - s * forward
-    seen[0], seen[1], seen[2] = delta, rate, radius
+    rate = c * radial - s * forward
+    geometry[0], geometry[1], geometry[2] = delta, rate, radius
     return speed + rate, n * change
 
 
@@ -284,11 +284,11 @@ def _passive(approach: Array, beyond: float, n: float, gradient: Array) -> None:
     for j in range(6):
         gradient[j] = 0.0
     if approach[0] <= beyond:  # farther, the row allows every input
-        when = approach[1]
-        s, c = np.sin(n * when), np.cos(n * when)
+        time = approach[1]
+        s, c = np.sin(n * time), np.cos(n * time)
         _, by = _rounded(approach[2], approach[3], approach[4], 1e-9)
         x, y, z = approach[2] / by, approach[3] / by, approach[4] / by
-        gradient[0], gradient[1] = x * (4 - 3 * c) + y * 6 * (s - n * when), y
+        gradient[0], gradient[1] = x * (4 - 3 * c) + y * 6 * (s - n * time), y
         gradient[2], gradient[5] = z * c, z * s / n
         gradient[3] = (x * s - y * 2 * (1 - c)) / n
-        gradient[4] = x * 2 * (1 - c) / n + y * (4 * s / n - 3 * when)
+        gradient[4] = x * 2 * (1 - c) / n + y * (4 * s / n - 3 * time)

@@ -58,9 +58,9 @@ class Allocation:
 
     @classmethod
     def from_directions(
-        cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault], kind: str = MIXES
+        cls, directions: Array, limits: Array, target: Array, faults: Sequence[Fault], kind: str = MIXES
     ) -> "Allocation":
-        """Find the largest box of the shape of `wanted` (m,), no larger than it, and the least thrust for it.
+        """Find the largest box of the shape of `target` (m,), no larger than it, and the least thrust for it.
 
         Raises
         ------
@@ -70,36 +70,36 @@ class Allocation:
             If there is none: the thrusters that are left do not push every way.
         """
         count, m = directions.shape
-        if m != len(wanted) or m > MOST_INPUTS or count > MOST_THRUSTERS:
-            rule = f"must have {len(wanted)} numbers per thruster, for at most {MOST_INPUTS} inputs and "
+        if m != len(target) or m > MOST_INPUTS or count > MOST_THRUSTERS:
+            rule = f"must have {len(target)} numbers per thruster, for at most {MOST_INPUTS} inputs and "
             rule += f"{MOST_THRUSTERS} thrusters"
             raise ScenarioError("thrusters.directions", directions.shape, rule)
         if not np.all(np.any(directions, axis=1)):
             raise ScenarioError("thrusters.directions", directions.tolist(), "must not be zero")
-        every, share = cases(limits, faults), 1.0
-        scaled = (directions / wanted).tobytes()
-        for what, capacity in every:
+        fault_cases, share = cases(limits, faults), 1.0
+        scaled = (directions / target).tobytes()
+        for case, capacity in fault_cases:
             reach = _mixes(scaled, capacity.tobytes(), 0.0)[0]
             if not reach > ROUNDED:
                 raise SynthesisInfeasible(
-                    f"the thrusters do not span every direction of the inputs {what}.",
+                    f"the thrusters do not span every direction of the inputs {case}.",
                     relax="add thrusters (thrusters.directions), or take the fault out.",
                 )
             share = min(share, reach * (1 - ROUNDED))
         if kind == PAIRS:
-            mixes = np.array([_of_pairs(directions, capacity, what) for what, capacity in every])
+            mixes = np.array([_of_pairs(directions, capacity, case) for case, capacity in fault_cases])
         else:
-            rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
-            mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in rough])
-        off = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
-        if np.max(wanted @ off / wanted) > OFF:
+            rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in fault_cases])
+            mixes = np.array([_exact(directions, mix / (share * target[:, None])) for mix in rough])
+        errors = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
+        if np.max(target @ errors / target) > OFF:
             raise SynthesisInfeasible(
                 "the thrusters barely span every direction of the inputs, or are too unequal.",
                 relax="turn thrusters (thrusters.directions) so that more of their push is along each input.",
             )
-        asked, capacity = (share * wanted) @ mixes.max(axis=1), np.array([top for _, top in every])
-        fits = np.min(capacity[asked > 0] / asked[asked > 0], initial=2.0)
-        u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * wanted
+        demand, capacity = (share * target) @ mixes.max(axis=1), np.array([top for _, top in fault_cases])
+        fits = np.min(capacity[demand > 0] / demand[demand > 0], initial=2.0)
+        u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * target
         return cls(directions, limits, u_max, mixes, kind)
 
     @property
@@ -146,8 +146,8 @@ class Allocation:
         if not self.solves:
             return np.zeros((0, each.shape[1], len(self.u_max)))
         choose = _of_program if self.kind == PROGRAM else _of_norm
-        sizes = [(1.0 - 2.0 * s, self.sizes[s, np.arange(len(s))]) for s in self.signs]
-        return np.array([[choose(self, column, *given) for column in each.T] for given in sizes])
+        corners = [(1.0 - 2.0 * s, self.sizes[s, np.arange(len(s))]) for s in self.signs]
+        return np.array([[choose(self, column, *corner) for column in each.T] for corner in corners])
 
     def shares(self, each: Array, multipliers: Array) -> Array:
         """Bound sums over thrusters of thrusts times `each` (N, k) per unit of each input, (k, m).
@@ -157,8 +157,8 @@ class Allocation:
         """
         if not self.solves:
             return np.asarray(np.max(self.mixes @ each, axis=(0, 1)).T)
-        left = np.maximum(each.T - multipliers @ self.directions.T, 0.0)
-        rest = (left / self.lengths).max(axis=2) if self.kind == PROGRAM else np.linalg.norm(left, axis=2)
+        excess = np.maximum(each.T - multipliers @ self.directions.T, 0.0)
+        rest = (excess / self.lengths).max(axis=2) if self.kind == PROGRAM else np.linalg.norm(excess, axis=2)
         sizes, ways = self.sizes[self.signs, np.arange(len(self.u_max))], 1.0 - 2.0 * self.signs
         shares = multipliers * ways[:, None] + rest[..., None] * sizes[:, None]
         return np.asarray(np.maximum(shares, 0.0).max(axis=0))
@@ -172,21 +172,21 @@ def axis_pairs(limits: Array) -> tuple[Array, Array]:
 
 def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
     """Limits without a fault, and with each fault of each thruster, in words."""
-    every = [("with all thrusters", limits)]
+    capacities = [("with all thrusters", limits)]
     for fault in faults:
         for j in range(len(limits)):
             capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
-            every.append((f"with thruster {j} under the fault {fault.name}", capacity))
-    return every
+            capacities.append((f"with thruster {j} under the fault {fault.name}", capacity))
+    return capacities
 
 
 def line(direction: Array) -> tuple[tuple[float, ...], int]:
     """Return a direction with its first number above 0, and 1 if it was turned round for that, else 0."""
-    turned = int(next((x for x in direction.tolist() if x), 0.0) < 0)
-    return tuple((x if not turned else -x) + 0.0 for x in direction.tolist()), turned
+    flipped = int(next((x for x in direction.tolist() if x), 0.0) < 0)
+    return tuple((x if not flipped else -x) + 0.0 for x in direction.tolist()), flipped
 
 
-def _of_pairs(directions: Array, capacity: Array, what: str) -> Array:
+def _of_pairs(directions: Array, capacity: Array, case: str) -> Array:
     """Return thrusts that make a unit of each input by twice the pseudo-inverse's positive part, (2, m, N).
 
     Thrusters without any thrust are out, and for each of them one that is opposite to it.
@@ -195,37 +195,37 @@ def _of_pairs(directions: Array, capacity: Array, what: str) -> Array:
     for j, direction in enumerate(directions):
         way, side = line(direction)
         sides.setdefault(way, ([], []))[side].append(j)
-    mixes, kept = np.zeros((2, directions.shape[1], len(directions))), list[tuple[Array, list[list[int]]]]()
+    mixes, pairs = np.zeros((2, directions.shape[1], len(directions))), list[tuple[Array, list[list[int]]]]()
     for way, pair in sides.items():
         if len(pair[0]) != len(pair[1]):
             rule = "must hold pairs of opposite directions with thrusters.allocation = 'pseudo_inverse'"
             raise ScenarioError("thrusters.directions", list(way), rule)
-        left = [[j for j in side if capacity[j] > 0] for side in pair]
-        count = min(map(len, left))
-        kept += [(np.array(way), [side[:count] for side in left])] * (count > 0)
+        working = [[j for j in side if capacity[j] > 0] for side in pair]
+        count = min(map(len, working))
+        pairs += [(np.array(way), [side[:count] for side in working])] * (count > 0)
     M = sum(
-        (2.0 * len(pair[0]) * np.outer(way, way) for way, pair in kept), 0.0 * np.eye(directions.shape[1])
+        (2.0 * len(pair[0]) * np.outer(way, way) for way, pair in pairs), 0.0 * np.eye(directions.shape[1])
     )
     if np.linalg.matrix_rank(M) < len(M):
         raise SynthesisInfeasible(
-            f"pairs of opposite thrusters do not span every direction of the inputs {what}.",
+            f"pairs of opposite thrusters do not span every direction of the inputs {case}.",
             relax="add thrusters (thrusters.directions), take the fault out, or choose another allocation.",
         )
-    for along, both in kept:
+    for along, members in pairs:
         unit = 2 * np.linalg.solve(M, along)
-        for some, sign in zip(both, (1, -1), strict=True):
-            mixes[:, :, some] = np.maximum([sign * unit, -sign * unit], 0.0)[:, :, None]
+        for indices, sign in zip(members, (1, -1), strict=True):
+            mixes[:, :, indices] = np.maximum([sign * unit, -sign * unit], 0.0)[:, :, None]
     return mixes
 
 
-def _of_program(made: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+def _of_program(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
     """Return lambda (m,) with the least bound of `each` (N,) at the corner of the box with signs `ways`."""
-    m, lasts = len(ways), np.append(np.zeros(len(ways)), made.u_max @ sizes)
-    cost = lasts + np.append(ways * made.u_max, 0.0)
-    least = np.hstack([-np.diag(ways), -sizes[:, None]])  # no entry of the bound is negative
+    m, lasts = len(ways), np.append(np.zeros(len(ways)), allocation.u_max @ sizes)
+    cost = lasts + np.append(ways * allocation.u_max, 0.0)
+    rows = np.hstack([-np.diag(ways), -sizes[:, None]])  # no entry of the bound is negative
     solved = linprog(
         cost / cost[-1],
-        A_ub=np.vstack([-np.hstack([made.directions, made.lengths[:, None]]), least]),
+        A_ub=np.vstack([-np.hstack([allocation.directions, allocation.lengths[:, None]]), rows]),
         b_ub=np.append(-each, np.zeros(m)),
         bounds=[(None, None)] * m + [(0, None)],
         method="highs",
@@ -233,15 +233,15 @@ def _of_program(made: Allocation, each: Array, ways: Array, sizes: Array) -> Arr
     return np.asarray(solved.x[:m]) if solved.status == 0 else np.zeros(m)
 
 
-def _of_norm(made: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+def _of_norm(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
     """Return lambda (m,) with a low bound of `each` (N,) at that corner, by some steps of a descent."""
-    D, whole, push = made.directions, float(made.u_max @ sizes), ways * made.u_max
-    scale = float(np.abs(each).max() / made.lengths.max()) or 1.0
+    D, total, push = allocation.directions, float(allocation.u_max @ sizes), ways * allocation.u_max
+    scale = float(np.abs(each).max() / allocation.lengths.max()) or 1.0
 
     def bound(x: Array) -> tuple[float, Array]:
-        left = np.maximum(each / scale - D @ x, 0.0)
-        size = max(float(np.linalg.norm(left)), 1e-300)
-        return float(push @ x) / whole + size, push / whole - left @ D / size
+        excess = np.maximum(each / scale - D @ x, 0.0)
+        size = max(float(np.linalg.norm(excess)), 1e-300)
+        return float(push @ x) / total + size, push / total - excess @ D / size
 
     return np.asarray(minimize(bound, np.zeros(len(ways)), jac=True, method="L-BFGS-B").x * scale)
 
@@ -285,6 +285,6 @@ def _exact(directions: Array, mixes: Array) -> Array:
     exact = np.where(size > LEAST * size.max(axis=-1, keepdims=True), mixes, 0.0)
     for sign, mix in zip((1.0, -1.0), exact, strict=True):
         for unit, f in zip(sign * np.eye(len(mix)), mix, strict=True):
-            some = np.flatnonzero(f)
-            f[some] += np.linalg.pinv(directions[some].T) @ (unit - directions.T @ f)
+            indices = np.flatnonzero(f)
+            f[indices] += np.linalg.pinv(directions[indices].T) @ (unit - directions.T @ f)
     return np.maximum(exact, 0.0)

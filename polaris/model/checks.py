@@ -78,8 +78,8 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     offsets = vector(f"{field}.b", b, count, "H has rows")
     peak = np.abs(rows).max(axis=1, keepdims=True)  # first, so that the norm cannot under- or overflow
     if np.any(peak < 1e-150):
-        where = int(np.argmin(peak))
-        raise ScenarioError(f"{field}.H", rows[where].tolist(), f"row {where} must not be zero")
+        row = int(np.argmin(peak))
+        raise ScenarioError(f"{field}.H", rows[row].tolist(), f"row {row} must not be zero")
     length = np.linalg.norm(rows / peak, axis=1, keepdims=True)
     with np.errstate(over="ignore"):
         scaled = offsets / peak[:, 0] / length[:, 0]

@@ -40,10 +40,10 @@ def compiled(loop: Loop, inline: bool = False) -> Loop:
 
     options = {"error_model": "numpy", "nogil": True, "forceinline": inline}
     try:
-        made: Loop = numba.njit(cache=True, **options)(loop)
+        function: Loop = numba.njit(cache=True, **options)(loop)
     except RuntimeError:  # nowhere to keep it
-        made = numba.njit(**options)(loop)
-    return made
+        function = numba.njit(**options)(loop)
+    return function
 
 
 inlined = partial(compiled, inline=True)

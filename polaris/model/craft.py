@@ -58,13 +58,13 @@ class Craft(LinearSystem):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        put, eta = object.__setattr__, self.estimate_error
+        assign, eta = object.__setattr__, self.estimate_error
         if self.sights is not None and not np.any(self.sights):
-            put(self, "sights", None)
+            assign(self, "sights", None)
         if self.error_by_step is not None:
-            put(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
+            assign(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
             eta = np.max(self.error_by_step, axis=0)
-        put(self, "estimate_error", as_finite("navigation", np.zeros(self.n) if eta is None else eta, 1))
+        assign(self, "estimate_error", as_finite("navigation", np.zeros(self.n) if eta is None else eta, 1))
         if self.navigation.shape != (self.n,) or np.any(self.navigation < 0):
             raise ScenarioError("navigation", self.navigation.tolist(), f"must be {self.n} numbers >= 0")
 
@@ -112,20 +112,20 @@ class Craft(LinearSystem):
         """Rates of the states by carried impulses, their errors, and jitter, as generators (n, ...)."""
         if not self.timing.carried_impulse:
             return self.shifting
-        held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
-        wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
-        carried = self.timing.carried_impulse * self.A @ np.hstack([held, *wrong])
+        mean_B = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
+        errors = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
+        carried = self.timing.carried_impulse * self.A @ np.hstack([mean_B, *errors])
         return np.hstack([carried, self.shifting])
 
     @property
     def shifted(self) -> Array:
         """Bounds on the impulses that jitter and edges bring forward or put off, of inputs [N s], (m,)."""
-        timing, moved = self.timing, self.timing.jitter + self.timing.edge
-        if not moved > 0:
+        timing, time_shift = self.timing, self.timing.jitter + self.timing.edge
+        if not time_shift > 0:
             return np.zeros(self.m)
-        held = self.u_max + (2 * timing.carried_impulse / timing.period if timing.carried_impulse else 0.0)
-        top = 2 * np.array(timing.pulse_thrust) if timing.pulse_thrust else held
-        return np.asarray(moved * (top + self.on_time.error(top)) * (1 + 1e-9))
+        thrust = self.u_max + (2 * timing.carried_impulse / timing.period if timing.carried_impulse else 0.0)
+        largest = 2 * np.array(timing.pulse_thrust) if timing.pulse_thrust else thrust
+        return np.asarray(time_shift * (largest + self.on_time.error(largest)) * (1 + 1e-9))
 
     @property
     def shifting(self) -> Array:
@@ -144,17 +144,17 @@ class Craft(LinearSystem):
         """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
         if not self.timing.carried_impulse:
             return np.zeros(self.n)
-        held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
-        away = held.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
-        return np.asarray(away * self.timing.carried_impulse * (1 + 1e-9))
+        mean_B = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
+        per_impulse = mean_B.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
+        return np.asarray(per_impulse * self.timing.carried_impulse * (1 + 1e-9))
 
     @property
     def without_delay(self) -> Craft:
         """Craft whose commands take effect at once: with the errors of measurements."""
         if self.timing == Timing():
             return self
-        own = self.with_estimate_error(self.measured)
-        return replace(own, observer=None, timing=Timing(), thrusters=self.on_time)
+        craft = self.with_estimate_error(self.measured)
+        return replace(craft, observer=None, timing=Timing(), thrusters=self.on_time)
 
     @property
     def on_time(self) -> Thrusters:
@@ -261,11 +261,11 @@ def lead_of(system: Craft, h: float) -> Lead | None:
         shares = np.eye(m) + errors.table(m)
         fixed = shares.sum(axis=1) * timing.carried_impulse / h + errors.bit
     else:
-        made = layout.allocation
-        side = np.max(np.abs(made.directions) / made.lengths[:, None], axis=0)
+        allocation = layout.allocation
+        side = np.max(np.abs(allocation.directions) / allocation.lengths[:, None], axis=0)
         shares = (np.outer(side, layout.weights) + layout.bounds[:-1]) / (1 - layout.mass)
-        left = layout.bit / h * layout.carried
-        fixed = left * made.at_once(np.abs(made.directions)) + errors.bit
+        remainder = layout.bit / h * layout.carried
+        fixed = remainder * allocation.at_once(np.abs(allocation.directions)) + errors.bit
     largest = h / 8 * (fired + errors.part(fired)) - h / 2 * fixed
     sizes = h / 2 * shares, h / 2 * fixed, np.maximum(largest, 0.0)
     return Lead(*(_as_tuples(size * (1 + 1e-9)) for size in sizes))

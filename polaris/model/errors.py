@@ -53,11 +53,11 @@ class ScenarioError(PolarisError):
         self.given = given
         self.rule = rule
         self.where = where
-        shown = "nothing" if given is None else quoted(given)
-        if len(shown) > 120:
-            shown = shown[:117] + "..."
+        text = "nothing" if given is None else quoted(given)
+        if len(text) > 120:
+            text = text[:117] + "..."
         prefix = f"{where}: " if where else ""
-        super().__init__(f"{prefix}{field}: got {shown}; {rule}")
+        super().__init__(f"{prefix}{field}: got {text}; {rule}")
 
 
 class NoAnswer(ScenarioError):

@@ -147,7 +147,7 @@ def keys_of(cls: type) -> dict[str, Key]:
     """Return the keys of a dataclass by the names of its fields; fields without one are not in files."""
     hints = get_type_hints(cls, include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    keys = {name: [mark for mark in given if isinstance(mark, Key)] for name, given in marks.items()}
+    keys = {name: [mark for mark in metadata if isinstance(mark, Key)] for name, metadata in marks.items()}
     return {field.name: keys[field.name][0] for field in fields(cls) if keys[field.name]}
 
 
@@ -188,33 +188,33 @@ def broken_rule(problem: ErrorDetails, value: Any) -> str:
     return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 
-def check_fields(made: Any, path: str = "") -> None:
+def check_fields(instance: Any, path: str = "") -> None:
     """Check the fields of an object made in Python by the rules of a file, and turn lists into arrays.
 
     Raises `ScenarioError`, which names the field after `path`, if one is given.
     """
-    cls: type = type(made)
+    cls: type = type(instance)
     sizes: dict[str, tuple[str, int]] = {}  # of the first field per axis or state
     for name, key in keys_of(cls).items():
-        given, field = getattr(made, name), f"{path}.{name}".lstrip(".")
-        if given is None and getattr(cls, name, ...) is None:
+        raw, field = getattr(instance, name), f"{path}.{name}".lstrip(".")
+        if raw is None and getattr(cls, name, ...) is None:
             continue
-        in_degrees = key.name.endswith("_deg") and isinstance(given, int | float | np.number)
-        given = float(np.degrees(given)) if in_degrees else given
+        in_degrees = key.name.endswith("_deg") and isinstance(raw, int | float | np.number)
+        raw = float(np.degrees(raw)) if in_degrees else raw
         try:
-            value = key.adapter.validate_python(_plain(given))
+            value = key.adapter.validate_python(_plain(raw))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             rule = broken_rule(problem, problem["input"]) + ("" if key.unit == "-" else f" [{key.unit}]")
-            raise ScenarioError(field, given, rule) from None
+            raise ScenarioError(field, raw, rule) from None
         if isinstance(value, tuple):
             value = np.array(value, dtype=float)
             value.setflags(write=False)
             first, size = sizes.setdefault(key.per or name, (name, value.shape[-1]))
             if value.shape[-1] != size:
-                raise ScenarioError(field, given, f"must be {size} numbers, as {first} has")
+                raise ScenarioError(field, raw, f"must be {size} numbers, as {first} has")
             if key.per == "axis" and size > 3:
                 rule = "must be 1, 2 or 3 numbers, one per axis of position"
-                raise ScenarioError(field, given, rule)
+                raise ScenarioError(field, raw, rule)
         if not in_degrees:
-            object.__setattr__(made, name, value)
+            object.__setattr__(instance, name, value)

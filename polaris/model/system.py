@@ -84,9 +84,9 @@ class LinearSystem:
     bias_max: Array | None = None
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
+        assign = object.__setattr__
         for name in ("A", "B", "D"):
-            put(self, name, as_finite(f"system.{name}", getattr(self, name), 2))
+            assign(self, name, as_finite(f"system.{name}", getattr(self, name), 2))
         n = self.A.shape[0]
         if self.A.shape != (n, n):
             raise ScenarioError("system.A", self.A.shape, "must be square")
@@ -95,7 +95,7 @@ class LinearSystem:
             if matrix.shape[0] != n or matrix.shape[1] == 0:
                 rule = f"must have {n} rows, as A has, and at least one column"
                 raise ScenarioError(f"system.{name}", matrix.shape, rule)
-        put(self, "u_max", as_finite("system.u_max", self.u_max, 1))
+        assign(self, "u_max", as_finite("system.u_max", self.u_max, 1))
         if self.u_max.shape != (self.m,) or np.any(self.u_max <= 0):
             raise ScenarioError("system.u_max", self.u_max.tolist(), f"must be {self.m} positive numbers")
         for name, least in (("w_max", ">="), ("mass", ">"), ("mean_motion", ">")):
@@ -104,17 +104,17 @@ class LinearSystem:
             value = float(as_finite(f"system.{name}", getattr(self, name), 0))
             if value < 0 or (value == 0 and least == ">"):
                 raise ScenarioError(f"system.{name}", value, f"must be a finite number {least} 0")
-            put(self, name, value)
+            assign(self, name, value)
         bias = np.zeros(self.p) if self.bias_max is None else self.bias_max
-        put(self, "bias_max", as_finite("system.bias_max", bias, 1))
+        assign(self, "bias_max", as_finite("system.bias_max", bias, 1))
         if self.bias.shape != (self.p,) or np.any(self.bias < 0):
             raise ScenarioError("system.bias_max", self.bias.tolist(), f"must be {self.p} numbers >= 0")
         C = np.eye(n)[: max(n // 2, 1)] if self.C is None else self.C
-        put(self, "C", as_finite("system.C", C, 2))
+        assign(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
             raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
         if not self.state_names:
-            put(self, "state_names", tuple(f"x{i}" for i in range(n)))
+            assign(self, "state_names", tuple(f"x{i}" for i in range(n)))
 
     @property
     def n(self) -> int:
@@ -218,21 +218,21 @@ def acceleration_input(state: Array, position: Array) -> Array:
     """
     from flint import fmpq_mat
 
-    A, C, given = _exact(state), _exact(position), position.tolist()
-    known = fmpq_mat(C.tolist() + (C * A).tolist())
-    gram, reaction = known * known.transpose(), C * A * A
+    A, C, rows = _exact(state), _exact(position), position.tolist()
+    outputs = fmpq_mat(C.tolist() + (C * A).tolist())
+    gram, reaction = outputs * outputs.transpose(), C * A * A
     if gram.det() == 0:
         rule = "has no acceleration: the rate of the position, C A x, is no free part of the state"
-        raise ScenarioError("system.C", given, rule)
-    inverse = known.transpose() * gram.inv()  # its last d columns are the least E
-    if reaction * inverse * known != reaction:
+        raise ScenarioError("system.C", rows, rule)
+    inverse = outputs.transpose() * gram.inv()  # its last d columns are the least E
+    if reaction * inverse * outputs != reaction:
         rule = "has an acceleration that depends on more states than the position and its rate"
-        raise ScenarioError("system.C", given, rule)
+        raise ScenarioError("system.C", rows, rule)
     try:
-        E = [[int(x.p) / int(x.q) for x in row[len(given) :]] for row in inverse.tolist()]
+        E = [[int(x.p) / int(x.q) for x in row[len(rows) :]] for row in inverse.tolist()]
     except OverflowError as error:
         rule = "has a rate too small to compute with: an acceleration would move states without bound"
-        raise ScenarioError("system.C", given, rule) from error
+        raise ScenarioError("system.C", rows, rule) from error
     return np.array(E)
 
 

@@ -51,11 +51,11 @@ class Thrusters:
         """
         if not share > 0:
             return self
-        longer, more = (1 + share) * (1 + 1e-9), share * (1 + 1e-9)
-        bit = tuple(x * longer for x in self.bit) if isinstance(self.bit, tuple) else self.bit * longer
+        scale, extra = (1 + share) * (1 + 1e-9), share * (1 + 1e-9)
+        bit = tuple(x * scale for x in self.bit) if isinstance(self.bit, tuple) else self.bit * scale
         if inputs is None:
-            return Thrusters(self.along * longer + more, self.across * longer, bit)
-        table = np.array(self.shares or np.zeros((inputs, inputs))) * longer + more * np.eye(inputs)
+            return Thrusters(self.along * scale + extra, self.across * scale, bit)
+        table = np.array(self.shares or np.zeros((inputs, inputs))) * scale + extra * np.eye(inputs)
         return replace(self, bit=bit, shares=tuple(map(tuple, table.tolist())))
 
     def rounding(self, m: int) -> float:
@@ -86,10 +86,10 @@ class Thrusters:
 
         `ways` (..., m, m) give sign and size of the own shares, within 1, and directions of those of others.
         """
-        own = np.eye(ways.shape[-1])
-        size = np.linalg.norm(ways * (1 - own), axis=-1, keepdims=True)
-        others = self.across * ways * (1 - own) / np.maximum(size, 1e-300)
-        return np.asarray(self.along * np.clip(ways, -1, 1) * own + others)
+        diagonal = np.eye(ways.shape[-1])
+        size = np.linalg.norm(ways * (1 - diagonal), axis=-1, keepdims=True)
+        others = self.across * ways * (1 - diagonal) / np.maximum(size, 1e-300)
+        return np.asarray(self.along * np.clip(ways, -1, 1) * diagonal + others)
 
     def made(self, impulse: float) -> float:
         """Most impulse of an input that is asked for one by one."""
@@ -110,9 +110,9 @@ class Thrusters:
 
     def slope(self, u: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Derivative in u of the sum of `part` with weights >= 0, shape (..., m)."""
-        apart = 1.0 - np.eye(u.shape[-1])
-        others = np.maximum(np.sqrt(np.square(u) @ apart), 1e-300)
-        slope = self.along * weights * np.sign(u) + self.across * u * ((weights / others) @ apart)
+        off_diag = 1.0 - np.eye(u.shape[-1])
+        others = np.maximum(np.sqrt(np.square(u) @ off_diag), 1e-300)
+        slope = self.along * weights * np.sign(u) + self.across * u * ((weights / others) @ off_diag)
         return np.asarray(slope + weights @ np.array(self.shares) * np.sign(u) if self.shares else slope)
 
     def _with_shares(self, part: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -138,11 +138,11 @@ class Nozzles:
 
     @classmethod
     def from_errors(
-        cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
+        cls, allocation: Allocation, magnitude: float, angle: float, mass: float, bit: float, *kinds: bool
     ) -> "Nozzles":
         """Return the layout with errors of magnitude, direction [rad] and mass, and how impulses are made."""
-        along = magnitude + (1 - magnitude) * 2 * float(np.sin(turned / 2)) ** 2
-        return cls(allocation, along, float(np.sin(turned)) * (1 + magnitude), mass, bit, *kinds)
+        along = magnitude + (1 - magnitude) * 2 * float(np.sin(angle / 2)) ** 2
+        return cls(allocation, along, float(np.sin(angle)) * (1 + magnitude), mass, bit, *kinds)
 
     @cached_property
     def error(self) -> Array:
@@ -192,9 +192,9 @@ class Nozzles:
 
         First what the inputs take at their limits, then what bits take besides.
         """
-        made, bit = self.allocation, self.bit / period * (1.0 if self.carried else 0.5)
-        longest = float(self.weights @ made.u_max) * float(np.max(1 / (made.limits * made.lengths)))
-        return longest, bit * float(made.at_once(1 / made.limits))
+        mixing, bit = self.allocation, self.bit / period * (1.0 if self.carried else 0.5)
+        longest = float(self.weights @ mixing.u_max) * float(np.max(1 / (mixing.limits * mixing.lengths)))
+        return longest, bit * float(mixing.at_once(1 / mixing.limits))
 
     @property
     def fired(self) -> tuple[float, ...]:

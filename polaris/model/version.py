@@ -22,10 +22,10 @@ def versions() -> dict[str, str]:
     from .compiled import is_enabled
 
     used = ("numba",) if is_enabled() else ()
-    known = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
+    by_name = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib", *used):
         try:
-            known[name] = _installed(name)
+            by_name[name] = _installed(name)
         except metadata.PackageNotFoundError:  # vendored, or installed without its metadata
-            known[name] = "unknown"
-    return known
+            by_name[name] = "unknown"
+    return by_name

@@ -39,8 +39,8 @@ class BackendResult:
 
 def require(solver: str) -> None:
     """Refuse a back end that is not installed."""
-    if solver == "gurobi" and (why := unusable("gurobipy")):
-        raise ScenarioError("planner.solver", "gurobi", f"{why}, or use another solver")
+    if solver == "gurobi" and (reason := unusable("gurobipy")):
+        raise ScenarioError("planner.solver", "gurobi", f"{reason}, or use another solver")
 
 
 def run(lp: Any, options: PlannerOptions, nodes: int, seconds: float, hear: Hear) -> BackendResult:
@@ -55,9 +55,9 @@ def _warm_highs(**options: Any) -> Any:
 
     class WarmHiGHS(pulp.HiGHS):  # type: ignore[misc]
         def callSolver(self, lp: Any) -> None:
-            known = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
-            if known:
-                index, value = zip(*known, strict=True)
+            start = [(v.index, v.varValue) for v in lp.variables() if v.varValue is not None]
+            if start:
+                index, value = zip(*start, strict=True)
                 lp.solverModel.setSolution(len(index), np.array(index, dtype=np.int32), np.array(value))
             lp.solverModel.run()
 
@@ -74,11 +74,11 @@ def _warm_highs(**options: Any) -> Any:
 def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> BackendResult:
     highspy = silent_highspy()
     kind, gave_up = highspy.HighsModelStatus, [""]
-    asked = count()
+    calls = count()
 
-    def ask(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
+    def ask(event: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         gave_up[0] = hear(data.mip_primal_bound, data.mip_dual_bound, data.mip_node_count) or gave_up[0]
-        gave_up[0] = gave_up[0] or ("effort_limit" if next(asked) >= ASKED * limit else "")
+        gave_up[0] = gave_up[0] or ("effort_limit" if next(calls) >= ASKED * limit else "")
         answer.user_interrupt = bool(gave_up[0])
 
     solver = _warm_highs(
@@ -112,9 +112,9 @@ def _gurobi(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: 
     def ask(model: Any, where: int) -> None:
         if where != grb.Callback.MIP:
             return
-        asked = ("MIP_OBJBST", "MIP_OBJBND", "MIP_NODCNT")
-        best, bound, nodes = (model.cbGet(getattr(grb.Callback, what)) for what in asked)
-        gave_up[0] = hear(best if best < grb.INFINITY else np.inf, bound, nodes) or gave_up[0]
+        names = ("MIP_OBJBST", "MIP_OBJBND", "MIP_NODCNT")
+        incumbent, bound, nodes = (model.cbGet(getattr(grb.Callback, name)) for name in names)
+        gave_up[0] = hear(incumbent if incumbent < grb.INFINITY else np.inf, bound, nodes) or gave_up[0]
         if gave_up[0]:
             model.terminate()
 

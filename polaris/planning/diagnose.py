@@ -58,14 +58,14 @@ def blocked(rows: PlanRows, deadline: float) -> NoReturn:
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
         f"margins required from the unsafe sets{amount}."
     )
-    ways = []
+    remedies = []
     if short is not None:
-        ways.append(f"{short:.3g} m less margin (a smaller initial set or disturbance, a stiffer gain)")
+        remedies.append(f"{short:.3g} m less margin (a smaller initial set or disturbance, a stiffer gain)")
     if helpful:
-        ways.append("without " + " or without ".join(helpful))
+        remedies.append("without " + " or without ".join(helpful))
     if factor is not None:
-        ways.append(f"input limits {factor:g} times as large")
-    relax = (", or ".join(ways) or "a longer horizon or another goal") + "."
+        remedies.append(f"input limits {factor:g} times as large")
+    relax = (", or ".join(remedies) or "a longer horizon or another goal") + "."
     if perf_counter() > deadline:
         relax += " (The time limit ended the search for these values.)"
     raise SynthesisInfeasible(condition, short, relax)
@@ -76,13 +76,13 @@ def _start(problem: PlanProblem) -> None:
     for i, body in enumerate(problem.unsafe):
         clear = body.rows(problem.system) @ problem.x0 - problem.offsets(i)[0, 0]
         required = problem.required(i)[0]
-        best = int(np.argmax(clear - required))
-        if (short := float(required[best] - clear[best])) > 0:
+        side = int(np.argmax(clear - required))
+        if (short := float(required[side] - clear[side])) > 0:
             if body.keep_in:
-                raise _outside(body, float(required[best]), float(clear[best]))
+                raise _outside(body, float(required[side]), float(clear[side]))
             raise SynthesisInfeasible(
-                f"The start is {short:.3g} m too close to {body.name}: a margin of {required[best]:.3g} m is "
-                f"required, the clearance is {clear[best]:.3g} m{_lengths(body)}.",
+                f"The start is {short:.3g} m too close to {body.name}: a margin of {required[side]:.3g} m is "
+                f"required, the clearance is {clear[side]:.3g} m{_lengths(body)}.",
                 short,
                 f"start further away, or at least {short:.3g} m less margin.",
             )
@@ -90,15 +90,15 @@ def _start(problem: PlanProblem) -> None:
 
 def _outside(body: TimedPolytope, required: float, inside: float) -> SynthesisInfeasible:
     """Return the error of a start that is outside a set to stay inside, or too near one of its sides."""
-    called, box = f"{body.name}, a side of a set to stay inside", WITHIN.fullmatch(body.name)
+    label, box = f"{body.name}, a side of a set to stay inside", WITHIN.fullmatch(body.name)
     if box is not None:
         axis = int(np.argmax(np.abs(body.normals[0])))
-        way = "-" if body.normals[0, axis] > 0 else "+"
+        sign = "-" if body.normals[0, axis] > 0 else "+"
         table = "navigation" if box[1] is None else f"navigation.phases[{box[1]}]"
-        called = f"the {way} side, along axis {axis}, of the box to stay inside by within_m of {table}"
-    where, short = "inside" if inside >= 0 else "outside", required - inside
+        label = f"the {sign} side, along axis {axis}, of the box to stay inside by within_m of {table}"
+    side, short = "inside" if inside >= 0 else "outside", required - inside
     return SynthesisInfeasible(
-        f"The start is {abs(inside):.3g} m {where} {called}; it must be {required:.3g} m inside: the"
+        f"The start is {abs(inside):.3g} m {side} {label}; it must be {required:.3g} m inside: the"
         f" safety controller may need as much{_lengths(body)}.",
         short,
         f"make the set at least {short:.3g} m larger there, or start as much further inside.",

@@ -31,17 +31,17 @@ class Allowance:
 
     def spent(self, path: Candidate | None, used: float) -> str:
         """Return the name of the limit that stops the stage, or an empty string."""
-        which = 0 if self.spare(path) else 1
-        if used >= self.effort[which]:
+        index = 0 if self.spare(path) else 1
+        if used >= self.effort[index]:
             return "effort_limit"
-        return "time_limit" if perf_counter() > self.deadline[which] else ""
+        return "time_limit" if perf_counter() > self.deadline[index] else ""
 
 
 class SearchEffort:
     """Account of one run: wall time by part [s], counts (`Plan.stats`), and stages so far."""
 
-    def __init__(self, search: PathSearch, options: PlannerOptions, begun: float) -> None:
-        self.search, self.options, self.begun = search, options, begun
+    def __init__(self, search: PathSearch, options: PlannerOptions, start: float) -> None:
+        self.search, self.options, self.begun = search, options, start
         self.seconds: dict[str, float] = {}
         self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
         self.stages: list[Stage] = []
@@ -81,6 +81,6 @@ class SearchEffort:
             gap = relative_gap(incumbent, bound)
             self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
 
-    def add_time(self, part: str, begun: float) -> None:
-        """Add the wall time since `begun` to a part."""
-        self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - begun
+    def add_time(self, part: str, start: float) -> None:
+        """Add the wall time since `start` to a part."""
+        self.seconds[part] = self.seconds.get(part, 0.0) + perf_counter() - start

@@ -24,17 +24,17 @@ class Followed:
     f: Array  # (K, m)
 
     @classmethod
-    def from_law(cls, system: LinearSystem, transition: Array, own: Reference) -> "Followed":
+    def from_law(cls, system: LinearSystem, transition: Array, reference: Reference) -> "Followed":
         """The constant inputs that come closest to a law about its own reference.
 
         About it the error moves by `transition` (n, n) in a step; a constant input that moves it likewise is
         found by least squares, velocities weighed by the step.
         """
-        Ad, Bd = discretize(system.A, system.B, own.delta)
+        Ad, Bd = discretize(system.A, system.B, reference.delta)
         weight = np.ones(system.n)
-        weight[np.abs(system.position).sum(axis=0) == 0] = own.delta
+        weight[np.abs(system.position).sum(axis=0) == 0] = reference.delta
         F = np.linalg.pinv(weight[:, None] * Bd) @ (weight[:, None] * (transition - Ad))
-        return cls(F, own.nu - own.chi[: own.cells] @ F.T)
+        return cls(F, reference.nu - reference.chi[: reference.cells] @ F.T)
 
 
 class FollowingSearch(PathSearch):
@@ -43,12 +43,12 @@ class FollowingSearch(PathSearch):
     def __init__(self, rows: PlanRows, deadline: float, law: Followed) -> None:
         super().__init__(rows, deadline, 2 * rows.N)
         N, K, m = rows.N, rows.problem.K, rows.problem.system.m
-        own, free = np.zeros((K, m, N)), np.zeros((K, m))
+        law_rows, free = np.zeros((K, m, N)), np.zeros((K, m))
         for k in range(K):
-            own[k] = rows.state_rows(law.F, k)
+            law_rows[k] = rows.state_rows(law.F, k)
             free[k] = law.F @ rows.free[k] + law.f[k]
         u_max = rows.problem.system.u_max
-        self._own = np.eye(N) - (own / u_max[:, None]).reshape(N, N)
+        self._own = np.eye(N) - (law_rows / u_max[:, None]).reshape(N, N)
         self._free = (free / u_max).ravel()
         eye = np.eye(N)
         self.lp.add(np.hstack([self._own, -self._own, np.zeros((N, 2)), -eye, eye]), self._free, self._free)
@@ -57,10 +57,10 @@ class FollowingSearch(PathSearch):
 
     def set_prices_of_departure(self, prices: Array) -> None:
         """Price of a departure by full thrust [m/s], shape (K,): 0 where free, infinite where forbidden."""
-        per = np.tile(np.repeat(prices, self.rows.problem.system.m), 2)
-        first, allowed = 2 * self.rows.N + 2, np.isfinite(per)
-        self.lp.price(first, np.where(allowed, per, 0.0))
-        self.lp.limit(first, np.zeros(len(per)), np.where(allowed, MOST, 0.0))
+        costs = np.tile(np.repeat(prices, self.rows.problem.system.m), 2)
+        first, allowed = 2 * self.rows.N + 2, np.isfinite(costs)
+        self.lp.price(first, np.where(allowed, costs, 0.0))
+        self.lp.limit(first, np.zeros(len(costs)), np.where(allowed, MOST, 0.0))
 
     def departures(self, path: Candidate) -> Array:
         """Largest departure from the law in every step, in shares of full thrust, shape (K,)."""
@@ -81,6 +81,6 @@ class FollowingSearch(PathSearch):
         self.guide = guide
         return path
 
-    def pick(self, key: Key, seen: CheckedPath) -> int:
+    def pick(self, key: Key, checked: CheckedPath) -> int:
         """The alternative with most clearance, on the guide if there is one."""
-        return super().pick(key, seen if self.guide is None or key[0] < 0 else self.guide)
+        return super().pick(key, checked if self.guide is None or key[0] < 0 else self.guide)

@@ -92,10 +92,10 @@ class Inset(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """The conditions of the goal, inequalities tightened."""
-        known = self.goal.conditions
-        groups = zip(known.one_of, self.clearance[1:], strict=True)
+        base = self.goal.conditions
+        groups = zip(base.one_of, self.clearance[1:], strict=True)
         return replace(
-            known, g=known.g - self.clearance[0], one_of=tuple((N, c + more) for (N, c), more in groups)
+            base, g=base.g - self.clearance[0], one_of=tuple((N, c + inset) for (N, c), inset in groups)
         )
 
     def describe(self) -> str:

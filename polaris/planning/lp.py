@@ -28,18 +28,18 @@ def silent_highspy() -> Any:
     import highspy
 
     try:
-        kept = os.dup(1)
+        stdout = os.dup(1)
     except OSError:  # standard output is closed
         return highspy
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
     try:
         make: Any = highspy.Highs  # its constructor carries no types
         make()
     finally:
-        os.dup2(kept, 1)
-        os.close(nowhere)
-        os.close(kept)
+        os.dup2(stdout, 1)
+        os.close(null)
+        os.close(stdout)
     return highspy
 
 
@@ -65,14 +65,14 @@ class GrowingLP:
         if R == 0:
             return
         inf = self._highspy.kHighsInf
-        lo = np.clip(np.broadcast_to(np.asarray(lower, dtype=float), (R,)), -inf, inf)
-        up = np.clip(np.broadcast_to(np.asarray(upper, dtype=float), (R,)), -inf, inf)
-        where = np.nonzero(a)
-        starts = np.searchsorted(where[0], np.arange(R)).astype(np.int32)
-        self.highs.addRows(R, lo, up, len(where[0]), starts, where[1].astype(np.int32), a[where])
+        low = np.clip(np.broadcast_to(np.asarray(lower, dtype=float), (R,)), -inf, inf)
+        high = np.clip(np.broadcast_to(np.asarray(upper, dtype=float), (R,)), -inf, inf)
+        entries = np.nonzero(a)
+        starts = np.searchsorted(entries[0], np.arange(R)).astype(np.int32)
+        self.highs.addRows(R, low, high, len(entries[0]), starts, entries[1].astype(np.int32), a[entries])
         self._a.append(a)
-        self._least.append(lo)
-        self._slack.append(up - lo)
+        self._least.append(low)
+        self._slack.append(high - low)
         self.rows += R
 
     def take_back(self, rows: int) -> None:
@@ -118,8 +118,8 @@ class GrowingLP:
             scaled = {"presolve": "on", "user_objective_scale": -int(np.log2(largest))}
             ends = np.abs([*stuck.getLp().col_lower_, *stuck.getLp().col_upper_])
             widest = max(np.max(ends[np.isfinite(ends)], initial=1.0), 1.0)
-            for tried in (scaled, scaled | {"user_bound_scale": -int(np.log2(widest))}):
-                self._set(**tried)
+            for scaling in (scaled, scaled | {"user_bound_scale": -int(np.log2(widest))}):
+                self._set(**scaling)
                 status = self._run(seconds)
                 self._set(presolve="off", user_objective_scale=0, user_bound_scale=0)
                 if status in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
@@ -146,10 +146,10 @@ class GrowingLP:
 
     def ray(self) -> Array:
         """Return weights of rows, (R,), that prove the program just solved infeasible; zeros if not known."""
-        known, weights = self.highs.getDualRay()[1:]
-        return np.asarray(weights, dtype=float) if known else np.zeros(self.rows)
+        has_ray, weights = self.highs.getDualRay()[1:]
+        return np.asarray(weights, dtype=float) if has_ray else np.zeros(self.rows)
 
-    def costs(self, a: Array, lack: Array) -> Array:
+    def costs(self, a: Array, shortfall: Array) -> Array:
         """Lower bounds, shape (J,), on the loss of the optimum if one more row has to hold, without solving.
 
         At the optimum just found every variable and slack that is not basic can only move into the
@@ -177,9 +177,9 @@ class GrowingLP:
         order = np.argsort(rate, axis=1)
         steps = np.take_along_axis(gain * ranges, order, axis=1)
         reached = np.cumsum(steps, axis=1)
-        paid = np.clip(lack[:, None] - (reached - steps), 0.0, steps)
+        paid = np.clip(shortfall[:, None] - (reached - steps), 0.0, steps)
         cost = np.sum(paid * np.take_along_axis(rate, order, axis=1), axis=1)
-        return np.where(reached[:, -1] < lack * (1 - 1e-6) - 1e-6, np.inf, cost)
+        return np.where(reached[:, -1] < shortfall * (1 - 1e-6) - 1e-6, np.inf, cost)
 
 
 def _solve(M: Array, b: Array) -> Array | None:

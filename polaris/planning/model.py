@@ -82,10 +82,10 @@ class Model:
         rows, W = self.rows, self.frame
         A = W @ rows.Ad @ np.linalg.inv(W)
         B = W @ rows.Bd * rows.problem.system.u_max
-        here = np.hstack([B, -B, -np.eye(len(W))])
-        self._add(self._inputs(0) + self.x[0], here, eq, -(A @ W @ rows.problem.x0))
+        block = np.hstack([B, -B, -np.eye(len(W))])
+        self._add(self._inputs(0) + self.x[0], block, eq, -(A @ W @ rows.problem.x0))
         for k in range(1, self.K):
-            self._add(self._inputs(k) + self.x[k] + self.x[k - 1], np.hstack([here, A]), eq, 0.0)
+            self._add(self._inputs(k) + self.x[k] + self.x[k - 1], np.hstack([block, A]), eq, 0.0)
 
     def _one_of(self, key: Key) -> bool:
         """State one disjunction, with big-M as small as the input limits allow; False if none can hold."""
@@ -97,9 +97,9 @@ class Model:
             goal = rows.problem.goal.conditions
             floor = goal_floor(goal.G, goal.g, goal.one_of[key[1]][0]) / rows.goal_length
             least = np.maximum(least, floor[:, None] - options.free)
-        big = options.at_least + options.slope * search.high - least
-        can = np.all(largest >= options.at_least + options.slope * search.low - 1e-9, axis=1)
-        chosen, k = np.nonzero(can)[0].tolist(), options.at
+        big_m = options.at_least + options.slope * search.high - least
+        feasible = np.all(largest >= options.at_least + options.slope * search.low - 1e-9, axis=1)
+        chosen, k = np.nonzero(feasible)[0].tolist(), options.at
         at_least = options.at_least + (options.free if k else 0.0)
         variables = (self.x[k - 1] if k else []) + self._inputs(k) + [self.s]
         binaries = []
@@ -113,23 +113,23 @@ class Model:
                 continue
             z = self.z[key, j] = self.lp.add_variable(f"z{key[0] + 1}_{key[1]}_{j}", cat="Binary")
             binaries.append(z)
-            M, open_ = big[j][:, None], big[j] > 0
-            self._add([*variables, z], np.hstack([a, -M])[open_], ge, (at_least[j] - big[j])[open_])
+            M, open_ = big_m[j][:, None], big_m[j] > 0
+            self._add([*variables, z], np.hstack([a, -M])[open_], ge, (at_least[j] - big_m[j])[open_])
         if binaries:
             self.lp += self.pulp.lpSum(binaries) == 1
         return bool(chosen)
 
     def begin_at(self, path: Candidate) -> None:
         """Give the variables the values of a path, where a back end starts."""
-        seen = self.search.look(path)
-        states = (seen.states[1:] @ self.frame.T).ravel()
+        checked = self.search.look(path)
+        states = (checked.states[1:] @ self.frame.T).ravel()
         values = np.r_[np.maximum(path.z, 0.0), np.maximum(-path.z, 0.0), path.level, states]
         variables = [*self.plus, *self.minus, self.s, *chain.from_iterable(self.x)]
         for variable, value in zip(variables, values.tolist(), strict=True):
             variable.setInitialValue(value, check=False)
         for (key, j), z in self.z.items():
             if z is not None:
-                facet = path.choice[key] if key in path.choice else self.search.pick(key, seen)
+                facet = path.choice[key] if key in path.choice else self.search.pick(key, checked)
                 z.setInitialValue(float(j == facet), check=False)
 
     def path(self) -> Candidate:
@@ -188,11 +188,11 @@ def by_back_end(
         if stopped := allowed.spent(best, effort.used):
             return outcome(stopped)
         effort.stats["rounds"] += 1
-        begun = perf_counter()
+        start = perf_counter()
         by_fuel = best is not None and search.margin_price == 0
         budget = best.fuel * (1 + 1e-6) + 1e-9 if best is not None and by_fuel else np.inf
         model = Model(search, cells, budget)
-        effort.add_time("model", begun)
+        effort.add_time("model", start)
         answer = _run(effort, model, stage, best, allowed)
         if answer.status == "infeasible":
             bound = search.value(best) if best is not None else np.inf
@@ -216,20 +216,20 @@ def _run(
     """Solve a model from the best path, and account for it."""
     if model.impossible:
         return backends.BackendResult("infeasible", False, np.inf, 0.0)
-    begun, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
+    start, top = perf_counter(), effort.search.value(best) if best is not None else np.inf
     used = effort.used
 
     def hear(incumbent: float, bound: float, nodes: float) -> str:
         effort.report(stage, min(top, incumbent), bound)
-        nothing = best is None and incumbent == np.inf  # a search that finds nothing may have to end early
-        return allowed.spent(None, used + nodes) if nothing and allowed.spare(None) else ""
+        no_plan = best is None and incumbent == np.inf  # a search that finds nothing may have to end early
+        return allowed.spent(None, used + nodes) if no_plan and allowed.spare(None) else ""
 
     if best is not None:
         model.begin_at(best)
-    which = 0 if best is not None and allowed.spare(best) else 1
-    nodes, seconds = max(int(allowed.effort[which] - used), 1), allowed.deadline[which] - begun
+    index = 0 if best is not None and allowed.spare(best) else 1
+    nodes, seconds = max(int(allowed.effort[index] - used), 1), allowed.deadline[index] - start
     answer = backends.run(model.lp, effort.options, nodes, seconds, hear)
-    effort.add_time("solver", begun)
+    effort.add_time("solver", start)
     binaries = sum(z is not None for z in model.z.values())
     sizes = {"rows": model.lp.numConstraints(), "cols": model.lp.numVariables(), "binaries": binaries}
     effort.stats |= {name: max(effort.stats[name], float(size)) for name, size in sizes.items()}
@@ -246,8 +246,8 @@ def _polished(search: PathSearch, path: Candidate) -> tuple[Candidate | None, di
         clean = search.solve(path.choice)
         if clean is None:
             break
-        seen = search.look(clean)
-        lacking = search.lacking(clean, seen)
-        if lacking or search.confirmed(clean, seen):
+        checked = search.look(clean)
+        lacking = search.lacking(clean, checked)
+        if lacking or search.confirmed(clean, checked):
             return clean, lacking
     return None, {}

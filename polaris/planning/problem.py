@@ -54,14 +54,14 @@ class PlanProblem:
     tail_cells: int = 0  # cells of coasting after K, clear with the margins of the last cell and no extra one
 
     def __post_init__(self) -> None:
-        put, sys = object.__setattr__, self.system
+        set_field, sys = object.__setattr__, self.system
         whole("planner.K", self.K, 1)
         whole("planner.tail_cells", self.tail_cells, 0)
         positive("planner.delta", self.delta, "s")
         non_negative("planner.extra_margin", self.extra_margin, "m")
         one_of("planner.objective", self.objective, get_args(Objective))
-        put(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
-        put(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
+        set_field(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
+        set_field(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
         if np.any(self.u_limit < 0):
             raise ScenarioError("planner.u_limit", float(self.u_limit.min()), "must all be >= 0")
         if self.goal.n != sys.n:
@@ -72,7 +72,7 @@ class PlanProblem:
             shaped(f"planner.margins[{i}]", margin, (self.K, len(body.normals)))
             for i, (body, margin) in enumerate(zip(self.unsafe, self.margins, strict=True))
         ]
-        put(self, "margins", tuple(margins))
+        set_field(self, "margins", tuple(margins))
         for i, body in enumerate(self.unsafe):
             if body.cells < self.cells and not (body.static and body.cells >= 1):
                 raise ScenarioError(f"planner.unsafe[{i}]", body.cells, f"must cover {self.cells} cells")

@@ -51,9 +51,9 @@ def known_plan(reference: Reference, K: int, facets: np.ndarray) -> Plan:
     It was found and certified before; what is not known of it is NaN.
     """
     nu, system, unknown = reference.nu[:K], reference.system, np.full((facets.shape[1], K), np.nan)
-    spent = float(np.sum(np.abs(nu)) * reference.delta / system.mass)
+    delta_v = float(np.sum(np.abs(nu)) * reference.delta / system.mass)
     sides = facets[:K].T, facets[K:].T
-    parts = reference.chi[: K + 1], nu, *sides, np.nan, unknown, unknown, spent
+    parts = reference.chi[: K + 1], nu, *sides, np.nan, unknown, unknown, delta_v
     return Plan(*parts, KNOWN, objective=np.nan, bound=np.nan, gap=np.nan)
 
 
@@ -85,26 +85,26 @@ def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
 
 
 def certified(
-    problem: PlanProblem, nu: Array, wanted: Array, value: float, bound: float, status: str, **others: Any
+    problem: PlanProblem, nu: Array, targets: Array, value: float, bound: float, status: str, **others: Any
 ) -> Plan:
     """Re-check inputs and make a `Plan` of them, with `others` for the rest; `NotCertified` if one fails."""
     K = problem.K
     check = recheck(problem, nu)
     shape = (len(problem.unsafe), problem.cells)
-    best = np.reshape([s.max(axis=1) for s in check.surplus], shape)
+    surplus = np.reshape([s.max(axis=1) for s in check.surplus], shape)
     facets = np.reshape([s.argmax(axis=1) for s in check.surplus], shape).astype(int)
-    if best.size and np.min(best) < 0:
-        i, k = (int(at) for at in np.unravel_index(np.argmin(best), shape))
+    if surplus.size and np.min(surplus) < 0:
+        i, k = (int(at) for at in np.unravel_index(np.argmin(surplus), shape))
         raise NotCertified(
             f"plan not certified: the clearance from {problem.unsafe[i].name} in cell {k} is "
-            f"{-best[i, k]:.3g} m short of its margin ({problem.required(i)[k].max():.3g} m)"
+            f"{-surplus[i, k]:.3g} m short of its margin ({problem.required(i)[k].max():.3g} m)"
         )
     amount, name = check.goal
     if amount > 0:
         rule = f"the goal is missed by {amount:.3g} of its scale: {name}"
         raise NotCertified(f"plan not certified: {rule}")
     nu = check.reference.nu
-    extra: Array = best[:, :K]
+    extra: Array = surplus[:, :K]
     return Plan(
         chi=check.reference.chi,
         nu=nu,
@@ -112,7 +112,7 @@ def certified(
         tail_facets=facets[:, K:],
         margin=float(np.min(extra[[not body.of_state for body in problem.unsafe]], initial=np.inf)),
         extra=extra,
-        wanted=wanted,
+        wanted=targets,
         delta_v=float(np.sum(np.abs(nu)) * problem.delta / problem.system.mass),
         status=status,
         objective=float(value),

@@ -16,8 +16,8 @@ from ..model.tolerances import REFERENCE
 @lru_cache(maxsize=256)
 def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
     """Return maps of states and held inputs over j of q parts of a step, (q+1, n, n) and (q+1, n, m)."""
-    moved, pushed = zip(*(discretize(system.A, system.B, delta * j / q) for j in range(q + 1)), strict=True)
-    return np.array(moved), np.array(pushed)
+    Ad, Bd = zip(*(discretize(system.A, system.B, delta * j / q) for j in range(q + 1)), strict=True)
+    return np.array(Ad), np.array(Bd)
 
 
 @short_repr
@@ -58,8 +58,8 @@ class Reference:
     def rounding(self) -> Array:
         """Bound on the round-off of the states within every step, elementwise, shape (K, n)."""
         Ad, Bd = (np.abs(part[1]) for part in _held(self.system, self.delta, 1))
-        moved = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
-        return np.asarray(REFERENCE * (moved + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
+        size = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
+        return np.asarray(REFERENCE * (size + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
 
     def fine(self, q: int) -> Array:
         """States at q equal parts of every cell, both ends included, shape (K, q+1, n).
@@ -67,9 +67,9 @@ class Reference:
         The last point of a cell is recomputed from its first, not copied from the next, so the
         array shows every cell as one exact arc.
         """
-        moved, pushed = _held(self.system, self.delta, q)
-        arcs = np.einsum("qij,kj->kqi", moved, self.chi[:-1])
-        return np.asarray(arcs + np.einsum("qij,kj->kqi", pushed, self.nu))
+        Ad, Bd = _held(self.system, self.delta, q)
+        arcs = np.einsum("qij,kj->kqi", Ad, self.chi[:-1])
+        return np.asarray(arcs + np.einsum("qij,kj->kqi", Bd, self.nu))
 
     def rates(self, nodes: Array) -> Array:
         """Elementwise bound on ``|x'|`` over each of the q parts between the nodes of `fine`, (K, q, n)."""

@@ -113,12 +113,12 @@ class PlanRows:
         """
         if key not in self._cache:
             self._cache[key] = self._options(key)
-        known, (i, k) = self._cache[key], key
+        stored, (i, k) = self._cache[key], key
         if i < 0:
-            return known
+            return stored
         slope = float(self.extra[i][k, 0]) / self.length
         return replace(
-            known, at_least=known.at_least + self._allowance(i, [k])[0].T / self.length, slope=slope
+            stored, at_least=stored.at_least + self._allowance(i, [k])[0].T / self.length, slope=slope
         )
 
     def _allowance(self, i: int, cells: Any) -> Array:
@@ -126,9 +126,9 @@ class PlanRows:
 
         Control points that no input moves are known exactly: only a re-check tightens them.
         """
-        asked = self.booking[i][cells][:, None]
-        moved = self._moved[i] | (np.asarray(cells)[:, None, None] > 0)
-        return np.asarray(asked + np.where(moved, self._modelled[i], 0.0))
+        tightening = self.booking[i][cells][:, None]
+        movable = self._moved[i] | (np.asarray(cells)[:, None, None] > 0)
+        return np.asarray(tightening + np.where(movable, self._modelled[i], 0.0))
 
     def surplus(self, path: Reference) -> tuple[Array, ...]:
         """Slack [m] of a path, coasting included, at the rows of a cell without extra tightening.
@@ -171,8 +171,8 @@ class PlanRows:
     @cached_property
     def _modelled(self) -> list[Array]:
         """Tightening [m] of every facet of each unsafe set."""
-        book = 2 * self._remainder(self.segments)
-        return [SOLVER_BOOK_M + np.abs(normals) @ book for normals in self._normals]
+        remainder = 2 * self._remainder(self.segments)
+        return [SOLVER_BOOK_M + np.abs(normals) @ remainder for normals in self._normals]
 
     @cached_property
     def _moved(self) -> list[Any]:
@@ -186,6 +186,6 @@ class PlanRows:
         if np.sum(cost) <= budget:
             return np.asarray(np.sum(gain, axis=-1))
         order = np.argsort(-np.abs(a) / self.price, axis=-1)
-        spent = np.cumsum(cost[order], axis=-1)
-        taken = np.clip((budget - (spent - cost[order])) / np.maximum(cost[order], 1e-300), 0.0, 1.0)
-        return np.asarray(np.sum(np.take_along_axis(gain, order, axis=-1) * taken, axis=-1))
+        total = np.cumsum(cost[order], axis=-1)
+        fraction = np.clip((budget - (total - cost[order])) / np.maximum(cost[order], 1e-300), 0.0, 1.0)
+        return np.asarray(np.sum(np.take_along_axis(gain, order, axis=-1) * fraction, axis=-1))

@@ -90,10 +90,10 @@ class PathSearch:
         self.lp.take_back(self.base)
         parts = list(choice.items())
         if start is not None:
-            basis, known = start
-            self._add(parts[:known])
+            basis, count = start
+            self._add(parts[:count])
             self.lp.use(basis)
-            parts = parts[known:]
+            parts = parts[count:]
         self._add(parts)
         self.solves += 1
         answer = self.lp.solve(self.deadline - perf_counter())
@@ -127,16 +127,16 @@ class PathSearch:
         """
         if not keys:
             return {}
-        a, lack, sizes = [], [], []
+        a, shortfalls, sizes = [], [], []
         for key in keys:
             o, elastic = self.rows.options(key), float(key[0] >= 0)
             short = o.at_least - o.a @ path.z + o.slope * path.level - elastic * path.short / self.rows.length
             worst = np.argmax(short, axis=1)
             each = np.arange(len(worst))
             a.append(self._wide(o.a[each, worst], o.slope, elastic))
-            lack.append(short[each, worst])
+            shortfalls.append(short[each, worst])
             sizes.append(len(worst))
-        cost = self.lp.costs(np.vstack(a), np.concatenate(lack))
+        cost = self.lp.costs(np.vstack(a), np.concatenate(shortfalls))
         value = self.value(path)
         parts = np.split(value + cost, np.cumsum(sizes)[:-1])
         return dict(zip(keys, parts, strict=True))
@@ -145,37 +145,37 @@ class PathSearch:
         """A candidate against all rows of the program."""
         problem = self.rows.problem
         nu = path.z.reshape(problem.K, -1) * problem.system.u_max
-        flown = Reference.propagate(problem.system, problem.delta, problem.x0, nu)
-        return CheckedPath(flown.chi, self.rows.surplus(flown.extend(problem.tail_cells)))
+        reference = Reference.propagate(problem.system, problem.delta, problem.x0, nu)
+        return CheckedPath(reference.chi, self.rows.surplus(reference.extend(problem.tail_cells)))
 
-    def lacking(self, path: Candidate, seen: CheckedPath) -> dict[Key, float]:
+    def lacking(self, path: Candidate, checked: CheckedPath) -> dict[Key, float]:
         """Disjunctions not stated yet of which the path keeps no alternative, with the shortfall [m].
 
         This is the program itself, whoever solves it: a path that lacks nothing is feasible in it.
         """
         out: dict[Key, float] = {}
-        for i, surplus in enumerate(seen.surplus):
+        for i, surplus in enumerate(checked.surplus):
             gap = surplus.max(axis=1) - self.rows.extra[i][:, 0] * path.level + path.short
             short = np.nonzero(gap < -ROW_SLACK * self.rows.length)[0].tolist()
             out |= {(i, k): -float(gap[k]) for k in short if (i, k) not in path.choice}
-        goal, last = self.rows.problem.goal.conditions, seen.states[-1]
+        goal, last = self.rows.problem.goal.conditions, checked.states[-1]
         for group, (N, c) in enumerate(goal.one_of):
             clearance = float(np.max(N @ last - c))
             if clearance < -GOAL_SLACK * goal.scale and (-1, group) not in path.choice:
                 out[-1, group] = -clearance
         return out
 
-    def confirmed(self, path: Candidate, seen: CheckedPath) -> bool:
+    def confirmed(self, path: Candidate, checked: CheckedPath) -> bool:
         """Exact re-check of a path that lacks nothing. Where it fails, the tightening grows."""
-        problem, fine = self.rows.problem, True
+        problem, certified = self.rows.problem, True
         check = recheck(problem, path.z.reshape(problem.K, -1) * problem.system.u_max)
         for i, surplus in enumerate(check.surplus):
             gap = surplus.max(axis=1) - self.rows.extra[i][:, 0] * path.level + path.short
             for k in np.nonzero(gap < 0)[0].tolist():
-                facet = path.choice.get((i, k), int(np.argmax(seen.surplus[i][k])))
+                facet = path.choice.get((i, k), int(np.argmax(checked.surplus[i][k])))
                 self.rows.booking[i][k, facet] += 1.5 * -float(gap[k]) + 1e-4
-                fine = False
-        return fine
+                certified = False
+        return certified
 
     def dive(self, start: Mapping[Key, int], rounds: int = 12) -> Candidate | None:
         """Add cells as they are found lacking until none is; None if it does not settle.
@@ -187,28 +187,28 @@ class PathSearch:
             path = self.solve(choice)
             if path is None or perf_counter() > self.deadline:
                 return None
-            seen = self.look(path)
-            lacking = self.lacking(path, seen)
-            if not lacking and self.confirmed(path, seen):
+            checked = self.look(path)
+            lacking = self.lacking(path, checked)
+            if not lacking and self.confirmed(path, checked):
                 return path
-            choice |= {key: self.pick(key, seen) for key in lacking}
+            choice |= {key: self.pick(key, checked) for key in lacking}
         return None
 
-    def pick(self, key: Key, seen: CheckedPath) -> int:
+    def pick(self, key: Key, checked: CheckedPath) -> int:
         """The alternative with most clearance."""
         if key[0] < 0:
             N, c = self.rows.problem.goal.conditions.one_of[key[1]]
-            return int(np.argmax(N @ seen.states[-1] - c))
-        return int(np.argmax(seen.surplus[key[0]][key[1]]))
+            return int(np.argmax(N @ checked.states[-1] - c))
+        return int(np.argmax(checked.surplus[key[0]][key[1]]))
 
     def improve(self, path: Candidate, rounds: int = 6) -> Candidate:
         """Re-choose facets where the path has most clearance, and solve again, while it pays."""
         for _ in range(rounds):
-            seen = self.look(path)
-            better = self.dive({key: self.pick(key, seen) for key in path.choice}, rounds=4)
-            if better is None or self.value(better) > self.value(path) - 1e-5 * abs(path.fuel):
+            checked = self.look(path)
+            improved = self.dive({key: self.pick(key, checked) for key in path.choice}, rounds=4)
+            if improved is None or self.value(improved) > self.value(path) - 1e-5 * abs(path.fuel):
                 break
-            path = better
+            path = improved
         return path
 
     def first(self) -> Candidate | None:
@@ -224,7 +224,7 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
     the cheapest path without unsafe sets. None if no path to the goal can keep some cell clear.
     """
     problem, extras = search.rows.problem, search.rows.extra
-    surplus, want = search.look(base).surplus, problem.extra_margin
+    surplus, margin = search.look(base).surplus, problem.extra_margin
     bodies = [i for i, body in enumerate(problem.unsafe) if not body.of_state]
     if problem.objective == "distance":
         for i in bodies:
@@ -232,33 +232,33 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
         # the first cell starts at a known place, which bounds the distance whatever the plan
         reach = [max(float(np.max(surplus[i][0])), _clearance(search, i, 0, np.inf)) for i in bodies]
         cap = max(min(reach, default=0.0), 0.0)
-        return min(cap, want) if want > 0 else cap
-    wanted = want if problem.objective == "margin_then_fuel" else 0.0
+        return min(cap, margin) if margin > 0 else cap
+    target = margin if problem.objective == "margin_then_fuel" else 0.0
     for i, extra in enumerate(extras):
-        want = wanted if i in bodies else 0.0
-        extra[: problem.K] = want
+        margin = target if i in bodies else 0.0
+        extra[: problem.K] = margin
         for cells in (range(problem.K), range(problem.K - 1, -1, -1)):
             for k in cells:
-                if np.max(surplus[i][k]) >= want:
+                if np.max(surplus[i][k]) >= margin:
                     break
-                clearance = _clearance(search, i, k, want)
+                clearance = _clearance(search, i, k, margin)
                 if clearance < 0:
                     return None
                 extra[k] = min(extra[k, 0], clearance)
-                if clearance >= want:
+                if clearance >= margin:
                     break
-    return 1.0 if wanted > 0 and bodies else 0.0
+    return 1.0 if target > 0 and bodies else 0.0
 
 
-def _clearance(search: PathSearch, i: int, k: int, want: float) -> float:
-    """Largest extra clearance [m] any path to the goal can have in one cell, at most `want`."""
+def _clearance(search: PathSearch, i: int, k: int, cap: float) -> float:
+    """Largest extra clearance [m] any path to the goal can have in one cell, at most `cap`."""
     best, extra = -np.inf, search.rows.extra[i]
     old, extra[k] = extra[k, 0], 1.0
-    search.set_prices(-1e6, min(want, 1e6), margin=1e3, fuel=1e-6)
+    search.set_prices(-1e6, min(cap, 1e6), margin=1e3, fuel=1e-6)
     for f in range(len(search.rows.problem.unsafe[i].normals)):
         path = search.solve({(i, k): f})
         best = best if path is None else max(best, path.level)
-        if best >= want * (1 - 1e-9):
+        if best >= cap * (1 - 1e-9):
             break
     extra[k] = old
     return best * (1 - 1e-6) if best > 0 else best

@@ -70,10 +70,10 @@ class Planner:
     def __init__(self, problem: PlanProblem, options: PlannerOptions) -> None:
         self.problem, self.options = problem, options
         backends.require(options.solver)
-        begun = perf_counter()
+        start = perf_counter()
         self.rows = PlanRows(problem)
         self.search = PathSearch(self.rows, options.deadline)
-        self.effort = SearchEffort(self.search, options, begun)
+        self.effort = SearchEffort(self.search, options, start)
 
     def run(self) -> Plan:
         """All stages: least fuel at the full margin; where that is out of reach, at the largest margin."""
@@ -87,8 +87,8 @@ class Planner:
             self._none_because(diagnose.blocked)
         furthest = self.problem.objective == "distance" and top > 0
         price = scale / MARGIN_TRADE / top if top > 0 else 0.0
-        some = self._first(top, price, 10 * scale / MARGIN_TRADE)
-        full = replace(some, level=top) if some is not None and some.level >= top * (1 - 1e-9) else None
+        first = self._first(top, price, 10 * scale / MARGIN_TRADE)
+        full = replace(first, level=top) if first is not None and first.level >= top * (1 - 1e-9) else None
         if not furthest:
             self.search.set_prices(top, top)
             outcome = self._minimise("fuel", full, lambda path: top > 0 and path is None)
@@ -98,7 +98,7 @@ class Planner:
                 self._none(outcome.status)
         self.search.set_prices(0.0, top, price)
         share = 1.0 if furthest else MARGIN_SHARE
-        reached = self._minimise("margin", some, lambda path: not furthest and path is not None, share)
+        reached = self._minimise("margin", first, lambda path: not furthest and path is not None, share)
         best = reached.best
         if best is None:
             self._none(reached.status)
@@ -118,10 +118,10 @@ class Planner:
 
     def _first(self, top: float, margin_price: float, short_price: float) -> Candidate | None:
         """A path found without branching, by way of paths that lack clearance; None if it still does."""
-        begun = perf_counter()
+        start = perf_counter()
         self.search.set_prices(0.0, top, margin_price, short_price)
         path = self.search.first()
-        self.effort.add_time("path_search", begun)
+        self.effort.add_time("path_search", start)
         usable = path is not None and path.short == 0
         by, status = "linear programs by HiGHS", "found" if usable else "none"
         self.effort.stages.append(Stage("path search", by, status, self.search.solves, 0))
@@ -134,7 +134,7 @@ class Planner:
 
         `spare` says whether the stage may be given up early with the path known by then.
         """
-        begun, solves = perf_counter(), self.search.solves
+        start, solves = perf_counter(), self.search.solves
         allowed = self.effort.allow(share, spare)
         if self.options.solver == "facets":
             outcome = branch(
@@ -144,7 +144,7 @@ class Planner:
                 lambda path: allowed.spent(path, self.effort.used),
                 lambda top, bound: self.effort.report(stage, top, bound),
             )
-            self.effort.add_time(stage.replace(" ", "_"), begun)
+            self.effort.add_time(stage.replace(" ", "_"), start)
             self.effort.stats["nodes"] += outcome.nodes
         else:
             outcome = by_back_end(self.effort, stage, best, allowed)
@@ -161,18 +161,18 @@ class Planner:
         if self.effort.cut_by_clock:
             self._out_of_time()
         name = "max_linear_programs" if self.options.solver == "facets" else "max_nodes"
-        given = f"planner.{name} = {getattr(self.options, name)}"
-        raise NotCertified(f"no plan within the effort limit ({given}): {NEITHER}")
+        limit = f"planner.{name} = {getattr(self.options, name)}"
+        raise NotCertified(f"no plan within the effort limit ({limit}): {NEITHER}")
 
     def _none_because(self, explain: Callable[[PlanRows, float], NoReturn]) -> NoReturn:
         if self.effort.remaining_s <= 0:
             self._out_of_time()
         # The program tightens every facet by a length. While that is small, "no solution" is an
         # answer; where re-checks have forced it up, it only says that this program has none.
-        booked = max((float(b.max()) for b in self.rows.booking), default=0.0)
-        if booked > BOOKED_MOST:
+        tightening = max((float(b.max()) for b in self.rows.booking), default=0.0)
+        if tightening > BOOKED_MOST:
             raise NotCertified(
-                f"no certified plan: with the {booked:.3g} m that the re-check requires between "
+                f"no certified plan: with the {tightening:.3g} m that the re-check requires between "
                 "waypoints, the program has no solution; take smaller steps"
             )
         explain(self.rows, self.search.deadline)
@@ -181,11 +181,11 @@ class Planner:
         self.effort.stats["lps"] = self.search.solves
         self.effort.seconds["total"] = perf_counter() - self.effort.begun
         nu = path.z.reshape(self.problem.K, -1) * self.problem.system.u_max
-        wanted = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
+        targets = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
         return certified(
             self.problem,
             nu,
-            wanted.reshape(-1, self.problem.K),
+            targets.reshape(-1, self.problem.K),
             value,
             bound,
             status,

@@ -68,9 +68,9 @@ def branch(
         listen(tree.top, tree.bound)
         if tree.open[0].bound >= tree.cut:
             return tree.outcome("optimal")
-        why = stop(tree.best) or tree.visit(heapq.heappop(tree.open))
-        if why:
-            return tree.outcome(why)
+        reason = stop(tree.best) or tree.visit(heapq.heappop(tree.open))
+        if reason:
+            return tree.outcome(reason)
     tree.bound = tree.top
     return tree.outcome("infeasible" if tree.best is None else "optimal")
 
@@ -104,12 +104,12 @@ class _Tree:
         if self.open and value > self.open[0].bound and not node.solved:
             heapq.heappush(self.open, Node(value, self.count, node.choice, start, True))
             return ""
-        seen = search.look(path)
-        lacking = search.lacking(path, seen)
+        checked = search.look(path)
+        lacking = search.lacking(path, checked)
         if lacking:
             self._split(node, path, lacking, value, start)
         elif value < self.top:
-            if search.confirmed(path, seen):
+            if search.confirmed(path, checked):
                 self.best, self.top = path, search.value(path)
             else:
                 heapq.heappush(self.open, Node(value, self.count, node.choice, start))  # solve it again
@@ -119,17 +119,17 @@ class _Tree:
         self, node: Node, path: Candidate, lacking: Mapping[Key, float], value: float, start: tuple[Any, int]
     ) -> None:
         # the goal's disjunctions first, then the cells where most is lacking
-        new = sorted(lacking, key=lambda key: (key[0] >= 0, -lacking[key]))
-        children, least = split(self.search.bounds(path, new[:LOOK_AT]), value, self.cut)
+        keys = sorted(lacking, key=lambda key: (key[0] >= 0, -lacking[key]))
+        children, least = split(self.search.bounds(path, keys[:LOOK_AT]), value, self.cut)
         self.splits += 1
         self.dropped = min(self.dropped, least)
-        for at_least, more in children:
-            heapq.heappush(self.open, Node(at_least, self.count, {**node.choice, **more}, start))
+        for at_least, facets in children:
+            heapq.heappush(self.open, Node(at_least, self.count, {**node.choice, **facets}, start))
         if self.splits % (DIVE_EVERY if self.best is not None else DIVE_EVERY_WANTING) == 0:
-            better = self.search.dive(path.choice)
-            better = self.search.improve(better) if better is not None else None
-            if better is not None and better.short == 0 and self.search.value(better) < self.top:
-                self.best, self.top = better, self.search.value(better)
+            improved = self.search.dive(path.choice)
+            improved = self.search.improve(improved) if improved is not None else None
+            if improved is not None and improved.short == 0 and self.search.value(improved) < self.top:
+                self.best, self.top = improved, self.search.value(improved)
 
 
 def split(

@@ -56,11 +56,11 @@ def write_report(
             draw_dossier(run, place) if dossier else write_text(place, page_html(report_page(run)))
 
     if target is not None:
-        with replacing_file(target, "--out", force) as beside:
-            write(beside)
+        with replacing_file(target, "--out", force) as staging:
+            write(staging)
         return target
-    with adding(run.path, taken="replaced" if force else "refused") as beside:
-        write(beside / name)
+    with adding(run.path, policy="replaced" if force else "refused") as staging:
+        write(staging / name)
     return run.path / name
 
 

@@ -64,8 +64,8 @@ class DossierLeg:
 
     def sentence(self, head: str) -> str:
         """Return a sentence of the guarantee by its head."""
-        known = [("Safe", reach(self.claim)), ("Goal", goal(self.claim["goal"])), *besides(self.claim)]
-        return " ".join(text for name, text in known if name == head) or ABSENT
+        sentences = [("Safe", reach(self.claim)), ("Goal", goal(self.claim["goal"])), *besides(self.claim)]
+        return " ".join(text for name, text in sentences if name == head) or ABSENT
 
     def value(self, file: str, path: str) -> str:
         """Return the value of a file with its unit."""
@@ -80,9 +80,9 @@ class DossierLeg:
             else:
                 value = value.get(key) if isinstance(value, dict) else None
         if value is None or value == []:
-            known = path.startswith("polaris.") and isinstance(self.files[file].get("polaris"), dict)
+            simulated = path.startswith("polaris.") and isinstance(self.files[file].get("polaris"), dict)
             absent = ABSENT if file == "summary.json" else UNDECLARED
-            return value_cell(None, keys[-1]).text if known else absent
+            return value_cell(None, keys[-1]).text if simulated else absent
         return _plain(
             Measure.from_key(keys[-1]).text(value) if isinstance(value, int | float) else _listed(value)
         )
@@ -100,9 +100,9 @@ class Dossier:
     def from_run(cls, run: RunFolder, judge: Callable[[Path], Verdict] = verify) -> "Dossier":
         """Read the files of a run folder of a schedule or a mission, and let the checker judge it."""
         if run.kind is MISSION:
-            named = zip(run.summary["mission"]["legs"], run.plot_data().legs, strict=True)
+            pairs = zip(run.summary["mission"]["legs"], run.plot_data().legs, strict=True)
             return cls(
-                run, judge(run.path), [DossierLeg.from_run(leg, known["name"]) for known, leg in named]
+                run, judge(run.path), [DossierLeg.from_run(leg, entry["name"]) for entry, leg in pairs]
             )
         if run.kind.name != "schedule":
             raise ScenarioError("report", str(run.path), "must be the run of a schedule or a mission")
@@ -142,16 +142,16 @@ class Dossier:
         """Give all lines of text, in order."""
         summary = self.run.summary
         yield Line(_plain(f"Dossier: {summary['title']}")[:COLUMNS], True)
-        made, by = summary.get("created", "at no known time"), summary.get("versions", {}).get("polaris", "?")
-        yield from _wrapped(_plain(f"Run of {summary['scenario']}, made {made} by Polaris {by}."))
+        date, by = summary.get("created", "at no known time"), summary.get("versions", {}).get("polaris", "?")
+        yield from _wrapped(_plain(f"Run of {summary['scenario']}, made {date} by Polaris {by}."))
         if self.run.kind is MISSION:
             names = ", ".join(leg.name for leg in self.legs)
             text = "values of a leg are in the files of its folder, which begins with its number"
             yield from _wrapped(f"Mission of {len(self.legs)} legs, {names}; {text}.")
         yield from _wrapped(f"Verdict of the independent checker: {self.verdict.outcome}.")
         if not self.proven:
-            why = self.verdict.witness or "the run claims no proof"
-            yield Line(_plain(f"NOTHING IS PROVEN OF THIS RUN: {why}")[:COLUMNS], True)
+            reason = self.verdict.witness or "the run claims no proof"
+            yield Line(_plain(f"NOTHING IS PROVEN OF THIS RUN: {reason}")[:COLUMNS], True)
         yield from _wrapped(
             "The mission itself must judge whether it meets a clause. Each clause is followed by the values "
             "of this run, their places in its folder, and what only the mission can show."
@@ -164,16 +164,16 @@ class Dossier:
                 yield from self._clause(clause)
         yield Line("")
         yield Line("Assumptions of the claims (summary.json: guarantee.assumptions)", True, with_next=True)
-        own = summary["mission"]["assumptions"] if self.run.kind is MISSION else []
-        rest: dict[str, dict[str, None]] = {}
+        assumptions = summary["mission"]["assumptions"] if self.run.kind is MISSION else []
+        by_text: dict[str, dict[str, None]] = {}
         for leg in self.legs:
             for one in leg.claim["assumptions"]:
-                rest.setdefault(one, {})[leg.name] = None
-        for one in own:
+                by_text.setdefault(one, {})[leg.name] = None
+        for one in assumptions:
             yield from _wrapped(f"- {_plain(one)}")
-        for one, legs in rest.items():
-            where = "" if len(legs) == len(self.legs) else f" [{', '.join(legs)}]"
-            yield from _wrapped(f"- {_plain(one)}{where}")
+        for one, legs in by_text.items():
+            suffix = "" if len(legs) == len(self.legs) else f" [{', '.join(legs)}]"
+            yield from _wrapped(f"- {_plain(one)}{suffix}")
 
     def _clause(self, clause: Clause) -> Iterator[Line]:
         yield Line(clause.title, True, with_next=True)
@@ -237,11 +237,11 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
 
     dossier = Dossier.from_run(run)
     texts, pictures = dossier.pages(), [leg.run.plot_data() for leg in dossier.legs[:MOST_SCENES]]
-    of = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
+    suffixes = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
     drawn: list[tuple[str, Callable[..., Any], Any]] = [
-        (f"Scene{name}", scene_figure, one) for name, one in zip(of, pictures, strict=False)
+        (f"Scene{name}", scene_figure, one) for name, one in zip(suffixes, pictures, strict=False)
     ]
-    drawn.append((f"Flights{of[0]} over time", distance_figure, pictures[0]))
+    drawn.append((f"Flights{suffixes[0]} over time", distance_figure, pictures[0]))
     count = len(texts) + len(drawn)
     with printing(), PdfPages(path, metadata={"CreationDate": None, "Title": "Dossier"}) as pdf:
         for number, lines in enumerate(texts, 1):
@@ -262,6 +262,6 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
 
 def _write_lines(figure: Any, lines: Sequence[Line], footer: str) -> None:
     for i, line in enumerate(lines):
-        at, size, colour = 0.96 - 0.92 * i / LINES, 9 if line.head else 8.3, HEADS if line.head else "black"
-        figure.text(0.06, at, line.text, fontsize=size, color=colour, va="top", parse_math=False)
+        y, size, colour = 0.96 - 0.92 * i / LINES, 9 if line.head else 8.3, HEADS if line.head else "black"
+        figure.text(0.06, y, line.text, fontsize=size, color=colour, va="top", parse_math=False)
     figure.text(0.93, 0.02, footer, fontsize=7, ha="right")

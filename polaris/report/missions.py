@@ -17,7 +17,7 @@ def legs_table(summary: Mapping[str, Any]) -> Table:
         drift = "no claim" if leg["drift_s"] is None else f"{leg['drift_s']:.6g} s"
         texts = f"{leg['leaves_s']:.6g} s", f"{_spent(leg)} m/s", waits, until, drift
         rows.append([Cell(leg["name"], words=True), *map(Cell, texts)])
-    whole = [
+    total = [
         Cell("mission", words=True),
         Cell(""),
         Cell(f"{_spent(mission)} m/s"),
@@ -25,7 +25,7 @@ def legs_table(summary: Mapping[str, Any]) -> Table:
         Cell(""),
         Cell(""),
     ]
-    return Table("Legs", heads, [*rows, whole])
+    return Table("Legs", heads, [*rows, total])
 
 
 def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
@@ -78,15 +78,15 @@ def _up(x: float) -> str:
 
 def rows_flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     """Return statistics of simulated flights from end to end; they prove nothing."""
-    flown = summary["flown"]
-    shares = ", ".join(f"{share:.0%}" for share in flown["share_of_start_set"])
-    near = [distance for distance in flown["least_distance_m"] if distance is not None]
+    flights = summary["flown"]
+    shares = ", ".join(f"{share:.0%}" for share in flights["share_of_start_set"])
+    distances = [distance for distance in flights["least_distance_m"] if distance is not None]
     return (
         (
             "Simulated flights",
-            f"{flown['runs']} from end to end, mean delta-v {sum(flown['delta_v_m_s']):.4g} m/s",
+            f"{flights['runs']} from end to end, mean delta-v {sum(flights['delta_v_m_s']):.4g} m/s",
         ),
-        ("Largest delta-v of a flight", f"{flown['delta_v_largest_m_s']:.4g} m/s"),
-        ("Minimum distance", f"{min(near):.4g} m" if near else "no keep-out zone"),
+        ("Largest delta-v of a flight", f"{flights['delta_v_largest_m_s']:.4g} m/s"),
+        ("Minimum distance", f"{min(distances):.4g} m" if distances else "no keep-out zone"),
         ("Share of the start sets used", shares),
     )

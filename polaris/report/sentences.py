@@ -12,7 +12,7 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     details = summary["synthesis"]
     seconds, plan = dict(details["seconds"]), details["planner"]
     total, _ = seconds.pop("total"), seconds.pop("plan_parts")
-    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
+    stages = ", ".join(f"{name} {duration:.2f}" for name, duration in seconds.items() if duration >= 0.005)
     text = f"{_planned(plan)}; delta-v {plan['delta_v_m_s']:.4g} m/s"
     if plan["margin_m"] is not None:
         text += f", clearance {directed(plan['margin_m'], '.4g')} m beyond the tracking error"
@@ -62,8 +62,8 @@ def _worst(worst: Mapping[str, Any] | None) -> str:
     near = "" if worst["least_m"] is None else f", minimum distance {worst['least_m']:.4g} m"
     leave = f"{worst['leave_sets']:.1%} of the attacked flights leave the command bands"
     text = f"{hit} of {counted(worst['runs'], 'flight')} enters a keep-out zone{near}; {leave}"
-    why = ". WARNING: boxes answer the same questions differently, which violates an assumption"
-    return text + ("" if worst["repeats"] else why)
+    warning = ". WARNING: boxes answer the same questions differently, which violates an assumption"
+    return text + ("" if worst["repeats"] else warning)
 
 
 def reach(claim: Mapping[str, Any]) -> str:
@@ -74,20 +74,20 @@ def reach(claim: Mapping[str, Any]) -> str:
         "none": "until the end of the schedule only",
     }[claim["horizon"]]
     if "sampled_bound" in claim:
-        said = claim["sampled_bound"]
-        chance = directed(said["probability"], ".2g", up=True)
-        text += f" except with probability {chance} per flight, at confidence {said['confidence']:g}"
+        sampled = claim["sampled_bound"]
+        chance = directed(sampled["probability"], ".2g", up=True)
+        text += f" except with probability {chance} per flight, at confidence {sampled['confidence']:g}"
     return text
 
 
 def goal(claim: Mapping[str, Any]) -> str:
     """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
-    counts, off = claim["velocity_time_s"], f"within {near} m (the tolerance is {claim['tolerance_m']:.4g} m"
-    off += ")" if counts is None else f"; velocity errors count as the distance covered in {counts:.4g} s)"
-    alone = "" if drift is None else f": free drift is up to {directed(drift, '.3g', up=True)} m per orbit"
-    spent = f"Delta-v until then: at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
+    counts, miss = claim["velocity_time_s"], f"within {near} m (the tolerance is {claim['tolerance_m']:.4g} m"
+    miss += ")" if counts is None else f"; velocity errors count as the distance covered in {counts:.4g} s)"
+    drifting = "" if drift is None else f": free drift is up to {directed(drift, '.3g', up=True)} m per orbit"
+    cost = f"Delta-v until then: at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
     if claim["reached"] is True:
-        return f"reached at {claim['by_s']:.6g} s, {off}. S must fly on to stay there{alone}. {spent}"
-    missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{missed}: at best {off}. {spent}"
+        return f"reached at {claim['by_s']:.6g} s, {miss}. S must fly on to stay there{drifting}. {cost}"
+    failure = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
+    return f"{failure}: at best {miss}. {cost}"

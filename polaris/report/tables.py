@@ -87,16 +87,16 @@ def words(text: Any) -> Cell:
 
 def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
     """Return a cell with a value of a file, numbers with a unit; `ABSENT` says by key what null means."""
-    after = f" {unit}".replace("^2", "²") if unit else ""
+    suffix = f" {unit}".replace("^2", "²") if unit else ""
     if value is None:
-        text, why = ABSENT.get(key, ("none", "no value"))
-        return Cell(text, why=why)
+        text, reason = ABSENT.get(key, ("none", "no value"))
+        return Cell(text, why=reason)
     if isinstance(value, (list, tuple, Mapping)):
-        named = value.items() if isinstance(value, Mapping) else (("", each) for each in value)
+        pairs = value.items() if isinstance(value, Mapping) else (("", each) for each in value)
         parts = [
-            f"{str(name).replace('_', ' ')} {value_cell(each, key).text}".strip() for name, each in named
+            f"{str(name).replace('_', ' ')} {value_cell(each, key).text}".strip() for name, each in pairs
         ]
-        return Cell(", ".join(parts) + (after if parts else ""))
+        return Cell(", ".join(parts) + (suffix if parts else ""))
     if isinstance(value, bool):
         return Cell("yes" if value else "no")
     if not isinstance(value, (int, float)):
@@ -105,7 +105,7 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
         return Cell("none", why="no value")
     if np.isinf(value):
         return Cell("∞" if value > 0 else "−∞", value, why="infinite" if value > 0 else "minus infinite")
-    return Cell(number(value) + after, value)
+    return Cell(number(value) + suffix, value)
 
 
 def number(value: float) -> str:
@@ -169,8 +169,8 @@ class Measure:
             lines.append(f"{self.text(low, False)} to {self.text(high, False)}")
         if worst is not None and self.key != "violations":  # a count over all runs: there is no worst one
             lines.append(f"worst {self.text(worst, False)}")
-        bad = not difference and self._bad(mean if worst is None else worst)
-        return replace(self._cell(mean, False), bad=bad, lines=tuple(lines))
+        is_bad = not difference and self._bad(mean if worst is None else worst)
+        return replace(self._cell(mean, False), bad=is_bad, lines=tuple(lines))
 
     def _bad(self, value: Any) -> bool:
         if self.key not in BAD or value is None:
@@ -186,16 +186,16 @@ BRIEF = (  # metrics that the command line shows of a run
 
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
     """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
-    who = controllers(summary)
-    every = (
-        Measure.in_tables(*(summary[name] for name in who)) if keys is None else map(Measure.from_key, keys)
+    names = controllers(summary)
+    measures = (
+        Measure.in_tables(*(summary[name] for name in names)) if keys is None else map(Measure.from_key, keys)
     )
     rows = [
-        [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in who)]
-        for one in every
+        [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in names)]
+        for one in measures
         if one.key != "controller"
     ]
-    return Table(caption, ["", *who.values()], rows)
+    return Table(caption, ["", *names.values()], rows)
 
 
 def constraints(summary: Mapping[str, Any]) -> Table:

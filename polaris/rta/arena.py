@@ -110,22 +110,22 @@ def compare_methods(
     if len(grid.controllers) < 2:
         raise ScenarioError("experimental", "none", "must hold at least one controller for a comparison")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
-    results, shown, decisions, refused = {}, {}, {}, {}
-    alone = [{"mode": mode} for mode in range(1, len(grid.controllers))]
-    asked = [(key, one) for key in keys for one in (alone if key == "experimental" else [{}])]
+    results, envelopes, decisions, refused = {}, {}, {}, {}
+    modes = [{"mode": mode} for mode in range(1, len(grid.controllers))]
+    cases = [(key, one) for key in keys for one in (modes if key == "experimental" else [{}])]
     options |= {key: {"code": code} for key in CODED if code is not None}
-    for key, which in asked:
-        begun = time.perf_counter()
-        method = _made(key, grid, options.get(key, {}) | which)
+    for key, extra in cases:
+        start = time.perf_counter()
+        method = _made(key, grid, options.get(key, {}) | extra)
         if isinstance(method, str):
             refused[key] = method
             continue
-        built = _synthesis(grid, key) + time.perf_counter() - begun
+        built = _synthesis(grid, key) + time.perf_counter() - start
         report = partial(progress, key) if progress else None
-        results[method.key], shown[method.key], decisions[method.key] = _flown(
+        results[method.key], envelopes[method.key], decisions[method.key] = _flown(
             grid, method, parts, built, report
         )
-    return Comparison(grid, runs, seed, results, shown, decisions, refused)
+    return Comparison(grid, runs, seed, results, envelopes, decisions, refused)
 
 
 def _made(key: str, grid: DecisionGrid, options: Mapping[str, Any]) -> Method | str:
@@ -154,9 +154,9 @@ def selected(
     for name, value in (tuning or {}).items():
         one_of("tuning", name, tunable())
         key, _, option = name.partition(".")
-        known = next(one for one in METHODS[key].options if one.name == option)
-        value = int(value) if known.unit == "decisions" and float(value).is_integer() else value
-        known.check(name, value)
+        definition = next(one for one in METHODS[key].options if one.name == option)
+        value = int(value) if definition.unit == "decisions" and float(value).is_integer() else value
+        definition.check(name, value)
         out.setdefault(key, {})[option] = value
     return keys, out
 
@@ -170,16 +170,16 @@ def _flown(
 ) -> tuple[MethodResult, FlightEnvelope, list[dict[str, Any]]]:
     """Fly one method in all conditions, and once alone to time its decisions."""
     collected: list[Metrics] = []
-    deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
+    deviations, counts, closest = [], np.zeros(len(method.reasons), dtype=int), None
     for conditions in parts:
         flight = fly(method.grid, method, conditions, progress)
         metrics = measure(method.grid, flight, conditions, method.name)
-        if kept is None or metrics.min_distance.min() < min(one.min_distance.min() for one in collected):
-            kept = flight, metrics.worst
+        if closest is None or metrics.min_distance.min() < min(one.min_distance.min() for one in collected):
+            closest = flight, metrics.worst
         collected.append(metrics)
         deviations.append(flight.deviation)
         counts += np.bincount(flight.why.ravel(), minlength=len(counts))
-    assert kept is not None
+    assert closest is not None
     seconds = fly(method.grid, method, parts[0].only(0)).seconds
     outcome = MethodResult(
         method.key,
@@ -192,25 +192,25 @@ def _flown(
         dict(zip(method.reasons, counts.tolist(), strict=True)),
         method.settings,
     )
-    return outcome, *_show(grid, method, *kept, outcome.metrics.nearest)
+    return outcome, *_show(grid, method, *closest, outcome.metrics.nearest)
 
 
 def _show(
     grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array
 ) -> tuple[FlightEnvelope, list[dict[str, Any]]]:
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
-    who = flown(grid, flight)
+    modes = flown(grid, flight)
     decisions = [
         {
             "t": k * grid.period,
-            "mode": int(who[worst, min(k * grid.nodes + grid.delay, who.shape[1] - 1)]),
+            "mode": int(modes[worst, min(k * grid.nodes + grid.delay, modes.shape[1] - 1)]),
             "margin": finite(flight.margins[worst, k]),
             "reason": method.reasons[int(flight.why[worst, k])],
         }
         for k in range(grid.decisions)
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
-    paths = flight.states[chosen], flight.inputs[chosen], who[chosen]
+    paths = flight.states[chosen], flight.inputs[chosen], modes[chosen]
     return FlightEnvelope(method.key, labels, flight.times, *paths, nearest), decisions
 
 
@@ -219,4 +219,4 @@ def _synthesis(grid: DecisionGrid, key: str) -> float:
     seconds = grid.schedule.seconds
     if key == "experimental":
         return 0.0
-    return sum(spent for stage, spent in seconds.items() if key == "schedule" or stage != "schedule")
+    return sum(duration for stage, duration in seconds.items() if key == "schedule" or stage != "schedule")

@@ -86,15 +86,15 @@ class DecisionGrid:
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
-        known = safety.tracking
+        base = safety.tracking
         period, half = check_decisions(safety.problem, period, latency, half_widths)
-        nodes, delay = round(period / known.flow.h), round(latency / known.flow.h)
-        system = met_by_decisions(known.system, nodes, delay, known.flow.h)
-        tracking = Tracking(system, known.gain, known.feedback, known.delta)
+        nodes, delay = round(period / base.flow.h), round(latency / base.flow.h)
+        system = met_by_decisions(base.system, nodes, delay, base.flow.h)
+        tracking = Tracking(system, base.gain, base.feedback, base.delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        moved = 0.0 if half_widths is None else known.system.state_offset
-        half = half + moved + undetected(system, known.gain, known.flow.h)
+        offset = 0.0 if half_widths is None else base.system.state_offset
+        half = half + offset + undetected(system, base.gain, base.flow.h)
         return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
 
     def with_feedback_bound(self) -> "DecisionGrid":
@@ -174,9 +174,9 @@ class DecisionGrid:
         """The experimental controllers' own references at every node up to T, by mode."""
         out = {}
         for mode, law in enumerate(self.controllers):
-            own = getattr(law, "own", self.clearance.reference)
-            if own is not self.clearance.reference:
-                out[mode] = _at_nodes(own.fine(self.clearance.q))
+            reference = getattr(law, "own", self.clearance.reference)
+            if reference is not self.clearance.reference:
+                out[mode] = _at_nodes(reference.fine(self.clearance.q))
         return out
 
     @cached_property
@@ -211,11 +211,11 @@ class DecisionGrid:
         """Command of a controller at a node, before clipping, shape (..., m)."""
         cells = self.clearance.cells if mode == 0 else self.clearance.planned
         k = min(node // self.clearance.q, cells - 1)
-        own = self.own_references[mode][node] if mode in self.own_references else self.xi[node]
-        law, at = self.controllers[mode], (k, self.xi[node], own, x)
+        reference = self.own_references[mode][node] if mode in self.own_references else self.xi[node]
+        law, arguments = self.controllers[mode], (k, self.xi[node], reference, x)
         if isinstance(law, BlackBox | NeuralController):
-            return law.command(*at, (node - k * self.clearance.q) * self.h)
-        return law.command(*at)
+            return law.command(*arguments, (node - k * self.clearance.q) * self.h)
+        return law.command(*arguments)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
         """Return the command of a controller at a node as the thrusters apply it: clipped, shape (..., m)."""
@@ -264,11 +264,11 @@ def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
         raise ScenarioError("faults", faults[0].name, rule)
     wait, after = h * (nodes - 1), h * max(delay, 1) * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
-    met = zip(faults, lasts, strict=True)
-    known = tuple(replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in met)
-    return replace(system, transients=known)
+    pairs = zip(faults, lasts, strict=True)
+    transients = tuple(replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in pairs)
+    return replace(system, transients=transients)
 
 
-def _check_parts(name: str, given: float, count: float, rule: str) -> None:
+def _check_parts(name: str, value: float, count: float, rule: str) -> None:
     if not abs(round(count) - count) <= WHOLE * max(count, 1.0):
-        raise ScenarioError(name, given, rule)
+        raise ScenarioError(name, value, rule)

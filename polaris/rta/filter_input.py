@@ -46,8 +46,8 @@ def commanded(
         return None, f"raised {kind_of(error)}"
     u = numbers(answer)
     if u is None or u.shape != shape:
-        what = kind_of(answer) if u is None else f"of shape {u.shape}"
-        return None, f"the command is malformed: {what}"
+        detail = kind_of(answer) if u is None else f"of shape {u.shape}"
+        return None, f"the command is malformed: {detail}"
     return u.copy(), "" if np.isfinite(u).all() else "the command is not finite"
 
 
@@ -129,44 +129,44 @@ class InputCheck:
         whatever a primary controller or navigation hands over, there is an answer.
         """
         limit, shape = self.craft.thrust_max, self._applied.shape
-        now, (t, clock, steady) = real(t), self._time(t)
+        raw_time, (t, clock, steady) = real(t), self._time(t)
         odd = [clock] if clock else []
         states = numbers(x, self._x.shape)
         if states is None:
             odd.append(f"the states are malformed: {kind_of(x)}")
             states = np.full(self._x.shape, np.nan)
-        asked = numbers(u_des, shape)
-        if asked is None and u_des is not None:
+        inputs = numbers(u_des, shape)
+        if inputs is None and u_des is not None:
             odd.append(f"the desired input is malformed: {kind_of(u_des)}")
-        if not odd and asked is not None:
-            x, u = states.copy(), asked.copy()
+        if not odd and inputs is not None:
+            x, u = states.copy(), inputs.copy()
             # Squares that add up to little are little each, and numbers.
             if np.vdot(x, x) <= FARTHEST**2 and (size := np.vdot(u, u)) < np.inf:
                 return self._whole(t, x, u, bool(size <= self._least**2), steady)
         known = np.asarray((np.abs(states) <= FARTHEST).all(axis=1))  # false for nan and inf
-        seen, estimate = self._estimate(t)
-        seen = np.where(known, t, seen)
-        estimated = np.asarray(t - seen <= MEMORY)
+        known_at, estimate = self._estimate(t)
+        known_at = np.where(known, t, known_at)
+        estimated = np.asarray(t - known_at <= MEMORY)
         states = np.where(known[:, None], states, np.where(estimated[:, None], estimate, 0.0))
-        self._x, self._t, self._seen = states, t, np.where(estimated, seen, -np.inf)
+        self._x, self._t, self._seen = states, t, np.where(estimated, known_at, -np.inf)
         self._applied = np.zeros(shape)
-        wanted = np.full(shape, np.nan) if asked is None else asked
-        given = np.asarray(np.isfinite(wanted).all(axis=1))
-        wanted = np.where(given[:, None], wanted, 0.0)
-        u = np.clip(wanted, -limit, limit)
-        clipped = np.asarray((u != wanted).any(axis=1))
-        timed = now is not None and isfinite(now)
-        every = known, estimated, u, given, clipped, wanted
-        return FilterInput(t, states, *every, tuple(odd), steady, timed=timed)
+        desired = np.full(shape, np.nan) if inputs is None else inputs
+        given = np.asarray(np.isfinite(desired).all(axis=1))
+        desired = np.where(given[:, None], desired, 0.0)
+        u = np.clip(desired, -limit, limit)
+        clipped = np.asarray((u != desired).any(axis=1))
+        timed = raw_time is not None and isfinite(raw_time)
+        fields = known, estimated, u, given, clipped, desired
+        return FilterInput(t, states, *fields, tuple(odd), steady, timed=timed)
 
-    def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> FilterInput:
+    def _whole(self, t: float, x: Array, desired: Array, within: bool, steady: bool) -> FilterInput:
         """Return a call with nothing missing or odd; `within`: the desired thrust is within the limits."""
         self._x, self._t, self._seen = x, t, np.full(len(x), t)
-        u, clipped = wanted, self._none
+        u, clipped = desired, self._none
         if not within:
-            u = np.minimum(np.maximum(wanted, -self.craft.thrust_max), self.craft.thrust_max)
-            clipped = np.asarray((u != wanted).any(axis=1))
-        return FilterInput(t, x, self._every, self._every, u, self._every, clipped, wanted, (), steady, True)
+            u = np.minimum(np.maximum(desired, -self.craft.thrust_max), self.craft.thrust_max)
+            clipped = np.asarray((u != desired).any(axis=1))
+        return FilterInput(t, x, self._every, self._every, u, self._every, clipped, desired, (), steady, True)
 
     def applied(self, u: Array) -> None:
         """Note the thrust [N], shape (N, m), that was answered to the last call."""
@@ -174,24 +174,24 @@ class InputCheck:
 
     def _time(self, t: object) -> tuple[float, str | None, bool]:
         """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
-        now = real(t)
-        if now is None or not isfinite(now):
-            now = 0.0 if isnan(self._t) else self._t + self._step
-            return now, f"the time is not a finite number: taken for {now:g} s", False
-        passed = now - self._t
+        time = real(t)
+        if time is None or not isfinite(time):
+            time = 0.0 if isnan(self._t) else self._t + self._step
+            return time, f"the time is not a finite number: taken for {time:g} s", False
+        passed = time - self._t
         if isnan(passed):  # the first call
-            return now, None, True
+            return time, None, True
         if passed < 0:
-            return now, f"the time runs backwards by {-passed:g} s", False
+            return time, f"the time runs backwards by {-passed:g} s", False
         if passed == 0:
-            return now, "the time stands still", True
+            return time, "the time stands still", True
         if passed > MEMORY:
-            return now, f"the time jumps by {passed:g} s", False
+            return time, f"the time jumps by {passed:g} s", False
         self._step = passed
         if self.period is None or passed <= self.period * (1 + 1e-6) + self.late:
-            return now, None, True
+            return time, None, True
         detail = f"called after {passed:g} s: the last answer was for {self.period:g} s"
-        return now, detail, passed < 2 * self.period
+        return time, detail, passed < 2 * self.period
 
     def _estimate(self, t: float) -> tuple[Array, Array]:
         """Last good states, moved to the time t with the thrust held, and when they were known."""

@@ -60,10 +60,10 @@ class Conditions:
                     x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        wrong = grid.half_widths - grid.system.state_offset_at_nodes * bool(
+        error_bound = grid.half_widths - grid.system.state_offset_at_nodes * bool(
             grid.system.timing.carried_impulse
         )
-        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
+        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * error_bound
         rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
         faults = in_every_second(grid.schedule, 1, rows, grid.decisions * grid.nodes, runs, rng)
         return cls(x0, np.concatenate(parts, axis=1), errors, seed, faults)
@@ -113,7 +113,7 @@ def fly(
     N, delay = D * c, grid.delay if method.delayed else 0
     states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
     demanded, modes = np.zeros((N, R)), np.zeros((N, R), dtype=int)
-    margins, why = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
+    margins, reasons = np.full((D, R), np.nan), np.zeros((D, R), dtype=int)
     seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
     flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
     preferred = min(1, len(grid.controllers) - 1)
@@ -126,12 +126,12 @@ def fly(
     for k in range(D):
         if progress and k % 50 == 0:
             progress(k, D)
-        wanted = engine.desired(preferred, k * c, x, conditions.w[k * c])
-        seen = Observation(k, x + conditions.errors[k], wanted, flying)
-        begun = time.perf_counter()
-        choice = method.decide(seen)
-        seconds[k] = time.perf_counter() - begun
-        margins[k], why[k] = choice.margin, choice.why
+        request = engine.desired(preferred, k * c, x, conditions.w[k * c])
+        observed = Observation(k, x + conditions.errors[k], request, flying)
+        start = time.perf_counter()
+        choice = method.decide(observed)
+        seconds[k] = time.perf_counter() - start
+        margins[k], reasons[k] = choice.margin, choice.why
         for i in range(c + 1):
             if i == delay:
                 flying, u = choice.mode, u if choice.u is None else choice.u
@@ -142,10 +142,10 @@ def fly(
             node = k * c + i
             if faults is not None and not method.delayed and method.proven:  # to the end
                 flying = np.where(faults.by_s(node), 0, flying)
-            desired = engine.desired(preferred, node, x, conditions.w[node]) if i else wanted
-            x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
+            desired = engine.desired(preferred, node, x, conditions.w[node]) if i else request
+            x, inputs[node], demanded[node], thrust_norm = engine.step(node, flying, u, x, conditions.w[node])
             states[node + 1], modes[node] = x, flying if engine.code is None else engine.code.modes
-            delta_v += spent * engine.dt / system.mass
+            delta_v += thrust_norm * engine.dt / system.mass
             deviation += np.linalg.norm(inputs[node] - desired, axis=1)
     return Flight(
         np.asarray(np.arange(N + 1) * grid.h, dtype=float),
@@ -155,7 +155,7 @@ def fly(
         delta_v,
         modes.T,
         margins.T,
-        why.T,
+        reasons.T,
         deviation / N,
         seconds,
     )
@@ -179,10 +179,10 @@ class Engine(Integrator):
         """
         eta = w[:, self.columns[1]]
         self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
-        seen = self.estimate(node, x)
+        estimate = self.estimate(node, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
-        self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
-        command = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
+        self._asked = {i: self.grid.command(i, node, estimate) for i in boxes}
+        command = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, estimate)
         return np.asarray(np.clip(command, -self.system.u_max, self.system.u_max))
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
@@ -201,14 +201,14 @@ class Engine(Integrator):
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
             self.rows = chosen = flying == mode
-            left, self.left = self.left, None if self.left is None else self.left[chosen]
+            remainder, self.left = self.left, None if self.left is None else self.left[chosen]
             if (faults := self.faults) is not None:
                 self.faults = replace(faults.pick(chosen), gap=faults.gap[chosen])
             parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
-            for whole_, part in zip(out, parts, strict=True):
-                whole_[chosen] = part
-            if left is not None:
-                left[chosen], self.left = self.left, left
+            for target, part in zip(out, parts, strict=True):
+                target[chosen] = part
+            if remainder is not None:
+                remainder[chosen], self.left = self.left, remainder
             if faults is not None and self.faults is not None:
                 faults.gap[chosen], self.faults = self.faults.gap, faults
         self.rows = slice(None)
@@ -216,17 +216,17 @@ class Engine(Integrator):
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
         w, *errors = self.split(w, w)
-        held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
-        self.eta, self.thrust, self.shares = held
+        series = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
+        self.eta, self.thrust, self.shares = series
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w])
         (Ad, Bd, Dd), limit = self.grid.discrete, self.system.u_max
-        applied, pushed = self.applied(u, node), w @ Dd.T
-        demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
+        applied, disturbance = self.applied(u, node), w @ Dd.T
+        demand, thrust_norm = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
         self.start(node)
-        after = x @ Ad.T + applied @ Bd.T + pushed + self.intersample(0)
+        after = x @ Ad.T + applied @ Bd.T + disturbance + self.intersample(0)
         if self.faults is not None:
             eta = 0.0 if self.eta is None else self.eta[0]
-            self.faults.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)
-        return after, np.clip(u, -limit, limit), demand, spent
+            self.faults.predict(node, Ad, disturbance + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)
+        return after, np.clip(u, -limit, limit), demand, thrust_norm

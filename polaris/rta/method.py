@@ -108,9 +108,9 @@ BUFFER = Option(
 """Keep-clear buffer: decisions are made against grown unsafe sets; S and its reference stay as they are."""
 
 
-def keep_clear(apart: float) -> Option:
+def keep_clear(widths: float) -> Option:
     """Return the option of a keep-clear buffer with another default (`Method.apart`)."""
-    return replace(BUFFER, default=f"{apart:g} {BUFFER.unit}")
+    return replace(BUFFER, default=f"{widths:g} {BUFFER.unit}")
 
 
 class Method(ABC):
@@ -204,7 +204,7 @@ class Method(ABC):
         """Forget everything; so many runs will be decided at once."""
 
     @abstractmethod
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Decide who flies until the next decision takes effect."""
 
 
@@ -224,13 +224,13 @@ class Latched(Method):
         self._latched = np.zeros(runs, dtype=bool)
 
     @abstractmethod
-    def margin(self, seen: Observation) -> Array:
+    def margin(self, observed: Observation) -> Array:
         """Return the margin that decides, shape (R,): S takes over where it is not >= 0."""
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Switch once."""
-        margin = self.margin(seen)
+        margin = self.margin(observed)
         leaving = ~(margin >= 0)  # what cannot be worked out is not inside
-        why = np.where(self._latched, 2, np.where(leaving, 1, 0))
+        reasons = np.where(self._latched, 2, np.where(leaving, 1, 0))
         self._latched = self._latched | leaving
-        return Choice(np.where(self._latched, 0, 1), margin, why)
+        return Choice(np.where(self._latched, 0, 1), margin, reasons)

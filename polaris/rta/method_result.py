@@ -101,38 +101,38 @@ class MethodResult:
     def against(self, other: "MethodResult") -> list[dict[str, Any]]:
         """Differences to another method, run by run, with 95 % intervals of their means."""
         rows = []
-        mine, theirs = self.columns, other.columns
-        for name in mine:
+        columns, others = self.columns, other.columns
+        for name in columns:
             with np.errstate(invalid="ignore"):  # of two infinite times there is no difference
-                mean, low, high = _interval(mine[name] - theirs[name], possible(name, difference=True))
-            what = {"method": self.key, "against": other.key, "metric": name}
-            rows.append(what | {"difference": mean, "low": low, "high": high})
+                mean, low, high = _interval(columns[name] - others[name], possible(name, difference=True))
+            labels = {"method": self.key, "against": other.key, "metric": name}
+            rows.append(labels | {"difference": mean, "low": low, "high": high})
         return rows
 
 
 def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: str) -> Metrics:
     """Metrics of the flights of one method against the true unsafe sets."""
     planned = np.zeros(grid.clearance.planned, dtype=int)  # modes differ from run to run: counted below
-    seen = flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v
-    runs = Runs(grid.schedule, *seen, planned)
+    records = flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v
+    runs = Runs(grid.schedule, *records, planned)
     metrics = evaluate(runs, conditions.seed, name)
-    who = flown(grid, flight)
+    modes = flown(grid, flight)
     return replace(
         metrics,
-        experimental_share=experimental_share(flight.times, who),
+        experimental_share=experimental_share(flight.times, modes),
         # A filtered input is not an unknown mode: changes to it and from it count.
-        switches=count_switches(np.where(who == FILTERED, len(grid.controllers), who)),
-        max_thrust_ratio_safety=peak(flight.demanded, who == 0),
-        max_thrust_ratio_experimental=peak(flight.demanded, who > 0),
+        switches=count_switches(np.where(modes == FILTERED, len(grid.controllers), modes)),
+        max_thrust_ratio_safety=peak(flight.demanded, modes == 0),
+        max_thrust_ratio_experimental=peak(flight.demanded, modes > 0),
     )
 
 
 def flown(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
     """Return the modes after every node, shape (R, N): filtered inputs equal to the desired count as U's."""
-    why = np.repeat(flight.why, grid.nodes, axis=1)
+    codes = np.repeat(flight.why, grid.nodes, axis=1)
     if grid.delay:
-        why = np.concatenate([why[:, :1].repeat(grid.delay, axis=1), why[:, : -grid.delay]], axis=1)
-    return np.where((flight.modes == FILTERED) & (why == UNCHANGED), 1, flight.modes)
+        codes = np.concatenate([codes[:, :1].repeat(grid.delay, axis=1), codes[:, : -grid.delay]], axis=1)
+    return np.where((flight.modes == FILTERED) & (codes == UNCHANGED), 1, flight.modes)
 
 
 def _interval(values: Array, within: tuple[float, float]) -> tuple[float | None, float | None, float | None]:

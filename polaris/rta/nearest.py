@@ -25,72 +25,72 @@ MET = 1e-13  # violation of a row of length 1 at which the method stops
 
 
 @compiled
-def alone(G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float) -> Found:
-    """Project each deputy's input (R, N, 3), clipped, on its own rows: `mine` (N, m) of G (R, M, 3).
+def alone(G: Array, bounds: Array, row_index: Index, sign: Array, desired: Array, limit: float) -> Found:
+    """Project each deputy's input (R, N, 3), clipped, on its own rows: `row_index` (N, m) of G (R, M, 3).
 
     `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative; or
     (1, R, M) for both. Returned are the inputs, how they came about (R, N), and how many were left: those are
     `LEFT`, as clipped.
     """
-    runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
-    u, status, left = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0
+    runs, deputies, count = desired.shape[0], desired.shape[1], row_index.shape[1]
+    u, status, unsolved = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0
     rows, columns, least = np.empty((count + 6, 3)), np.empty((count + 6, 3), np.int64), np.empty(count + 6)
     for r in range(runs):
         for i in range(deputies):
-            met, kept = True, 0
+            satisfied, filled = True, 0
             status[r, i] = DESIRED if _clip(desired[r, i], limit, u[r, i]) else FILTERED
             for k in range(count):
-                m, value, span = mine[i, k], 0.0, 0.0
+                m, value, span = row_index[i, k], 0.0, 0.0
                 for j in range(3):
-                    rows[kept, j] = sign[i, k] * G[r, m, j]
-                    value += rows[kept, j] * u[r, i, j]
-                    span += abs(rows[kept, j])
-                least[kept] = bounds[0 if sign[i, k] > 0 else len(bounds) - 1, r, m]
-                met = met and value >= least[kept]
-                if not least[kept] <= -limit * span:  # the others hold for every admissible input
-                    columns[kept] = 0, 1, 2
-                    kept += 1
-            if not met:
-                good = _nearest((rows, columns, least), kept, u[r, i].copy(), limit, u[r, i])
-                status[r, i], left = (FILTERED, left) if good else (LEFT, left + 1)
-    return u, status, left
+                    rows[filled, j] = sign[i, k] * G[r, m, j]
+                    value += rows[filled, j] * u[r, i, j]
+                    span += abs(rows[filled, j])
+                least[filled] = bounds[0 if sign[i, k] > 0 else len(bounds) - 1, r, m]
+                satisfied = satisfied and value >= least[filled]
+                if not least[filled] <= -limit * span:  # the others hold for every admissible input
+                    columns[filled] = 0, 1, 2
+                    filled += 1
+            if not satisfied:
+                solved = _nearest((rows, columns, least), filled, u[r, i].copy(), limit, u[r, i])
+                status[r, i], unsolved = (FILTERED, unsolved) if solved else (LEFT, unsolved + 1)
+    return u, status, unsolved
 
 
 @compiled
 def coupled(G: Array, bound: Array, first: Index, second: Index, desired: Array, limit: float) -> Found:
     """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`."""
     runs, deputies, count = desired.shape[0], desired.shape[1], len(first)
-    u, status, left, size = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
+    u, status, unsolved, size = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0, 3 * deputies
     for r in range(runs):
         for i in range(deputies):
             _clip(desired[r, i], limit, u[r, i])
-        met, asking = True, np.zeros(count, np.bool_)
+        satisfied, relevant = True, np.zeros(count, np.bool_)
         for m in range(count):
             value = span = 0.0
             i, j = first[m], second[m]
             for k in range(3):
                 value += G[r, m, k] * (u[r, i, k] - (u[r, j, k] if j >= 0 else 0.0))
                 span += abs(G[r, m, k])
-            met = met and value >= bound[r, m]
-            asking[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
-        if not met:
-            kept, solution = np.flatnonzero(asking), np.empty(size)
-            rows, least = np.zeros((len(kept) + 2 * size, 6)), np.empty(len(kept) + 2 * size)
+            satisfied = satisfied and value >= bound[r, m]
+            relevant[m] = not bound[r, m] <= -limit * span * (2 if j >= 0 else 1)
+        if not satisfied:
+            chosen, solution = np.flatnonzero(relevant), np.empty(size)
+            rows, least = np.zeros((len(chosen) + 2 * size, 6)), np.empty(len(chosen) + 2 * size)
             columns = np.empty(rows.shape, np.int64)
-            for at in range(len(kept)):
-                m, least[at] = kept[at], bound[r, kept[at]]
+            for at in range(len(chosen)):
+                m, least[at] = chosen[at], bound[r, chosen[at]]
                 i, j = first[m], second[m]
                 for k in range(3):
                     rows[at, k], columns[at, k] = G[r, m, k], 3 * i + k
                     rows[at, 3 + k], columns[at, 3 + k] = (-G[r, m, k] if j >= 0 else 0.0), 3 * max(j, 0) + k
-            if not _nearest((rows, columns, least), len(kept), u[r].copy().reshape(size), limit, solution):
-                status[r], left = LEFT, left + 1
+            if not _nearest((rows, columns, least), len(chosen), u[r].copy().reshape(size), limit, solution):
+                status[r], unsolved = LEFT, unsolved + 1
                 continue
             u[r] = solution.reshape(deputies, 3)
         for i in range(deputies):
             same = (u[r, i] == desired[r, i]).all()
             status[r, i] = DESIRED if same else FILTERED
-    return u, status, left
+    return u, status, unsolved
 
 
 @compiled
@@ -141,7 +141,7 @@ def _nearest(program: Program, count: int, desired: Array, limit: float, out: Ar
     for m in range(count, total):
         rows[m], columns[m], least[m] = 0.0, (m - count) // 2, -limit
         rows[m, 0] = 1.0 if (m - count) % 2 else -1.0
-    u, active, held = desired.copy(), np.empty(size, np.int64), 0
+    u, active, rank = desired.copy(), np.empty(size, np.int64), 0
     force, factor = np.zeros(size), np.empty((size, size))
     for _ in range(20 * size + 20):
         entering, short = -1, MET
@@ -150,9 +150,9 @@ def _nearest(program: Program, count: int, desired: Array, limit: float, out: Ar
             if gap > short:
                 entering, short = m, gap
         if entering < 0:
-            return _accepted(program, total, desired, limit, u, active[:held], force, out)
-        held = _enter(program, entering, short, u, active, held, force, factor)
-        if held < 0:
+            return _accepted(program, total, desired, limit, u, active[:rank], force, out)
+        rank = _enter(program, entering, short, u, active, rank, force, factor)
+        if rank < 0:
             return False
     return False
 
@@ -178,54 +178,54 @@ def _enter(
     short: float,
     u: Array,
     active: Index,
-    held: int,
+    rank: int,
     force: Array,
     factor: Array,
 ) -> int:
     """Take in a row missed by `short`, some may leave; how many are active, -1 if it cannot be met."""
     size, new = len(u), 0.0
-    own, share, step = np.zeros(size), np.empty(size), np.empty(size)
-    _add(program, entering, 1.0, own)
+    normal, share, step = np.zeros(size), np.empty(size), np.empty(size)
+    _add(program, entering, 1.0, normal)
     while True:
-        solved = _factored(program, own, active, held, factor)
-        step[:] = own
-        for a in range(held - 1, -1, -1):
+        solved = _factored(program, normal, active, rank, factor)
+        step[:] = normal
+        for a in range(rank - 1, -1, -1):
             share[a] = solved[a]
-            for b in range(a + 1, held):
+            for b in range(a + 1, rank):
                 share[a] -= factor[b, a] * share[b]
             share[a] /= factor[a, a]
             _add(program, active[a], -share[a], step)
         gain, leaves, move = (step * step).sum(), -1, np.inf
-        for a in range(held):
+        for a in range(rank):
             if share[a] > 1e-12 and force[a] / share[a] < move:
                 leaves, move = a, force[a] / share[a]
-        full = short / gain if gain > 1e-12 and held < size else np.inf
+        full = short / gain if gain > 1e-12 and rank < size else np.inf
         length = min(move, full)
         if not length < 1e12:
             return -1
-        force[:held] -= length * share[:held]
+        force[:rank] -= length * share[:rank]
         new += length
         if full < np.inf:
             u += length * step
             short -= length * gain
         if full <= move:
-            active[held], force[held], factor[held, :held] = entering, new, solved[:held]
-            factor[held, held] = np.sqrt(gain)
-            return held + 1
-        held -= 1
-        active[leaves:held], force[leaves:held] = active[leaves + 1 : held + 1], force[leaves + 1 : held + 1]
-        for a in range(leaves, held):
-            one = np.zeros(size)
-            _add(program, active[a], 1.0, one)
-            factor[a, :a] = _factored(program, one, active, a, factor)[:a]
-            factor[a, a] = np.sqrt(max((one * one).sum() - (factor[a, :a] ** 2).sum(), 1e-30))
+            active[rank], force[rank], factor[rank, :rank] = entering, new, solved[:rank]
+            factor[rank, rank] = np.sqrt(gain)
+            return rank + 1
+        rank -= 1
+        active[leaves:rank], force[leaves:rank] = active[leaves + 1 : rank + 1], force[leaves + 1 : rank + 1]
+        for a in range(leaves, rank):
+            row = np.zeros(size)
+            _add(program, active[a], 1.0, row)
+            factor[a, :a] = _factored(program, row, active, a, factor)[:a]
+            factor[a, a] = np.sqrt(max((row * row).sum() - (factor[a, :a] ** 2).sum(), 1e-30))
 
 
 @compiled
-def _factored(program: Program, vector: Array, active: Index, held: int, factor: Array) -> Array:
+def _factored(program: Program, vector: Array, active: Index, rank: int, factor: Array) -> Array:
     """Products of a vector with the active rows, forward through their factor."""
     solved = np.empty(len(vector))
-    for a in range(held):
+    for a in range(rank):
         value = _dot(program, active[a], vector)
         for b in range(a):
             value -= factor[a, b] * solved[b]
@@ -245,11 +245,11 @@ def _accepted(
     out: Array,
 ) -> bool:
     """Write down what satisfies all rows and is the desired input but for forces along active ones."""
-    moved, (_, _, least) = desired.copy(), program
+    optimum, (_, _, least) = desired.copy(), program
     for a in range(len(active)):
-        _add(program, active[a], force[a], moved)
+        _add(program, active[a], force[a], optimum)
     for k in range(len(u)):
-        if not abs(moved[k] - u[k]) <= 1e-9 * (limit + abs(desired[k])):
+        if not abs(optimum[k] - u[k]) <= 1e-9 * (limit + abs(desired[k])):
             return False
         u[k] = min(max(u[k], -limit), limit)
     for m in range(total):

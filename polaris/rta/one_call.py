@@ -132,36 +132,36 @@ class CallByCall(ABC):
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `RunTimeFilter`."""
-        got = self._receiver.receive(t, x, u_des)
-        answer = self._answer(got)
+        call = self._receiver.receive(t, x, u_des)
+        answer = self._answer(call)
         self._receiver.applied(answer.u)
-        said = "; ".join(note for note in (got.fallback(), *answer.notes) if note) or None
+        fallback = "; ".join(note for note in (call.fallback(), *answer.notes) if note) or None
         return Decision(
             answer.u,
             answer.intervened,
             answer.active,
             answer.margins,
             answer.status,
-            said,
+            fallback,
             answer.missed,
             answer.backup.copy() if answer.regular else answer.backup | answer.coasting,
             answer.unproven,
         )
 
     @abstractmethod
-    def _answer(self, got: FilterInput) -> RawDecision:
+    def _answer(self, call: FilterInput) -> RawDecision:
         """Decide on what has been received."""
 
-    def _backed_up(self, backup: Backup | None, got: FilterInput, notes: list[str]) -> Array:
+    def _backed_up(self, backup: Backup | None, call: FilterInput, notes: list[str]) -> Array:
         """The backup controller's input; no thrust where it has none to give, which is recorded."""
-        nothing = np.zeros(got.u.shape)
+        no_thrust = np.zeros(call.u.shape)
         if backup is None:
-            return nothing
-        u, wrong = commanded(backup, (got.t, got.x), nothing.shape)
-        if wrong:
-            notes.append(f"the backup controller failed: {wrong}")
+            return no_thrust
+        u, fault = commanded(backup, (call.t, call.x), no_thrust.shape)
+        if fault:
+            notes.append(f"the backup controller failed: {fault}")
         limit = self._receiver.craft.thrust_max
-        return nothing if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
+        return no_thrust if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
 
 def named(labels: Sequence[str], values: Array) -> dict[str, float]:

@@ -69,10 +69,10 @@ class ErrorMotion:
     @classmethod
     def any_thrust(cls, recovery: Recovery) -> "ErrorMotion":
         """Anything within the thrust limits."""
-        system, held = recovery.grid.system, cls.held_input(recovery)
+        system, motion = recovery.grid.system, cls.held_input(recovery)
         size = np.abs(system.B) @ system.u_max
-        push = held.flow.input_zonotope(system.B, np.diag(system.u_max), size)
-        return replace(held, G=np.hstack([push.G, held.G]))
+        push = motion.flow.input_zonotope(system.B, np.diag(system.u_max), size)
+        return replace(motion, G=np.hstack([push.G, motion.G]))
 
     def advance(self, stage: PredictedError, shift: int) -> PredictedError:
         """Return the stage one node later; the given one is `shift` nodes after the measurement."""
@@ -102,14 +102,14 @@ class Permission:
         self.end = stages[-1]
         W = grid.tracking.W
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
-        known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
+        offsets = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
         self.commands = n * (1 + len(stages))
         self.clearance = np.zeros(0)  # of the commands
         if leg.law is not None:
             matrix, offset, self.clearance = _commands(grid, leg, leg.law, stages[grid.delay :])
             blocks.append(matrix)
-            known.append(offset)
-        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
+            offsets.append(offset)
+        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(offsets)[::c].copy()
         self.radius = max(recovery.size(stage.G) for stage in stages) * (1 + ROUNDING)
         self.demand = recovery.demand(self.end.G)
         self._lay_out_inner(stages[grid.delay + 1 : -1])
@@ -125,23 +125,23 @@ class Permission:
         recovery, o, n = self.recovery, len(self.recovery.intersample), self.grid.system.n
         facets, starts = recovery.matrix[:o], np.arange(len(self.known)) * self.grid.nodes
         self.inner, none = len(inner) * o, np.zeros((len(starts), 0))
-        booked = [recovery.demand(stage.G).tall[:o, -1] for stage in inner]
+        tightenings = [recovery.demand(stage.G).tall[:o, -1] for stage in inner]
         self.inner_rows = np.hstack([np.zeros((n, 0)), *((facets[:, :n] @ stage.M).T for stage in inner)])
-        known = (stage.offset[starts] @ facets[:, :n].T for stage in inner)
-        self.inner_known = np.hstack([none, *(part + more for part, more in zip(known, booked, strict=True))])
+        offsets = (stage.offset[starts] @ facets[:, :n].T for stage in inner)
+        self.inner_known = np.hstack([none, *(a + b for a, b in zip(offsets, tightenings, strict=True))])
         self.inner_size = np.tile(facets[:, n], len(inner))
         nodes = starts[:, None] + self.grid.delay + 1 + np.arange(len(inner))
         limits = recovery.reciprocals.reshape(-1, len(recovery.rows))[:, :o]
         nodes = np.minimum(nodes, len(limits) - 1)  # later ones are never asked for
         self.inner_limits = limits[nodes].reshape(len(starts), -1)
 
-    def inner_share(self, k: int, e: Array, size: Array, moved: Array | float = 0.0) -> Array:
+    def inner_share(self, k: int, e: Array, size: Array, extra: Array | float = 0.0) -> Array:
         """Share of the clearance used by facets before the end, `size` bounding every ``norm(W e)``; (...).
 
-        What `moved` (..., facets) is added to their rows by what the legs leave out.
+        What `extra` (..., facets) is added to their rows by what the legs leave out.
         """
         tightening = (
-            e @ self.inner_rows + moved + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
+            e @ self.inner_rows + extra + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
         )
         return np.asarray((tightening * self.inner_limits[k]).max(axis=-1, initial=0.0))
 
@@ -154,19 +154,19 @@ class Permission:
         end = (k + 1) * self.grid.nodes + self.grid.delay
         if end > self.grid.last:  # nothing is planned up to the next moment of effect
             return np.full(R, np.inf), np.ones(R, dtype=bool)
-        moved = e @ self.stack + self.known[k]
-        size = self._size(moved, n)
-        share = self.recovery.share(end, moved[:, :n], size, self.demand)
+        predicted = e @ self.stack + self.known[k]
+        size = self._size(predicted, n)
+        share = self.recovery.share(end, predicted[:, :n], size, self.demand)
         if self.inner:
             share = np.maximum(share, self.inner_share(k, e, size))
-        return share, (np.abs(moved[:, self.commands :]) <= self.clearance).all(axis=-1)
+        return share, (np.abs(predicted[:, self.commands :]) <= self.clearance).all(axis=-1)
 
     def size(self, k: int, e: Array) -> Array:
         """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (R,)."""
         return self._size(e @ self.stack + self.known[k], e.shape[-1])
 
-    def _size(self, moved: Array, n: int) -> Array:
-        squares = (moved[:, n : self.commands] ** 2).reshape(len(moved), -1, n)
+    def _size(self, predicted: Array, n: int) -> Array:
+        squares = (predicted[:, n : self.commands] ** 2).reshape(len(predicted), -1, n)
         return np.asarray(np.sqrt(squares.sum(axis=-1).max(axis=-1)) + self.radius)
 
     def share_one(self, k: int, e: Array) -> tuple[float, int, bool]:
@@ -178,33 +178,33 @@ class Permission:
         end = (k + 1) * self.grid.nodes + self.grid.delay
         if end > self.grid.last:
             return inf, 0, True
-        moved = np.dot(e, self.stack)
-        moved += self.known[k]
-        values = moved.tolist()
+        predicted = np.dot(e, self.stack)
+        predicted += self.known[k]
+        values = predicted.tolist()
         size = max([hypot(*values[i:j]) for i, j in self._norms]) + self.radius
         for value, clearance in zip(values[self.commands :], self._clearances, strict=True):
             if not abs(value) <= clearance:
                 return inf, 0, False
         vector = np.array([*values[:n], size, 1.0])
-        share, where = self._worst(vector, self._near_rows, end * r)
+        share, index = self._worst(vector, self._near_rows, end * r)
         beyond = max([base + slope * size for base, slope in self._beyond[end]])
         if beyond > share:
-            share, where = beyond, -1
-        later = self.demand.base + self.demand.slope * size
-        if later > 1:
-            later, row = self._worst(vector, self._far_rows, end * r + near)
-            where = near + row if later > share else where
-        share = max(share, later)
+            share, index = beyond, -1
+        far_share = self.demand.base + self.demand.slope * size
+        if far_share > 1:
+            far_share, row = self._worst(vector, self._far_rows, end * r + near)
+            index = near + row if far_share > share else index
+        share = max(share, far_share)
         if self.inner:
             tightening = np.dot(e, self.inner_rows)
             tightening += self.inner_size * size
             tightening += self.inner_known[k]
             tightening *= self.inner_limits[k]
-            at = int(tightening.argmax())
-            if tightening[at] > share:
-                j, row = divmod(at, len(self.recovery.intersample))
-                share, where = float(tightening[at]), row + (j + 1 - self.grid.nodes) * r  # before the end
-        return share, where, True
+            worst = int(tightening.argmax())
+            if tightening[worst] > share:
+                j, row = divmod(worst, len(self.recovery.intersample))
+                share, index = float(tightening[worst]), row + (j + 1 - self.grid.nodes) * r  # before the end
+        return share, index, True
 
     def _worst(self, vector: Array, rows: Array, first: int) -> tuple[float, int]:
         """Largest share needed of some rows whose limits begin at `first`, and which of them needs it."""
@@ -214,30 +214,30 @@ class Permission:
         tightening = np.dot(vector, rows)
         tightening *= self.recovery.reciprocals[limits]
         tightening += self.recovery.taken[limits]
-        where = int(tightening.argmax())
-        return float(tightening[where]), where
+        index = int(tightening.argmax())
+        return float(tightening[index]), index
 
-    def limit(self, k: int, where: int) -> str:
+    def limit(self, k: int, index: int) -> str:
         """The tightest limit that `share_one` found, and when S would meet it, in words."""
         end = (k + 1) * self.grid.nodes + self.grid.delay
         if end > self.grid.last:
             return "the end of the plan"
-        if where == -1:
+        if index == -1:
             return "limits beyond the settling horizon"
-        lag, row = divmod(where, len(self.recovery.rows))
+        lag, row = divmod(index, len(self.recovery.rows))
         return f"{self.recovery.names[row]} at t = {(end + lag) * self.grid.h:g} s"
 
 
 def _commands(
     grid: DecisionGrid, leg: ErrorMotion, law: AffineController, stages: list[PredictedError]
 ) -> tuple[Array, Array, Array]:
-    """Commands ``matrix e + known`` at every node, within limits if at most ``clearance``."""
+    """Commands ``matrix e + offsets`` at every node, within limits if at most ``clearance``."""
     system, count = grid.system, len(stages[0].offset)
-    matrices, known, clearance = [], [], []
+    matrices, offsets, clearance = [], [], []
     steps = np.repeat(law.own.nu[: grid.clearance.planned], grid.clearance.q, axis=0)[:count]
     for j, stage in enumerate(stages[:-1]):
         cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
         matrices.append(-law.gain @ stage.M)
-        known.append(steps[cells] + (leg.zeta[cells, 0] - stage.offset) @ law.gain.T)
+        offsets.append(steps[cells] + (leg.zeta[cells, 0] - stage.offset) @ law.gain.T)
         clearance.append(system.u_max * (1 - ROUNDING) - np.abs(law.gain @ stage.G).sum(axis=1))
-    return np.vstack(matrices), np.hstack(known), np.concatenate(clearance)
+    return np.vstack(matrices), np.hstack(offsets), np.concatenate(clearance)

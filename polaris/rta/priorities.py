@@ -57,48 +57,48 @@ def least_violation(
     None if a bound is no number, if anything else is not finite, if the limit is not positive, or if the
     programs ended without an answer.
     """
-    whole = np.isfinite(G).all() and np.isfinite(desired).all() and not np.isnan(bound).any()
-    if not whole or not 0 < limit < np.inf:
+    finite = np.isfinite(G).all() and np.isfinite(desired).all() and not np.isnan(bound).any()
+    if not finite or not 0 < limit < np.inf:
         return None
-    kept = G.any(axis=1) & (bound > -np.inf)
+    relevant = G.any(axis=1) & (bound > -np.inf)
     with np.errstate(over="ignore", under="ignore"):
-        size = np.abs(G[kept]).max(axis=1, initial=0.0)
-        G = G[kept] / size[:, None]
+        size = np.abs(G[relevant]).max(axis=1, initial=0.0)
+        G = G[relevant] / size[:, None]
         length = np.sqrt((G * G).sum(axis=1))
         G /= length[:, None]
         reach = np.abs(G).sum(axis=1)
-        tightening = np.minimum(bound[kept] / length / size / limit, reach * (1 - SPARE))
-        wanted = np.clip(desired / limit, -1e6, 1e6)
-    asks = tightening > -reach  # the others hold for every admissible input
-    G, tightening, rank = G[asks], tightening[asks], rank[kept][asks]
+        tightening = np.minimum(bound[relevant] / length / size / limit, reach * (1 - SPARE))
+        target = np.clip(desired / limit, -1e6, 1e6)
+    restrictive = tightening > -reach  # the others hold for every admissible input
+    G, tightening, rank = G[restrictive], tightening[restrictive], rank[relevant][restrictive]
     # Should rounding leave a later program without a solution, once more without any.
     settled = _settled(G, tightening, rank, False) or _settled(G, tightening, rank, True)
     if settled is None:
         return None
-    feasible, asked = settled
-    return np.asarray(_nearest(G, asked, wanted, feasible) * limit)
+    feasible, needs = settled
+    return np.asarray(_nearest(G, needs, target, feasible) * limit)
 
 
 def _settled(G: Array, tightening: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
     """An input, and what can be asked of each row: its need less its shortage, and less the tolerance."""
-    asked, feasible = tightening.copy(), np.zeros(G.shape[1])
+    needs, feasible = tightening.copy(), np.zeros(G.shape[1])
     done = np.zeros(len(tightening), dtype=bool)
     for level in np.unique(rank):
-        left = rank == level
-        while left.any():
-            rows = done | left
-            answer = _largest_shortage(G[rows], asked[rows], left[rows], exact)
+        unsettled = rank == level
+        while unsettled.any():
+            rows = done | unsettled
+            answer = _largest_shortage(G[rows], needs[rows], unsettled[rows], exact)
             if answer is None:
                 return None
-            feasible, chosen, given = answer.u, left, MET
+            feasible, chosen, shortage = answer.u, unsettled, MET
             if answer.short > MET:
-                given = answer.short + SPARE
+                shortage = answer.short + SPARE
                 pull = np.zeros(len(tightening))
                 pull[rows] = answer.multiplier
-                chosen = left & (pull >= min(SURE, float(pull[left].max())))
-            asked[chosen] -= given
-            done, left = done | chosen, left & ~chosen
-    return feasible, asked
+                chosen = unsettled & (pull >= min(SURE, float(pull[unsettled].max())))
+            needs[chosen] -= shortage
+            done, unsettled = done | chosen, unsettled & ~chosen
+    return feasible, needs
 
 
 def _largest_shortage(G: Array, tightening: Array, free: Flags, exact: bool) -> _Least | None:
@@ -123,8 +123,8 @@ def _by_active_set(G: Array, tightening: Array, free: Flags) -> tuple[Array, Arr
     cost = np.zeros(v + 1)
     cost[-1] = 1.0
     quadratic, rows = np.zeros((v + 1, v + 1)), np.column_stack([G, free])
-    how = {"primal_tol": 1e-10, "eps_prox": 1.0, "eta_prox": 1e-9, "iter_limit": STEPS * (v + 1)}
-    x, _, flag, info = daqp.solve(quadratic, cost, rows, upper, lower, **how)
+    settings = {"primal_tol": 1e-10, "eps_prox": 1.0, "eta_prox": 1e-9, "iter_limit": STEPS * (v + 1)}
+    x, _, flag, info = daqp.solve(quadratic, cost, rows, upper, lower, **settings)
     return (x, -info["lam"][v + 1 :]) if flag > 0 else None
 
 
@@ -145,14 +145,14 @@ def _proved(G: Array, tightening: Array, multiplier: Array) -> float:
     return max(float(multiplier @ tightening - np.abs(multiplier @ G).sum()), 0.0)
 
 
-def _nearest(G: Array, asked: Array, desired: Array, feasible: Array) -> Array:
+def _nearest(G: Array, needs: Array, desired: Array, feasible: Array) -> Array:
     """The nearest to the desired input that gives what is asked: the solver's, or the last on the way."""
     M, v = G.shape
-    lower = np.concatenate([np.full(v, -1.0), asked])
+    lower = np.concatenate([np.full(v, -1.0), needs])
     upper = np.concatenate([np.full(v, 1.0), np.full(M, 1e30)])
     u, _, flag, _ = daqp.solve(np.eye(v), -desired, G, upper, lower, primal_tol=1e-10)
     u = np.clip(u if flag > 0 and np.isfinite(u).all() else desired, -1.0, 1.0)
-    spare, rate = G @ feasible - asked, G @ (u - feasible)
-    lost = spare + rate < -EXACT
-    part = np.min((spare[lost] + EXACT).clip(0.0) / -rate[lost], initial=1.0)
+    slack, rate = G @ feasible - needs, G @ (u - feasible)
+    violated = slack + rate < -EXACT
+    part = np.min((slack[violated] + EXACT).clip(0.0) / -rate[violated], initial=1.0)
     return np.asarray(feasible + part * (u - feasible))

@@ -54,8 +54,8 @@ def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | 
 
     ``G u >= bound`` for G (K, M, v) and bound (K, M), ``|u_i| <= limit`` [N]; ranks (K, M) as in `solve`.
     """
-    alone = np.zeros(G.shape[1], dtype=np.intp)
-    return project_coupled(G, bound, desired[:, None], limit, alone, alone - 1, rank, flat=True)
+    first = np.zeros(G.shape[1], dtype=np.intp)
+    return project_coupled(G, bound, desired[:, None], limit, first, first - 1, rank, flat=True)
 
 
 def project_coupled(
@@ -78,8 +78,8 @@ def project_coupled(
     span = limit * np.abs(G).sum(axis=2) * several
     refused = np.zeros(0, dtype=np.intp)
     if not isfinite(np.vdot(span, span) + np.vdot(bound, bound) + np.vdot(desired, desired)):  # look closer
-        some = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
-        refused = np.flatnonzero(some)
+        invalid = ~(np.isfinite(span) & ~np.isnan(bound)).all(axis=1) | ~np.isfinite(desired).all(axis=(1, 2))
+        refused = np.flatnonzero(invalid)
         G, bound, desired, span = np.array(G), np.array(bound), np.array(desired), np.array(span)
         G[refused], bound[refused], desired[refused], span[refused] = 0.0, 0.0, 0.0, 0.0
     needed = bound > -span  # the others hold for every admissible input
@@ -117,9 +117,9 @@ def _coupled(
 
 def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array) -> Index:
     """A few programs as one, which saves calls: solutions go into `u`; to do are none, or all."""
-    which, row = np.nonzero(needed)
-    alone = np.full(len(which), -1, dtype=np.intp)
-    solution, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)
+    run, row = np.nonzero(needed)
+    second = np.full(len(run), -1, dtype=np.intp)
+    solution, status = _coupled(G[run, row], bound[run, row], desired[:, 0], limit, run, second, None)
     if status != FILTERED:
         return np.arange(len(u))
     u[:, 0] = solution

@@ -86,10 +86,10 @@ class Recovery:
     def matrix(self) -> Array:
         """``[row phi^l, tightening per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
-        carried, booked = self.sets.table.carried[..., : tracking.system.n], self.sets.table.curvature.copy()
-        booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
-        booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
-        out = np.concatenate([carried, booked[..., None]], axis=-1)
+        carried, slope = self.sets.table.carried[..., : tracking.system.n], self.sets.table.curvature.copy()
+        slope[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
+        slope += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
+        out = np.concatenate([carried, slope[..., None]], axis=-1)
         return np.ascontiguousarray(out.reshape(-1, out.shape[-1]))
 
     @cached_property
@@ -105,8 +105,8 @@ class Recovery:
         tracking = self.grid.tracking
         error = taken_over(tracking, self.grid.clearance.reference)
         box = replace(tracking.flow, w_max=0.0, E=self.grid.system.B * error).period_box
-        more = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)
-        return tracking.disturbance_radius + more
+        input_radius = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)
+        return tracking.disturbance_radius + input_radius
 
     @cached_property
     def open_flow(self) -> LinearFlow:
@@ -125,17 +125,17 @@ class Recovery:
         system, flow = self.grid.system, self.open_flow
         rows = self.grid.clearance.obstacle_rows[0]
         spread = 2 * system.u_max  # |u - mu|, of commands
-        pushed = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.grid.h).period_box
-        within = pushed + flow.period_box
+        input_box = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.grid.h).period_box
+        within = input_box + flow.period_box
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
         curvature = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
-        wrong = system.impulse_rates[
+        impulses = system.impulse_rates[
             :, system.m * bool(system.timing.carried_impulse) :
         ]  # not constant over a period
         curvature = curvature + np.abs(rate @ system.unknown).sum(axis=1)
         curvature = flow.h**2 / 8 * (curvature + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
-        varying = np.abs(rows @ wrong).sum(axis=1) + np.linalg.norm(rows @ system.D, axis=1) * system.w_max
+        varying = np.abs(rows @ impulses).sum(axis=1) + np.linalg.norm(rows @ system.D, axis=1) * system.w_max
         uneven = system.thrusters.error(system.u_max) + spread * bool(system.transients)  # a fault begins
         varying = varying + np.abs(rows @ system.B) @ uneven
         return np.asarray(curvature + flow.h / 2 * varying)
@@ -166,9 +166,9 @@ class Recovery:
     @cached_property
     def reciprocals(self) -> Array:
         """``1 / (limits + jump)``, flat: node by node, row by row."""
-        whole = self.limits + self._jump
+        available = self.limits + self._jump
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(whole > 0, 1 / whole, NEVER).reshape(-1))
+            return np.asarray(np.where(available > 0, 1 / available, NEVER).reshape(-1))
 
     @cached_property
     def taken(self) -> Array:
@@ -186,13 +186,13 @@ class Recovery:
     def demand(self, G: Array) -> SetDemand:
         """Return the demand of sets with generators G (n, g) on the rows."""
         r, W_inverse = len(self.rows), self.grid.tracking.W_inverse
-        booked = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
+        tightening = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
         first = min(max(NEAR // r, 1), self.lags)
-        tightest, taken = self.reciprocals.reshape(-1, r).max(axis=0), self.taken.reshape(-1, r).max(axis=0)
+        tightest, jump = self.reciprocals.reshape(-1, r).max(axis=0), self.taken.reshape(-1, r).max(axis=0)
         size = np.linalg.norm(self.matrix[:, :-1] @ W_inverse, axis=1) * (1 + ROUNDING) + self.matrix[:, -1]
-        slope, base = size.reshape(-1, r) * tightest, booked.reshape(-1, r) * tightest + taken
-        least = (float(part[first:].max(initial=0.0)) for part in (base, slope))
-        return SetDemand(np.ascontiguousarray(np.hstack([self.matrix, booked[:, None]])), first * r, *least)
+        slope, base = size.reshape(-1, r) * tightest, tightening.reshape(-1, r) * tightest + jump
+        far = (float(part[first:].max(initial=0.0)) for part in (base, slope))
+        return SetDemand(np.ascontiguousarray(np.hstack([self.matrix, tightening[:, None]])), first * r, *far)
 
     def share(self, node: int, e: Array, size: Array, demand: SetDemand) -> Array:
         """Share of the available clearance that sets of errors need at the tightest place; above 1: too much.
@@ -204,12 +204,12 @@ class Recovery:
         tightening = self._tightenings(vector, first, demand, slice(demand.near))
         beyond = self.far_shares[node, :, 0] + np.multiply.outer(size, self.far_shares[node, :, 1])
         share = np.maximum(tightening.max(axis=-1), beyond.max(axis=-1))
-        later = demand.base + demand.slope * size
-        if (later > 1).any():
-            later = self._tightenings(vector, first, demand, slice(demand.near, None)).max(
+        far_share = demand.base + demand.slope * size
+        if (far_share > 1).any():
+            far_share = self._tightenings(vector, first, demand, slice(demand.near, None)).max(
                 axis=-1, initial=0.0
             )
-        return np.asarray(np.maximum(share, later))
+        return np.asarray(np.maximum(share, far_share))
 
     def _tightenings(self, vector: Array, first: int, demand: SetDemand, part: slice) -> Array:
         """Shares of the clearance needed at some of a demand's rows; `first`: where its limits begin."""
@@ -244,9 +244,9 @@ class Recovery:
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
         allowed = np.min((ends - tightening) / np.maximum(weight, 1e-300), axis=2)
         jump = np.stack([self._jump[: ends.shape[1]], self._jump[1 : ends.shape[1] + 1]])
-        possible, whole = allowed > 0, np.maximum(ends + jump, 1 / NEVER)
-        base = np.where(possible, np.max((tightening + jump) / whole, axis=2), NEVER)
-        steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
+        possible, available = allowed > 0, np.maximum(ends + jump, 1 / NEVER)
+        base = np.where(possible, np.max((tightening + jump) / available, axis=2), NEVER)
+        steep = np.where(possible, np.max(weight / available, axis=2), NEVER)
         last = self.grid.last if tail else ends.shape[1]
         at = np.minimum(np.arange(len(self.limits)) + tracking.settling, last)
         worst = np.stack([-allowed, base, steep]).max(axis=1)  # of both ends

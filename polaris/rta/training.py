@@ -90,16 +90,16 @@ class TrainingFlights:
                 drawn = Conditions.draw(self.grid, max(self.runs, POOL), int(rng.integers(2**31)))
                 self._left = [drawn.only(one) for one in range(len(drawn.x0))]
                 self._w = self._w if self._w.size else np.repeat(0 * drawn.w[:, :1], self.runs, axis=1)
-            flown = self._left.pop()
-            self._owed[run], self.x[run], self._w[:, run] = 0.0, flown.x0[0], flown.w[:, 0]
-            self._errors[:-1, run] = flown.errors[:, 0]
+            conditions = self._left.pop()
+            self._owed[run], self.x[run], self._w[:, run] = 0.0, conditions.x0[0], conditions.w[:, 0]
+            self._errors[:-1, run] = conditions.errors[:, 0]
             self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
         self.k[chosen] = self._flown[chosen] = 0
 
     def observe(self) -> Array:
         """Return the inputs of policies, from the states as measured, shape (R, r)."""
-        seen = self.x + self._errors[self.k, np.arange(self.runs)]
-        return self._read(self.k, seen, self._told) * self.scale
+        estimates = self.x + self._errors[self.k, np.arange(self.runs)]
+        return self._read(self.k, estimates, self._told) * self.scale
 
     def _read(self, k: NDArray[np.int_], x: Array, share: Array | float) -> Array:
         grid = self.grid
@@ -139,25 +139,25 @@ class TrainingFlights:
             judged, columns["margin"] = self.monitor.judge(k, e, self._flown[chosen])
             mode = np.where((judged > 0) & finite, FILTERED, 0)
         u = np.where(finite[:, None], u, 0.0)
-        distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
+        distance, impulse = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         rows, offsets, _ = grid.facets
         self.engine.left = self._owed[chosen] if grid.system.timing.carried_impulse else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
-            spent += thrust * self.engine.dt
+            impulse += thrust * self.engine.dt
             clearance = x @ rows.T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(clearance))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
         if self.engine.left is not None:
             self._owed[chosen] = self.engine.left
-        off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
-        near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
-        value = near - self.effort * spent / (grid.period * grid.system.u_max.sum())
+        offset = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
+        near = 1 / (1 + np.linalg.norm(offset, axis=1) / self._length)
+        value = near - self.effort * impulse / (grid.period * grid.system.u_max.sum())
         return columns | {
             "reward": value / grid.decisions - (distance < 0),
             "collided": np.asarray(distance < 0),
             "ended": np.full(len(chosen), k + 1 == grid.decisions),
             "intervened": np.asarray(mode == 0),
             "distance_m": distance,
-            "delta_v_m_s": spent / grid.system.mass,
+            "delta_v_m_s": impulse / grid.system.mass,
         }

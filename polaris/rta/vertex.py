@@ -50,8 +50,8 @@ def lowest(
             return None
     import flint  # few programs come this far
 
-    whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
-    table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
+    integers = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
+    table = flint.fmpz_mat([[int(value) for value in row] for row in integers])
     for basis in (near, first):
         solution = None if basis is None else _exact(table, basis)
         if solution is not None:
@@ -97,11 +97,11 @@ def _exact(table: Any, basis: list[int]) -> tuple[Array, list[int], Array] | Non
         multipliers = _numbers(y, y_unit)
         if multipliers.min() < -LEAST:
             return None
-        spare = (table * flint.fmpz_mat([*x.tolist(), [-x_unit]])).entries()
-        missed = [i for i, value in enumerate(spare) if value < 0]
+        slack = (table * flint.fmpz_mat([*x.tolist(), [-x_unit]])).entries()
+        missed = [i for i, value in enumerate(slack) if value < 0]
         if not missed:
             return _numbers(x, x_unit), basis, multipliers.clip(0.0)
-        enters = missed[0] if step >= BLAND else min(missed, key=lambda i: spare[i])
+        enters = missed[0] if step >= BLAND else min(missed, key=lambda i: slack[i])
         w, _ = T.solve(flint.fmpz_mat([[value] for value in rows[enters][:n]])).numer_denom()
         positive = [(flint.fmpq(max(y[k, 0], 0), w[k, 0]), basis[k], k) for k in range(n) if w[k, 0] > 0]
         if not positive:

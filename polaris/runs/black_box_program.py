@@ -75,13 +75,13 @@ class _Program:
         self.end()
         self.listening.join(PATIENCE)
         words = self.heard.decode(errors="replace").strip().splitlines()[-1:]
-        said = "".join(f" (its last words: {word[:100]!r})" for word in words)
-        return NoAnswer("black box", self.shown, rule + said)
+        last_words = "".join(f" (its last words: {word[:100]!r})" for word in words)
+        return NoAnswer("black box", self.shown, rule + last_words)
 
     def _listen(self) -> None:
         with self.process.stderr as stream:
-            while more := stream.read1(HEARD):
-                self.heard[:] = (self.heard + more)[-HEARD:]
+            while chunk := stream.read1(HEARD):
+                self.heard[:] = (self.heard + chunk)[-HEARD:]
 
     def _read(self) -> None:
         with self.process.stdout as stream:

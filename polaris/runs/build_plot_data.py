@@ -51,10 +51,10 @@ def _slice_nodes(picture: PlotData, q: int) -> NDArray[np.int_]:
     K, switches = picture.planned, np.flatnonzero(np.diff(picture.modes)) + 1
     parts = [np.arange(K), switches]
     steps = [part[np.linspace(0, len(part) - 1, min(SLICES, len(part))).astype(int)] for part in parts]
-    near = np.array([picture.approach(obstacle).time for obstacle in picture.obstacles]) * q
-    nodes = np.round(near / picture.reference.delta)
-    known = nodes[np.abs(near - nodes * picture.reference.delta) <= 1e-6 * picture.reference.delta]
-    return np.unique(np.concatenate([*(q * part for part in steps), known]).astype(int))
+    instants = np.array([picture.approach(obstacle).time for obstacle in picture.obstacles]) * q
+    nodes = np.round(instants / picture.reference.delta)
+    closest = nodes[np.abs(instants - nodes * picture.reference.delta) <= 1e-6 * picture.reference.delta]
+    return np.unique(np.concatenate([*(q * part for part in steps), closest]).astype(int))
 
 
 def recoverable_slices(safety: Safety, picture: PlotData) -> SliceData:
@@ -80,8 +80,8 @@ def recoverable_slices(safety: Safety, picture: PlotData) -> SliceData:
     places = states @ system.position.T
     outlines = np.array(slices) + places[:, :, None, flat]
     places[np.isnan(outlines).any(axis=(2, 3))] = np.nan
-    kept = np.isin(nodes % q, 0) | ~np.isnan(places[:, 0, 0])
-    return SliceData(nodes[kept] * reference.delta / q, places[kept], outlines[kept])
+    selected = np.isin(nodes % q, 0) | ~np.isnan(places[:, 0, 0])
+    return SliceData(nodes[selected] * reference.delta / q, places[selected], outlines[selected])
 
 
 def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array) -> Array:
@@ -102,30 +102,30 @@ def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array)
         back[~np.any(shift, axis=1)] = circle[0]
         turn = np.stack([back, back[:, ::-1] * [-1.0, 1.0]], axis=1)  # rows: first ray, and across it
         rays = circle @ turn
-    least = np.zeros(rays.shape[:2])
-    least[:, 0] = np.linalg.norm(shift, axis=1)
-    size = _reach(safety, node, errors + shift @ lift, rays @ lift, 4, least)
+    floor = np.zeros(rays.shape[:2])
+    floor[:, 0] = np.linalg.norm(shift, axis=1)
+    size = _reach(safety, node, errors + shift @ lift, rays @ lift, 4, floor)
     outlines[inside] = shift[:, None] + size[..., None] * rays
     return outlines
 
 
 def _reach(
-    safety: Safety, node: int, errors: Array, rays: Array, times: int, least: Array | float = 0.0
+    safety: Safety, node: int, errors: Array, rays: Array, times: int, floor: Array | float = 0.0
 ) -> Array:
     """Return a lower bound on how far errors (R, n) stay recoverable along rays (R, M, n), shape (R, M)."""
     W = safety.tracking.W
     norm = np.maximum(np.linalg.norm(errors @ W.T, axis=1), safety.recoverable.radius(node))
     scales = (norm[:, None] / np.linalg.norm(rays @ W.T, axis=2))[..., None] * np.geomspace(1e-3, 1e3, 16)
-    low, high = np.zeros(rays.shape[:2]) + least, scales[..., -1]
+    low, high = np.zeros(rays.shape[:2]) + floor, scales[..., -1]
     for _ in range(times):
         scales, high = np.maximum(scales, low[..., None]), np.maximum(high, low)
-        known = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
+        grid = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
         count, last = np.zeros((*low.shape, 1), dtype=int), scales.shape[2]
         for step in 2 ** np.arange(last.bit_length())[::-1]:  # a convex set holds the first so many of them
-            more = np.minimum(count + step, last)
-            tried = errors[:, None] + np.take_along_axis(known, more, axis=2) * rays
+            candidate = np.minimum(count + step, last)
+            tried = errors[:, None] + np.take_along_axis(grid, candidate, axis=2) * rays
             inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1]))
-            count = np.where(inside.reshape(count.shape), more, count)
-        low, high = (np.take_along_axis(known, count + i, axis=2)[..., 0] for i in (0, 1))
+            count = np.where(inside.reshape(count.shape), candidate, count)
+        low, high = (np.take_along_axis(grid, count + i, axis=2)[..., 0] for i in (0, 1))
         scales = low[..., None] + (high - low)[..., None] * np.linspace(0, 1, 6)[1:-1]
     return low

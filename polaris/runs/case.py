@@ -53,15 +53,15 @@ class CommandTarget:
         return schedule
 
 
-def load_target(target: str, overrides: Sequence[str] = (), apart: str = "") -> CommandTarget:
+def load_target(target: str, overrides: Sequence[str] = (), table: str = "") -> CommandTarget:
     """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name.
 
-    In a run folder overrides may change keys of the table `apart` only, which its schedule does not rest on.
+    In a run folder overrides may change keys of the table `table` only, which its schedule does not rest on.
     """
     if target in bundled_files() or not Path(target).is_dir():
         return CommandTarget(load_scenario(target, overrides, only=ScheduleScenario))
-    if not all(apart and text.lstrip().startswith(f"{apart}.") for text in overrides):
-        rule = f"must change keys of [{apart}] only" if apart else "must be left out"
+    if not all(table and text.lstrip().startswith(f"{table}.") for text in overrides):
+        rule = f"must change keys of [{table}] only" if table else "must be left out"
         raise ScenarioError("--set", list(overrides), f"{rule} for a run folder, whose schedule is fixed")
     folder = schedule_folder(target)
     return CommandTarget(folder.scenario.with_assignments(overrides), folder)
@@ -126,11 +126,11 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
     """
     data = _read(Path(path))
     scenario = ScheduleScenario.from_dict(parse_toml(data["scenario"], str(path)), Path(path).name)
-    whole = synthesize(scenario)
-    if digest(whole) != data["schedule"]:
+    nominal = synthesize(scenario)
+    if digest(nominal) != data["schedule"]:
         rule = "is of another schedule than its scenario gives here; is the solver's version the same?"
         raise ScenarioError("case", str(path), rule)
-    schedule = whole if data.get("abort") is None else whole.aborted(int(data["abort"]))
+    schedule = nominal if data.get("abort") is None else nominal.aborted(int(data["abort"]))
     try:
         attack = Attack(
             _finite(data["x0"])[None],
@@ -138,21 +138,21 @@ def replay(path: str | Path, code: FlightCode | None = None) -> tuple[Failure | 
             None if data["inputs"] is None else _unpacked(data["inputs"]),
             FaultTimes.from_table(data["faults"], len(data["x0"])) if data["faults"] else None,
         )
-        asks = None if code is None else code.asks
-        claims = Claims(schedule, bool(data["tail"]), attack.faults is not None, asks)
+        monitored = None if code is None else code.asks
+        claims = Claims(schedule, bool(data["tail"]), attack.faults is not None, monitored)
         flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         flight.code = code and code.require_schedule(schedule)
-        runs, known = attack.fly(flight), Failure(**data["violation"])
+        runs, recorded = attack.fly(flight), Failure(**data["violation"])
         failure = violation(claims, attained(claims, runs, attack.faults))
-        if failure is None and known.kind == "velocity change":
+        if failure is None and recorded.kind == "velocity change":
             failure, _ = overspent(runs)
-        elif failure is None and known.kind == "drift" and whole.passive is not None:
-            node = np.array([round(known.time_s / runs.times[1])])
-            failure, _ = drifted(whole.passive, runs, 0 * node, node)
-        elif failure is None and known.kind == "abort":
-            failure, _ = exceeded(whole, int(data["abort"]), runs)
+        elif failure is None and recorded.kind == "drift" and nominal.passive is not None:
+            node = np.array([round(recorded.time_s / runs.times[1])])
+            failure, _ = drifted(nominal.passive, runs, 0 * node, node)
+        elif failure is None and recorded.kind == "abort":
+            failure, _ = exceeded(nominal, int(data["abort"]), runs)
         return failure if failure and failure.broken else None, scenario
     except (ValueError, TypeError, LookupError, OverflowError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
@@ -163,18 +163,18 @@ def _read(path: Path) -> dict[str, Any]:
         data: Any = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
-    wanted = {"scenario", "schedule", "tail", "x0", "w", "inputs", "faults", "violation"}
-    known = isinstance(data, dict) and data.get("format") == FORMAT
-    if known and data.get("version") != VERSION:  # before the keys, which differ by version
+    keys = {"scenario", "schedule", "tail", "x0", "w", "inputs", "faults", "violation"}
+    is_case = isinstance(data, dict) and data.get("format") == FORMAT
+    if is_case and data.get("version") != VERSION:  # before the keys, which differ by version
         raise ScenarioError("case", data.get("version"), f"must be of version {VERSION}")
-    if not (known and wanted <= set(data) and isinstance(data["scenario"], str)):
+    if not (is_case and keys <= set(data) and isinstance(data["scenario"], str)):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     return dict(data)
 
 
 def _packed(rows: Array) -> list[list[Any]]:
     """Rows, each with the number of times it follows itself; JSON keeps numbers exactly."""
-    return [[len(alike), alike[0]] for alike in (list(group) for _, group in groupby(rows.tolist(), repr))]
+    return [[len(copies), copies[0]] for copies in (list(group) for _, group in groupby(rows.tolist(), repr))]
 
 
 def _unpacked(packed: list[list[Any]]) -> Array:

@@ -66,21 +66,21 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
 
 def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
     """Unsafe sets for as long as anything is said of them."""
-    known = schedule.safety.clearance.unsafe
+    unsafe = schedule.safety.clearance.unsafe
     for branch in schedule.powered.branches if schedule.powered else ():
         if branch.safety.reference.cells > cells:
-            known, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
+            unsafe, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
     return [
         {"name": item.name, "keep_in": item.keep_in, "normals": item.normals, "offsets": item.offsets[:cells]}
         | ({"of_state": True} if item.of_state else {})
-        for item in known
+        for item in unsafe
     ]
 
 
 def _weights(schedule: Schedule) -> dict[str, Any]:
     """Return weights by which the velocity change is bounded, step by step; None where it is not linear."""
-    known = [None if each is None else [*each.r, *each.b] for each in schedule.spending.weights]
-    return {"weights": known} if any(known) else {}
+    weights = [None if each is None else [*each.r, *each.b] for each in schedule.spending.weights]
+    return {"weights": weights} if any(weights) else {}
 
 
 def _drift(schedule: Schedule) -> dict[str, Any]:
@@ -90,8 +90,8 @@ def _drift(schedule: Schedule) -> dict[str, Any]:
         return {}
     steps = [[_departure(part) for part in parts] if clear(parts) else None for parts in passive.drifts]
     abort = passive.flight.abort
-    known = {"horizon": float(abort.horizon), "keep_in": abort.keep_in, "parts": passive.flight.parts}
-    return {"drift": {**known, "steps": steps}}
+    settings = {"horizon": float(abort.horizon), "keep_in": abort.keep_in, "parts": passive.flight.parts}
+    return {"drift": {**settings, "steps": steps}}
 
 
 def _powered(schedule: Schedule) -> dict[str, Any]:
@@ -111,8 +111,8 @@ def _powered(schedule: Schedule) -> dict[str, Any]:
         for each in powered.branches
     ]
     steps = [None if way.branch is None else {"branch": way.branch, "cell": way.cell} for way in powered.ways]
-    known = {"within": powered.asked.within, "budget": powered.asked.budget}
-    return {"powered": {**known, "branches": branches, "steps": steps}}
+    limits = {"within": powered.asked.within, "budget": powered.asked.budget}
+    return {"powered": {**limits, "branches": branches, "steps": steps}}
 
 
 def _departure(part: Drift) -> dict[str, Any]:

@@ -79,17 +79,17 @@ def _summary(
             "name": one.name,
             "guarantee": one.claim.kind,
             "reach": one.claim.reach,
-            "note": "; ".join(f"{why}: {count}" for why, count in one.reasons.items() if count),
+            "note": "; ".join(f"{reason}: {count}" for reason, count in one.reasons.items() if count),
             "available": True,
             "settings": one.settings,
             "metrics": one.summary(),
         }
         for key, one in comparison.results.items()
     ]
-    rest = {"note": "", "available": False, "settings": {}, "metrics": {}}
+    empty = {"note": "", "available": False, "settings": {}, "metrics": {}}
     methods += [
-        {"key": key, "name": key, "guarantee": "none", "reach": why, **rest}
-        for key, why in comparison.refused.items()
+        {"key": key, "name": key, "guarantee": "none", "reach": reason, **empty}
+        for key, reason in comparison.refused.items()
     ]
     return {
         "protocol": {
@@ -130,8 +130,8 @@ def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> 
 
 def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonData:
     table = read_json(folder / "comparison.json")
-    shown = read_flights(folder / "comparison.npz")
-    return ComparisonData(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
+    flights = read_flights(folder / "comparison.npz")
+    return ComparisonData(table, RunFolder(folder / "run", scenario, SCHEDULE), flights)
 
 
 COMPARISON = RunKind(  # run folder of a comparison

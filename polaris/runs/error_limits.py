@@ -22,8 +22,8 @@ def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> Syn
     bounds = {key: value for table in TABLES for key, value in _bounds(table, data.get(table))}
     if not bounds or not _found(scenario, bounds, SHARES[-1]):
         return error
-    ways = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
-    texts = [way for way in ways if way] or [_lowered(scenario, bounds)]
+    options = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
+    texts = [option for option in options if option] or [_lowered(scenario, bounds)]
     relax = (
         f"{error.relax.rstrip('.')}; or declare {', or '.join(texts)}, with which a safe reference is found."
     )
@@ -54,9 +54,9 @@ def _less(value: Any, share: float) -> Any:
 
 def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
     """Return True if a safe reference is found with a share of some bounds."""
-    less = {key: _less(value, share) for key, value in bounds.items()}
+    lowered = {key: _less(value, share) for key, value in bounds.items()}
     try:
-        find_safety(scenario.with_overrides(less).problem())
+        find_safety(scenario.with_overrides(lowered).problem())
     except (SynthesisInfeasible, NotCertified, ScenarioError):
         return False
     return True
@@ -67,5 +67,5 @@ def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
     if not _found(scenario, bounds, SHARES[-1]):
         return ""
     last = len(SHARES) - 1
-    part = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
-    return " and ".join(f"{key} = {_less(value, part)} (not {value})" for key, value in bounds.items())
+    largest = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
+    return " and ".join(f"{key} = {_less(value, largest)} (not {value})" for key, value in bounds.items())

@@ -18,14 +18,14 @@ def attribute_faults(schedule: Schedule) -> list[dict[str, Any]]:
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
     rows = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
     starts = [safety.start, *(step.tube.end for step in schedule.steps)]
-    ideal, alone = safety.recoverable_with(()), [safety.recoverable_with((fault,)) for fault in faults]
+    ideal, by_fault = safety.recoverable_with(()), [safety.recoverable_with((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
         for law in schedule.controllers[1:] if step.mode == 0 else ():
             tube = propagate_states(law, starts[step.k], step.k, safety.controller)
             if tube.refused or not ideal.holds(step.k, tube.nodes, tube.intersample):
                 continue
             if not safety.recoverable.holds(step.k, tube.nodes, tube.intersample):
-                margins = [sets.margin(step.k, tube.nodes, tube.intersample) for sets in alone]
+                margins = [sets.margin(step.k, tube.nodes, tube.intersample) for sets in by_fault]
                 worst = min(margin.value for margin in margins)
                 for each, margin in zip(rows, margins, strict=True):
                     if not margin.inside or margin.value == worst:

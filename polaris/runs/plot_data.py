@@ -137,9 +137,9 @@ class PlotData:
     def path(self, parts: int = 8) -> tuple[Array, Array]:
         """Positions [m] of the reference up to T and after it, shapes (.., d)."""
         arcs = self.reference.fine(parts) @ self.system.position.T
-        first, rest = arcs[: self.planned], arcs[self.planned :]
+        first, tail = arcs[: self.planned], arcs[self.planned :]
         d = self.system.d
-        return first.reshape(-1, d), rest.reshape(-1, d)
+        return first.reshape(-1, d), tail.reshape(-1, d)
 
     def path_times(self, parts: int = 8) -> Array:
         """Times [s] of the positions of `path` up to T."""
@@ -179,15 +179,15 @@ class PlotData:
         """Return the closest approach to an unsafe set (of another satellite: to its nominal place)."""
         times, path = self.safe_path()
         distances = obstacle.signed_distance(times, path, self.system)
-        least = int(np.argmin(distances))
-        return ApproachData(float(times[least]), float(distances[least]), path[least])
+        nearest = int(np.argmin(distances))
+        return ApproachData(float(times[nearest]), float(distances[nearest]), path[nearest])
 
     @property
     def closest(self) -> float:
         """Time at which the safe path is closest to any unsafe set [s]; the horizon if that is the start."""
         approaches = [self.approach(obstacle) for obstacle in self.obstacles]
-        least = min(approaches, key=lambda one: one.distance).time if approaches else 0.0
-        return least or self.duration
+        nearest = min(approaches, key=lambda one: one.distance).time if approaches else 0.0
+        return nearest or self.duration
 
     @property
     def hand_overs(self) -> dict[float, int]:
@@ -201,14 +201,14 @@ class PlotData:
         """Slices of the first run at its hand-overs, or at its closest approach and a few more instants."""
         if self.slices is None:
             return
-        times, known = self.slices.times, ~np.isnan(self.slices.places[:, 0, 0])
+        times, recoverable = self.slices.times, ~np.isnan(self.slices.places[:, 0, 0])
         spread = (self.closest, *np.linspace(0, self.duration, 3))
-        wanted: dict[int, int | None] = {}
+        mode_by_slice: dict[int, int | None] = {}
         for t, mode in (self.hand_overs or dict.fromkeys(spread)).items():
-            i = int(np.argmin(np.abs(times - t) + np.where(known | (mode is not None), 0.0, np.inf)))
-            if known[i] and (mode is None or abs(times[i] - t) <= 1e-6 * self.reference.delta):
-                wanted[i] = mode
-        for i, mode in sorted(wanted.items()):
+            i = int(np.argmin(np.abs(times - t) + np.where(recoverable | (mode is not None), 0.0, np.inf)))
+            if recoverable[i] and (mode is None or abs(times[i] - t) <= 1e-6 * self.reference.delta):
+                mode_by_slice[i] = mode
+        for i, mode in sorted(mode_by_slice.items()):
             yield PrintedSlice(float(times[i]), mode, self.slices.places[i, 0], self.slices.outlines[i, 0])
 
     def mode_name(self, mode: int) -> str:

@@ -78,8 +78,8 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     except (SynthesisInfeasible, NotCertified) as error:
         rule = f"holds a schedule that this version cannot prove ({error}); run the scenario again"
         raise ScenarioError("run folder", str(run.path), rule) from error
-    for place, stated, derived in _claims(document, schedule):
-        if not _agree(stated, derived):
+    for place, claimed, derived in _claims(document, schedule):
+        if not _agree(claimed, derived):
             raise _contradiction(run, place)
     return schedule
 
@@ -114,10 +114,10 @@ def certificate_of(folder: Path) -> Document:
     return document
 
 
-def _asks(scenario: ScheduleScenario, given: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
+def _asks(scenario: ScheduleScenario, black_boxes: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
     """Return the command functions of black boxes; one that is not given is refused once it flies."""
-    if given:
-        return given
+    if black_boxes:
+        return black_boxes
 
     def missing(name: str) -> Ask:
         def ask(t: float, x: Any, xi: Any) -> Any:
@@ -169,13 +169,13 @@ def _controllers(
 
     A black box has the bands of the document, or may do anything where that is what was proven.
     """
-    stated = {law.name: law for law in document.laws[1:]}
-    planned = {name: np.array(law.inputs) for name, law in stated.items() if law.inputs is not None}
+    law_by_name = {law.name: law for law in document.laws[1:]}
+    planned = {name: np.array(law.inputs) for name, law in law_by_name.items() if law.inputs is not None}
     fits = {k: np.array(fit) for k, fit in enumerate(document.fits) if fit is not None}
     laws = list[Controller]()
     for law in scenario.controllers(safety, boxes, planned):
         if isinstance(law, BlackBox):
-            fitted = law.name in stated and stated[law.name].kind == "black_box"
+            fitted = law.name in law_by_name and law_by_name[law.name].kind == "black_box"
             law = replace(law, fits=fits) if fitted else law.anything
         laws.append(law)
     return laws
@@ -183,17 +183,17 @@ def _controllers(
 
 def _branches(run: RunFolder, document: Document) -> KnownBranches | None:
     """Return the branches of aborts in a document; ``schedule.json`` says why a step has none."""
-    known, m = document.powered, len(document.u_max)
-    if (known is None) != (run.scenario.problem().powered is None):
+    powered, m = document.powered, len(document.u_max)
+    if (powered is None) != (run.scenario.problem().powered is None):
         raise _contradiction(run, "powered")
-    if known is None:
+    if powered is None:
         return None
     steps = run.json("schedule.json")["guarantee"]["powered_abort"]["steps"]
     return KnownBranches(
-        [each.step for each in known.branches],
-        [np.array(each.inputs, dtype=float).reshape(-1, m) for each in known.branches],
-        [np.array(each.facets, dtype=int).reshape(len(each.facets), -1) for each in known.branches],
-        [None if way is None else way.branch for way in known.steps],
+        [each.step for each in powered.branches],
+        [np.array(each.inputs, dtype=float).reshape(-1, m) for each in powered.branches],
+        [np.array(each.facets, dtype=int).reshape(len(each.facets), -1) for each in powered.branches],
+        [None if way is None else way.branch for way in powered.steps],
         [step["why"] or "" for step in steps],
     )
 
@@ -258,16 +258,16 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     ]
 
 
-def _agree(stated: Any, derived: Any) -> bool:
+def _agree(claimed: Any, derived: Any) -> bool:
     """Return True if two nested values are equal, numbers up to rounding."""
-    if isinstance(stated, Mapping):
-        same = isinstance(derived, Mapping) and set(stated) == set(derived)
-        return same and all(_agree(stated[key], derived[key]) for key in stated)
+    if isinstance(claimed, Mapping):
+        same = isinstance(derived, Mapping) and set(claimed) == set(derived)
+        return same and all(_agree(claimed[key], derived[key]) for key in claimed)
     if isinstance(derived, np.ndarray | float | int) and not isinstance(derived, bool):
-        one, other = np.array(stated, dtype=float), np.array(derived, dtype=float)
+        one, other = np.array(claimed, dtype=float), np.array(derived, dtype=float)
         same = one.size == other.size == 0 or one.shape == other.shape
         return same and bool(np.all(np.abs(one - other) <= AGREES * np.max(np.abs(other), initial=0.0)))
-    if isinstance(stated, list | tuple):
-        same = isinstance(derived, list | tuple) and len(stated) == len(derived)
-        return same and all(map(_agree, stated, derived))
-    return bool(stated == derived)
+    if isinstance(claimed, list | tuple):
+        same = isinstance(derived, list | tuple) and len(claimed) == len(derived)
+        return same and all(map(_agree, claimed, derived))
+    return bool(claimed == derived)

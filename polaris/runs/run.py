@@ -80,8 +80,8 @@ def run(
     if isinstance(scenario, MonteCarloScenario):
         with stages.stage("runs"):
             progress = stages.counting("{:,} of {:,} runs")
-            flown = run_monte_carlo(target, scenario, progress=progress, executor=executor, fresh=fresh)
-        folder = RunFolder(flown.path, scenario, MONTE_CARLO)
+            campaign = run_monte_carlo(target, scenario, progress=progress, executor=executor, fresh=fresh)
+        folder = RunFolder(campaign.path, scenario, MONTE_CARLO)
         if draw is not None:
             with stages.stage("figures"):
                 draw(folder)
@@ -91,9 +91,9 @@ def run(
     assert kind.fly is not None
     if black_boxes and not isinstance(scenario, ScheduleScenario):
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
-    result = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
+    outcome = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return write_folder(place, kind, scenario, result, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, outcome, draw=draw, stages=stages)
 
 
 def read_run(path: str | Path) -> RunFolder:
@@ -114,9 +114,9 @@ def read_run(path: str | Path) -> RunFolder:
             raise ScenarioError("run folder", str(path), rule)
     if kind is COMPARISON:
         return RunFolder(folder, read_run(folder / "run").scenario, kind)
-    for name, known in _hashes(folder / "certificate.json").items():
+    for name, digest in _hashes(folder / "certificate.json").items():
         known_file = name in kind.files or ((folder / name).is_file() and name.endswith(".onnx"))
-        if known_file and sha256(folder / name) != known:
+        if known_file and sha256(folder / name) != digest:
             rule = "was edited or damaged after the run was written; run the scenario again"
             raise ScenarioError("run folder", str(folder / name), rule)
     return RunFolder(folder, load_scenario(folder / SCENARIO), kind)

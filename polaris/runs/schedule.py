@@ -119,8 +119,8 @@ def fly_schedule(
         at_most = _at_most(scenario, schedule)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
-        flown = baselines.compare(schedule, plan.runs, plan.seed, counting)
-        return FlownSchedule(schedule, flown, at_most, sampled)
+        runs = baselines.compare(schedule, plan.runs, plan.seed, counting)
+        return FlownSchedule(schedule, runs, at_most, sampled)
 
 
 def _at_most(scenario: ScheduleScenario, schedule: Schedule) -> ShareBound:
@@ -161,16 +161,16 @@ def write_run(
     check_safety(schedule.safety, scenario.problem())  # or the folder would tell of a proof of something else
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
-    result = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
-    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, result, draw=draw)
+    outcome = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
+    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, outcome, draw=draw)
 
 
-def _write(folder: Path, scenario: ScheduleScenario, result: FlownSchedule) -> None:
-    schedule, rules = result.schedule, asdict(scenario.switching_rules())
+def _write(folder: Path, scenario: ScheduleScenario, outcome: FlownSchedule) -> None:
+    schedule, rules = outcome.schedule, asdict(scenario.switching_rules())
     files.write_schedule(folder, schedule, rules, guarantee(schedule))
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
     write_gains(folder / "gains.json", schedule)
-    flights = {key: item.flights for key, item in result.flown.items()}
+    flights = {key: item.flights for key, item in outcome.flown.items()}
     picture = schedule_plot_data(schedule, flights)
     assert picture.slices is not None
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
@@ -181,17 +181,17 @@ def _write(folder: Path, scenario: ScheduleScenario, result: FlownSchedule) -> N
 
 
 def _summary(
-    scenario: ScheduleScenario, result: FlownSchedule, seconds: Mapping[str, float]
+    scenario: ScheduleScenario, outcome: FlownSchedule, seconds: Mapping[str, float]
 ) -> dict[str, Any]:
     """Contents of ``summary.json``."""
-    schedule, safety = result.schedule, result.schedule.safety
-    plan, bound = safety.plan, asdict(result.at_most)
+    schedule, safety = outcome.schedule, outcome.schedule.safety
+    plan, bound = safety.plan, asdict(outcome.at_most)
     return {
-        **{key: item.metrics.summary() for key, item in result.flown.items()},
+        **{key: item.metrics.summary() for key, item in outcome.flown.items()},
         "synthesis": {
             "recoverable": safety.recoverable.kind,
             "experimental_share": schedule.share(),
-            **_boxes(result.sampled),
+            **_boxes(outcome.sampled),
             "share_at_most": bound.pop("share"),
             "share_bound": bound,
             "switches": schedule.switches,
@@ -217,9 +217,9 @@ def _summary(
     }
 
 
-def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float]:
+def _seconds(schedule: Schedule, stage_times: Mapping[str, float]) -> dict[str, float]:
     """Return wall times of the parts of the synthesis and of stages around it; they add up to ``total``."""
-    stages, parts = dict(around), dict(schedule.seconds)
+    stages, parts = dict(stage_times), dict(schedule.seconds)
     total, measured = stages.pop("total"), [stages.pop(name, 0.0) for name in SYNTHESIS]
     total += 0.0 if any(measured) else sum(parts.values())  # a schedule made before anything was timed
     names = (name for name in (*parts, *stages) if name != "other")
@@ -247,7 +247,7 @@ def _boxes(sampled: SampledSchedules | None) -> dict[str, Any]:
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """Return the claim, until when it holds, its reason, and its assumptions."""
-    end, goal, late = schedule.safety.end, schedule.arrival, attribute_faults(schedule)
+    end, goal, attribution = schedule.safety.end, schedule.arrival, attribute_faults(schedule)
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
@@ -267,7 +267,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.to_dict(),
         **({} if schedule.estimate is None else {"estimate": schedule.estimate}),
         **({} if schedule.passive is None else {"abort": schedule.passive.to_dict()}),
-        **({"fault_attribution": late} if late else {}),
+        **({"fault_attribution": attribution} if attribution else {}),
         **({} if schedule.powered is None else {"powered_abort": schedule.powered.to_dict()}),
     }
 

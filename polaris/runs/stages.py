@@ -27,11 +27,11 @@ class Stages:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time one stage."""
-        begun = time.perf_counter()
+        start = time.perf_counter()
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def beside(self) -> Stages:
         """Return stages that show nothing and go on from here, to time parts of a stage that is under way."""
@@ -58,6 +58,6 @@ class Stages:
 
 def planner_line(progress: Progress) -> str:
     """One line on how far the planner is."""
-    known = {"best {:.4g}": progress.incumbent, "bound {:.4g}": progress.bound, "gap {:.2%}": progress.gap}
-    parts = [form.format(value) for form, value in known.items() if abs(value) < float("inf")]
+    forms = {"best {:.4g}": progress.incumbent, "bound {:.4g}": progress.bound, "gap {:.2%}": progress.gap}
+    parts = [form.format(value) for form, value in forms.items() if abs(value) < float("inf")]
     return ", ".join([f"plan: {progress.stage}", *parts])

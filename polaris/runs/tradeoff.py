@@ -91,8 +91,8 @@ def tradeoff(
         point.check_black_boxes(black_boxes)
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        every = [(target / name, one, swept, black_boxes) for name, one in points.items()]
-        _compute(every, target, workers_of(executor), stages.counting("{} of {} points"))
+        tasks = [(target / name, one, swept, black_boxes) for name, one in points.items()]
+        _compute(tasks, target, workers_of(executor), stages.counting("{} of {} points"))
         rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
@@ -118,19 +118,19 @@ def _points(
 
 def _named(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
     """Fields and values in order, by the names of their folders; beside prices alone none, as printed."""
-    out: dict[str, tuple[str, float | None]] = {}
-    for field, given in (values if isinstance(values, Mapping) else {PRICE: values}).items():
-        said = "prices" if field == PRICE else field
-        numbers = [number(said, value) + 0.0 for value in given]  # -0 is 0
+    points: dict[str, tuple[str, float | None]] = {}
+    for field, field_values in (values if isinstance(values, Mapping) else {PRICE: values}).items():
+        label = "prices" if field == PRICE else field
+        numbers = [number(label, value) + 0.0 for value in field_values]  # -0 is 0
         if field == PRICE:
-            numbers = [non_negative(said, value, "-") for value in numbers]
+            numbers = [non_negative(label, value, "-") for value in numbers]
         if not numbers or len(set(numbers)) < len(numbers):
-            raise ScenarioError(said, numbers, "must be at least one, each once")
+            raise ScenarioError(label, numbers, "must be at least one, each once")
         folder = "price" if field == PRICE else re.sub(r"\W+", ".", field).strip(".")
-        out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(numbers)}
-    if not out:
+        points |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(numbers)}
+    if not points:
         raise ScenarioError("fields", [], "must be at least one")
-    return out if isinstance(values, Mapping) else {**out, "printed": (PRICE, None)}
+    return points if isinstance(values, Mapping) else {**points, "printed": (PRICE, None)}
 
 
 def _row(target: Path, name: str, field: str, value: float | None) -> Row:
@@ -160,8 +160,8 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
             return same and read_json(folder / INFEASIBLE.summary)["versions"] == versions()
         point = read_run(folder)
         row_of(point, folder.name, PRICE, None)
-        known = set(point.json("certificate.json")["artefacts"]) >= set(SCHEDULE.files)
-        return same and known and point.kind is SCHEDULE and point.summary["versions"] == versions()
+        complete = set(point.json("certificate.json")["artefacts"]) >= set(SCHEDULE.files)
+        return same and complete and point.kind is SCHEDULE and point.summary["versions"] == versions()
     except (PolarisError, OSError, KeyError, TypeError):
         return False
 

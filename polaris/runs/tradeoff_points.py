@@ -44,7 +44,7 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
     """Return the row of a point from its run folder; `ScenarioError` if a file is missing or damaged."""
     summary, scenario = folder.summary, folder.scenario
     with readable(folder.path):
-        synthesis, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
+        synthesis, claim, metrics = summary["synthesis"], summary["guarantee"], summary["polaris"]
         goal, modes = claim["goal"], np.array(folder.json("schedule.json")["modes"], dtype=int)
         flights = read_flights(folder.path / "trajectories.npz")["polaris"]
         thrust = np.abs(flights.inputs[flights.labels.index("nominal")]).sum(axis=1)
@@ -58,8 +58,8 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
             "switches": synthesis["switches"],
             "delta_v_undisturbed_m_s": float(thrust @ np.diff(flights.times)) / scenario.system().mass,
             "delta_v_most_m_s": goal["delta_v_max_m_s"],
-            "delta_v_m_s": flown["delta_v_m_s"],
-            "delta_v_max_m_s": flown["delta_v_max_m_s"],
+            "delta_v_m_s": metrics["delta_v_m_s"],
+            "delta_v_max_m_s": metrics["delta_v_max_m_s"],
             "goal_reached": goal["reached"],
             "goal_by_s": goal["by_s"],
             "goal_distance_m": goal["distance_m"],
@@ -86,17 +86,17 @@ def infeasible_row(folder: Path, field: str, value: float | None) -> Row:
 
 def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
     """Return the last value of a field that has a share of the time under U; see `COLUMNS`."""
-    mine = sorted((row for row in rows if row["field"] == field), key=lambda row: float(row["value"]))
-    shares = [row["share"] if row["guarantee"] == "proved" else -1.0 for row in mine]
+    points = sorted((row for row in rows if row["field"] == field), key=lambda row: float(row["value"]))
+    shares = [row["share"] if row["guarantee"] == "proved" else -1.0 for row in points]
     falls = shares[0] >= shares[-1]
-    values = [row["value"] for row in mine][:: 1 if falls else -1]
+    values = [row["value"] for row in points][:: 1 if falls else -1]
     shares = shares[:: 1 if falls else -1]
     answer = {"field": field, "share": share, "bound": "at most" if falls else "at least"}
     answer |= dict.fromkeys(("last_proven", "share_there", "next", "share_next", "interpolated"))
-    good = [i for i, one in enumerate(shares) if one >= share]
-    if not good:
+    indices = [i for i, one in enumerate(shares) if one >= share]
+    if not indices:
         return answer
-    last, after = good[-1], good[-1] + 1
+    last, after = indices[-1], indices[-1] + 1
     answer |= {"last_proven": values[last], "share_there": shares[last]}
     if after < len(values):
         answer["next"] = values[after]
@@ -111,7 +111,7 @@ def non_dominated(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     """Return True for each point that none dominates (as good in all, better in one); see `COLUMNS`."""
     merits = np.array([_merits(row) for row in rows], dtype=float)
     as_good = np.all(merits[:, None] >= merits, axis=2)
-    return [bool(alone) for alone in ~np.any(as_good & ~as_good.T, axis=0)]
+    return [bool(flag) for flag in ~np.any(as_good & ~as_good.T, axis=0)]
 
 
 def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
@@ -127,8 +127,8 @@ def _summary(scenario: ScheduleScenario, points: Points, seconds: Mapping[str, f
     """Contents of ``tradeoff.json``."""
     rows, share = points
     fields = dict.fromkeys(row["field"] for row in rows if row["non_dominated"] is None)
-    asked = [needed(rows, field, share) for field in fields]
-    return {"points": list(rows), "needed": asked, "definitions": COLUMNS}
+    answers = [needed(rows, field, share) for field in fields]
+    return {"points": list(rows), "needed": answers, "definitions": COLUMNS}
 
 
 TRADEOFF = RunKind(  # run folder of a trade-off

@@ -40,16 +40,16 @@ FAR = 1e6  # beyond it observations, scaled to about 1, are cut off
 RESET = "an episode begins with reset: at first, after a shield was put on, and when the last one is over"
 
 
-def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights:
+def _flights(scenario: Any, runs: int, options: dict[str, Any]) -> TrainingFlights:
     """Return flights of a scenario, or of its name, its file, a run folder, its schedule or its grid."""
     scene = load_target(str(scenario)).schedule() if isinstance(scenario, str | Path) else scenario
     if isinstance(scene, Scenario):
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
     if not isinstance(scene, DecisionGrid):
-        period, half_widths = (given.pop(key, None) for key in ("period_s", "half_widths"))
+        period, half_widths = (options.pop(key, None) for key in ("period_s", "half_widths"))
         scene = DecisionGrid.from_schedule(scene, period, 0.0, half_widths)
-    return TrainingFlights(scene, runs, **given)
+    return TrainingFlights(scene, runs, **options)
 
 
 def _shown(numbers: Array) -> Numbers:
@@ -111,14 +111,14 @@ class SwitchingVectorEnv(FlightsVectorEnv):
     scenario : str, Path, ScheduleScenario, Schedule or DecisionGrid
         The schedule of a run folder is read; a scenario, its name or its file is synthesised first.
     num_envs : int
-    **given
+    **options
         Unless a grid is given, `period_s` (between decisions) and `half_widths` (largest errors of the state
         estimate that policy and monitor are given) as `DecisionGrid.from_schedule` has them; `inputs`,
         `input_scale`, `length` and `effort` of `TrainingFlights`.
     """
 
-    def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
-        super().__init__(_flights(scenario, num_envs, given))
+    def __init__(self, scenario: Any, num_envs: int = 1, **options: Any) -> None:
+        super().__init__(_flights(scenario, num_envs, options))
 
 
 class InspectionVectorEnv(FlightsVectorEnv):
@@ -131,13 +131,13 @@ class InspectionVectorEnv(FlightsVectorEnv):
     ----------
     scenario : str, Path or FlightScenario
     num_envs : int
-    **given
+    **options
         `wanted_m` and `effort` of `InspectionFlights`.
     """
 
-    def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
+    def __init__(self, scenario: Any, num_envs: int = 1, **options: Any) -> None:
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        super().__init__(InspectionFlights(loaded, num_envs, **given))
+        super().__init__(InspectionFlights(loaded, num_envs, **options))
 
 
 class SwitchingEnv(gym.Env[Numbers, Numbers]):
@@ -145,8 +145,8 @@ class SwitchingEnv(gym.Env[Numbers, Numbers]):
 
     MANY: type[SwitchingVectorEnv | InspectionVectorEnv] = SwitchingVectorEnv
 
-    def __init__(self, scenario: Any, **given: Any) -> None:
-        self.many = self.MANY(scenario, 1, **given)
+    def __init__(self, scenario: Any, **options: Any) -> None:
+        self.many = self.MANY(scenario, 1, **options)
         self.observation_space = self.many.single_observation_space
         self.action_space = self.many.single_action_space
 
@@ -163,9 +163,9 @@ class SwitchingEnv(gym.Env[Numbers, Numbers]):
         """Fly one period."""
         if self.many.over[0]:
             raise ResetNeeded(RESET)
-        seen, reward, failed, ended, info = self.many.step(np.asarray(action)[None])
+        observation, reward, failed, ended, info = self.many.step(np.asarray(action)[None])
         data = {name: values[0].item() for name, values in info.items() if not name.startswith("_")}
-        return seen[0], float(reward[0]), bool(failed[0]), bool(ended[0]), data
+        return observation[0], float(reward[0]), bool(failed[0]), bool(ended[0]), data
 
 
 class InspectionEnv(SwitchingEnv):
@@ -187,9 +187,9 @@ class _Shielding:
 
     def step(self, action: Any) -> Any:
         """Fly one period under the shield."""
-        seen, reward, *over, info = self.env.step(action)
-        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
-        return seen, reward - self.penalty * held, *over, info
+        observation, reward, *flags, info = self.env.step(action)
+        share = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
+        return observation, reward - self.penalty * share, *flags, info
 
 
 class Shield(_Shielding, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):

@@ -82,8 +82,8 @@ class Scenario(ABC):
         try:
             self._check()
         except ScenarioError as error:
-            given = NOTHING if error.given is None else error.given
-            raise ScenarioError(error.field, given, error.rule, error.where or self.source) from error
+            value = NOTHING if error.given is None else error.given
+            raise ScenarioError(error.field, value, error.rule, error.where or self.source) from error
 
     @abstractmethod
     def _check(self) -> None:
@@ -103,13 +103,13 @@ class Scenario(ABC):
         kind = document.get("kind", SCHEDULE)
         scenario_class = KINDS.get(kind) if isinstance(kind, str) else None
         if scenario_class is None or document.get("kind") == SCHEDULE:
-            named = [name for name in KINDS if name != SCHEDULE]
-            rule = f"must be one of {', '.join(map(repr, named))}, or left out for a schedule"
-            rule += did_you_mean(kind, named, 0.5)
+            names = [name for name in KINDS if name != SCHEDULE]
+            rule = f"must be one of {', '.join(map(repr, names))}, or left out for a schedule"
+            rule += did_you_mean(kind, names, 0.5)
             raise ScenarioError("kind", kind, rule, source)
         if not issubclass(scenario_class, cls):
-            wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
-            rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
+            allowed = [name for name, known in KINDS.items() if issubclass(known, cls)]
+            rule = f"must be a scenario of the kind {' or '.join(map(repr, allowed))} here"
             raise ScenarioError("kind", kind, rule, source)
         full, derived = scenario_class.with_sources(document, known.get("folder"), source)
         if derived:
@@ -155,10 +155,10 @@ class Scenario(ABC):
         values = dict(map(parse_assignment, texts))
         return self._changed(values, (*self.overrides, *texts)) if texts else self
 
-    def _changed(self, values: Mapping[str, Any], noted: tuple[str, ...]) -> Self:
+    def _changed(self, values: Mapping[str, Any], overrides: tuple[str, ...]) -> Self:
         changed = overridden(self.to_dict(), values, self.source)
-        known = {"overrides": noted, "folder": self.folder, "derived": self.derived}
-        return self.from_dict(changed, self.source, **known)
+        attributes = {"overrides": overrides, "folder": self.folder, "derived": self.derived}
+        return self.from_dict(changed, self.source, **attributes)
 
     @property
     def name(self) -> str:
@@ -203,17 +203,17 @@ class Scenario(ABC):
     def copy_text(self) -> str:
         """Text of its copy in a run folder: its own, or all values under a note of the changes."""
         text = self._copied()
-        for what, lines in (("with these overrides", self.overrides), ("with what followed", self.derived)):
+        for cause, lines in (("with these overrides", self.overrides), ("with what followed", self.derived)):
             if lines:
-                noted = "".join(f"#   {' '.join(line.split())}\n" for line in lines)
-                text = f"# Written {what}, which the values below include:\n{noted}\n{text}"
+                notes = "".join(f"#   {' '.join(line.split())}\n" for line in lines)
+                text = f"# Written {cause}, which the values below include:\n{notes}\n{text}"
         return text
 
 
-def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:
+def overridden(document: dict[str, Any], values: Mapping[str, Any], source: str | None) -> dict[str, Any]:
     """Return the document, with values replaced in it."""
     for key, value in values.items():
-        set_key(document, key, copy.deepcopy(value), where)
+        set_key(document, key, copy.deepcopy(value), source)
     return document
 
 
@@ -236,7 +236,7 @@ def _split(key: str) -> list[str | int]:
     return [int(part) if part.isdigit() else part for part in re.findall(r"[\w-]+", key)]
 
 
-def set_key(document: dict[str, Any], key: str, value: Any, where: str | None) -> None:
+def set_key(document: dict[str, Any], key: str, value: Any, source: str | None) -> None:
     """Replace (or, with None, remove) the value at a dotted key; tables are made as needed."""
     parts = _split(key)
     holder: Any = document
@@ -244,10 +244,10 @@ def set_key(document: dict[str, Any], key: str, value: Any, where: str | None) -
         if not isinstance(holder, {str: dict, int: list}[type(part)]):
             kind = {"list": "a list", "dict": "a table"}.get(type(holder).__name__, "a value")
             rule = f"no such key: {join_path(parts[:i])} is {kind}"
-            raise ScenarioError(join_path(parts), value, rule, where)
+            raise ScenarioError(join_path(parts), value, rule, source)
         if isinstance(holder, list) and part >= len(holder):
             rule = f"must be below {len(holder)}, the number of entries (counted from 0)"
-            raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, where)
+            raise ScenarioError(join_path(parts[: i + 1]), NOTHING, rule, source)
         if i < len(parts) - 1:
             holder = holder.setdefault(part, {}) if isinstance(holder, dict) else holder[part]
         elif value is None and isinstance(holder, dict):

@@ -84,8 +84,8 @@ def build_controllers(
         if isinstance(spec, BlackBoxTable):
             ask = boxes[spec.name]
             assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
-            known = safety.problem.system, safety.reference, safety.tracking, ask
-            controllers.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
+            context = safety.problem.system, safety.reference, safety.tracking, ask
+            controllers.append(BlackBox(spec.name, *context, seed=model.simulation.seed, memory=spec.memory))
         else:
             controllers.append(_build(spec, path, safety, policies, planned.get(spec.name)))
     return tuple(controllers)
@@ -129,8 +129,8 @@ def own_reference(
     if planned is not None:
         return Reference.propagate(system, delta, problem.initial_set.c, planned)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
-    asked = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
-    cheapest = plan(asked, problem.planner)
+    plan_problem = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
+    cheapest = plan(plan_problem, problem.planner)
     if cheapest.cut_by_clock:
         raise OutOfTime(
             f"{path}: no fuel-optimal plan was found within planner.time_limit_s = "
@@ -156,7 +156,7 @@ def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: flo
     if np.linalg.matrix_rank(closed) < system.n:
         rule = "must have a state of rest under the controller: A - B K is singular; change the gain"
         raise ScenarioError(f"{path}.state", state.tolist(), rule)
-    rest = np.linalg.solve(closed, -system.B @ gain @ state)
-    u = gain @ (state - rest)
+    x_eq = np.linalg.solve(closed, -system.B @ gain @ state)
+    u = gain @ (state - x_eq)
     # Rounding must not set the constant trajectory drifting: chi is constant by construction.
-    return Reference(system, delta, np.repeat(rest[None], K + 1, axis=0), np.repeat(u[None], K, axis=0))
+    return Reference(system, delta, np.repeat(x_eq[None], K + 1, axis=0), np.repeat(u[None], K, axis=0))

@@ -45,8 +45,8 @@ class InspectionScenario(Scenario):
     @kept
     def inspection(self) -> Inspection:
         """Return the problem."""
-        made: Inspection = self.model.parameters.make("parameters", deputies=self.deputies)
-        return made
+        problem: Inspection = self.model.parameters.make("parameters", deputies=self.deputies)
+        return problem
 
     def _check_time(self, table: str, spec: models.FlightTime | models.FuelFlight | models.Campaign) -> None:
         """Check that periods divide the flight, and that there are not too many."""
@@ -72,9 +72,9 @@ class FilteredScenario(InspectionScenario):
             raise ScenarioError("strengthening.preset", table.preset, rule)
         chosen = preset(table.preset, sampled)
         for family in chosen:
-            given: Alpha | None = getattr(table, family)
-            if given is not None:
-                chosen[family] = given.make(f"strengthening.{family}")
+            alpha: Alpha | None = getattr(table, family)
+            if alpha is not None:
+                chosen[family] = alpha.make(f"strengthening.{family}")
         return chosen
 
     def families(self) -> Families:
@@ -127,26 +127,26 @@ class FlightScenario(FilteredScenario):
                 rule = f"must be later than the phase before it, {starts[k - 1]:g} s"
                 raise ScenarioError(f"primary[{k}].start_s", starts[k], rule)
 
-    def _check_start(self, given: models.InitialStates) -> None:
+    def _check_start(self, initial: models.InitialStates) -> None:
         """Check that every constraint holds at the start: a filter keeps a flight safe, it makes none so."""
         (x, sun), q, families = self.initial(), self.inspection(), self.families()
         broken: list[tuple[str, int, float]] = []
         for name, values in allowable(q, x, sun).items():
-            who = q.pairs[:, 0] if name in ("phi2", "phi5") else np.arange(len(x))
-            broken += [(name, int(i), float(v)) for i, v in zip(who, values, strict=True) if not v >= 0]
+            deputies = q.pairs[:, 0] if name in ("phi2", "phi5") else np.arange(len(x))
+            broken += [(name, int(i), float(v)) for i, v in zip(deputies, values, strict=True) if not v >= 0]
         h = families(x[None], np.array([sun])).h[0]
         for k in np.flatnonzero(~(h >= 0)):
             broken.append((f"{families.labels[k]} ({families.family[k]})", int(families.first[k]), h[k]))
         if broken:
             name, i, value = broken[0]
             rule = f"must satisfy every constraint; {name} is {value:.3g} at the start"
-            raise ScenarioError(f"initial.states[{i}]", list(given.states[i]), rule)
+            raise ScenarioError(f"initial.states[{i}]", list(initial.states[i]), rule)
 
     def outline(self) -> str:
         """Describe the flight on one line."""
         crew, flight = counted(self.deputies, "deputy", "deputies"), self.model.flight
-        flown = f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
-        return f"{flown}, {self.model.filter.kind} filter"
+        summary = f"{crew}, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
+        return f"{summary}, {self.model.filter.kind} filter"
 
     @property
     def deputies(self) -> int:
@@ -156,10 +156,10 @@ class FlightScenario(FilteredScenario):
 
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
-        given = self.model.initial
-        if isinstance(given, models.InitialStates):
-            return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
-        x, sun = InitialConditions(self.families(), given.seed, block=1024).first(1)
+        initial = self.model.initial
+        if isinstance(initial, models.InitialStates):
+            return np.array(initial.states, dtype=float), float(np.radians(initial.sun_angle_deg))
+        x, sun = InitialConditions(self.families(), initial.seed, block=1024).first(1)
         return x[0], float(sun[0])
 
     def uncertainty(self) -> Uncertainty:
@@ -171,10 +171,10 @@ class FlightScenario(FilteredScenario):
                 raise ScenarioError(f"{table}.{key}", value, "must be left out: it applies to schedules only")
         system = Craft.from_system(replace(self.inspection().system, w_max=push))
         errors = model.thrusters.build(system, model.flight.period_s)
-        eta, worst = model.navigation.build(system), errors.error(system.u_max)
-        eta = prediction_error(system, eta, worst, model.timing.delay_s)
-        known = tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors
-        return Uncertainty(*known, model.timing.jitter_s)
+        eta, thrust_error = model.navigation.build(system), errors.error(system.u_max)
+        eta = prediction_error(system, eta, thrust_error, model.timing.delay_s)
+        bounds = tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors
+        return Uncertainty(*bounds, model.timing.jitter_s)
 
     def errors(self) -> SampledErrors | None:
         """Return the errors that are flown, if any."""
@@ -216,28 +216,28 @@ class FuelLimitScenario(InspectionScenario):
     def outline(self) -> str:
         """Describe the flight on one line."""
         flight, limit = self.model.flight, self.model.parameters.delta_v_max_m_s
-        flown = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
-        return f"{flown}, fuel limit {limit:g} m/s"
+        summary = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
+        return f"{summary}, fuel limit {limit:g} m/s"
 
     @kept
     def backup(self) -> BackupTracker:
         """Return the backup controller."""
-        given, q, usual = self.model.fuel, self.inspection(), Ellipses.for_inspection(self.inspection())
+        fuel, q, default = self.model.fuel, self.inspection(), Ellipses.for_inspection(self.inspection())
         limits = {
-            "least": given.semi_minor_least_m,
-            "largest": given.semi_minor_largest_m,
-            "cross_track": given.cross_track_m,
+            "least": fuel.semi_minor_least_m,
+            "largest": fuel.semi_minor_largest_m,
+            "cross_track": fuel.cross_track_m,
         }
         keys = {"least": "fuel.semi_minor_least_m", "largest": "fuel.semi_minor_largest_m"}
-        with in_file_terms("fuel", given, period="flight.period_s", **keys):
-            ellipses = replace(usual, **{name: x for name, x in limits.items() if x is not None})
-            return BackupTracker(q, ellipses, self.model.flight.period_s, given.response_s)
+        with in_file_terms("fuel", fuel, period="flight.period_s", **keys):
+            ellipses = replace(default, **{name: x for name, x in limits.items() if x is not None})
+            return BackupTracker(q, ellipses, self.model.flight.period_s, fuel.response_s)
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""
-        q, given = self.inspection(), self.model.primary
-        targets = [LQR(q, given.distance_m / part, *_weights(given)) for part in (4, 1)]
-        starts = np.arange(0.0, self.model.flight.duration_s, given.swing_s)
+        q, spec = self.inspection(), self.model.primary
+        targets = [LQR(q, spec.distance_m / part, *_weights(spec)) for part in (4, 1)]
+        starts = np.arange(0.0, self.model.flight.duration_s, spec.swing_s)
         return Phases(starts.tolist(), [targets[k % 2] for k in range(len(starts))])
 
 

@@ -41,8 +41,8 @@ class MissionModel(Head):
 def leg_document(mission: Mapping[str, Any], leg: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of a leg: tables of its own stand in place of those that all legs share."""
     shared = {key: value for key, value in mission.items() if key not in OWN}
-    given = {"title": f"{mission.get('title', '')}: {leg.get('name', '')}"[:200], "description": ""}
-    return copy.deepcopy({**shared, **given, **leg})
+    head = {"title": f"{mission.get('title', '')}: {leg.get('name', '')}"[:200], "description": ""}
+    return copy.deepcopy({**shared, **head, **leg})
 
 
 def moves(leg: LegModel) -> bool:
@@ -67,13 +67,13 @@ class MissionScenario(Scenario):
         legs, lines = document.get("legs"), dict[str, None]()
         if not isinstance(legs, list) or not all(isinstance(leg, Mapping) for leg in legs):
             return document, ()  # refused by the model
-        whole = []
+        full_legs = []
         for leg in legs:
             full, derived = ScheduleScenario.with_sources(leg_document(document, leg), folder, source)
-            whole.append(dict(full))
+            full_legs.append(dict(full))
             lines |= dict.fromkeys(derived)
         head = {key: document[key] for key in (*Head.model_fields, "kind") if key in document}
-        return {**head, "legs": whole}, tuple(lines)
+        return {**head, "legs": full_legs}, tuple(lines)
 
     def _check(self) -> None:
         legs, names = self.legs(), [leg.name for leg in self.model.legs]
@@ -116,8 +116,8 @@ class MissionScenario(Scenario):
     @kept
     def legs(self) -> tuple[ScheduleScenario, ...]:
         """Return the legs' scenarios; sets that move are where they are when a leg starts as planned."""
-        whole = self.to_dict() if self.text is None else parse_toml(self.text, self.source or "mission")
-        return tuple(self._leg(leg_document(whole, leg), i) for i, leg in enumerate(whole["legs"]))
+        document = self.to_dict() if self.text is None else parse_toml(self.text, self.source or "mission")
+        return tuple(self._leg(leg_document(document, leg), i) for i, leg in enumerate(document["legs"]))
 
     def _leg(self, document: dict[str, Any], i: int) -> ScheduleScenario:
         for key in OF_MISSION:
@@ -125,10 +125,10 @@ class MissionScenario(Scenario):
         for each in (*document.get("obstacles", ()), *document.get("keep_in", ())):
             if i and (each.get("kind") == "turning" or any(each.get("velocity_m_s") or ())):
                 each |= advanced(each, self.starts(i))
-        where = f"{self.source or 'mission'}, leg {document.get('name')}"
+        source = f"{self.source or 'mission'}, leg {document.get('name')}"
         text = None if self.text is None else write_toml(document)
         scenario: ScheduleScenario = ScheduleScenario.from_dict(
-            document, where, text=text, folder=self.folder
+            document, source, text=text, folder=self.folder
         )
         assert scenario.kind == SCHEDULE
         return scenario
@@ -141,12 +141,12 @@ class MissionScenario(Scenario):
 def advanced(obstacle: Mapping[str, Any], t: float) -> dict[str, Any]:
     """Return the keys of the table of a set that moves or turns that say where it is at a time [s]."""
     if obstacle["kind"] == "turning":
-        angle, off = obstacle["rate_rad_s"] * t, obstacle.get("rate_error_rad_s", 0.0) * t
+        angle, drift = obstacle["rate_rad_s"] * t, obstacle.get("rate_error_rad_s", 0.0) * t
         normals = np.add(*turned(np.array(obstacle["normals"], float), obstacle.get("axis"), np.array(angle)))
-        error = obstacle.get("angle_error_deg", 0.0) + math.degrees(off)
+        error = obstacle.get("angle_error_deg", 0.0) + math.degrees(drift)
         return {"normals": normals.tolist(), "angle_error_deg": error}
     v = obstacle["velocity_m_s"]
     if obstacle["kind"] == "polytope":
-        along = [sum(a * x for a, x in zip(row, v, strict=True)) for row in obstacle["normals"]]
-        return {"offsets_m": [b + a * t for b, a in zip(obstacle["offsets_m"], along, strict=True)]}
+        speeds = [sum(a * x for a, x in zip(row, v, strict=True)) for row in obstacle["normals"]]
+        return {"offsets_m": [b + a * t for b, a in zip(obstacle["offsets_m"], speeds, strict=True)]}
     return {"center_m": [c + x * t for c, x in zip(obstacle["center_m"], v, strict=True)]}

@@ -67,7 +67,7 @@ class _Path:
 
 
 def with_sources(
-    document: Mapping[str, Any], folder: Path | None, where: str | None
+    document: Mapping[str, Any], folder: Path | None, origin: str | None
 ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
     """Return a scenario's document with numbers in place of sources, and a line on each thing that followed.
 
@@ -83,26 +83,26 @@ def with_sources(
     keys = [key for key in OrbitSource.model_fields if key in orbit]
     if not keys and start is None and ("elements" not in orbit or "eccentricity_max" in orbit):
         return document, ()
-    given = {"orbit": {key: orbit[key] for key in keys}, **({} if start is None else {"initial_set": start})}
-    sources = validate(_Sources, given, where)
+    tables = {"orbit": {key: orbit[key] for key in keys}, **({} if start is None else {"initial_set": start})}
+    sources = validate(_Sources, tables, origin)
     try:
-        return _Resolved(copy.deepcopy(dict(document)), folder or Path(), sources, where).result()
+        return _Resolved(copy.deepcopy(dict(document)), folder or Path(), sources, origin).result()
     except ScenarioError as error:
-        raise ScenarioError(error.field, error.given, error.rule, error.where or where) from error
+        raise ScenarioError(error.field, error.given, error.rule, error.where or origin) from error
 
 
 class _Resolved:
     """One document whose sources are read."""
 
-    def __init__(self, document: dict[str, Any], folder: Path, sources: _Sources, where: str | None) -> None:
+    def __init__(self, document: dict[str, Any], folder: Path, sources: _Sources, origin: str | None) -> None:
         self.document, self.folder, self.source = document, folder, sources.orbit
-        self.start, self.where = sources.initial_set, where
+        self.start, self.where = sources.initial_set, origin
         self.orbit: dict[str, Any] = document.setdefault("orbit", {})
         for key in OrbitSource.model_fields:
             self.orbit.pop(key, None)
         horizon = document.get("horizon")
-        lasts = horizon.get("duration_s") if isinstance(horizon, Mapping) else None
-        self.duration = float(lasts) if isinstance(lasts, int | float) and 0 < lasts < 1e9 else 0.0
+        duration = horizon.get("duration_s") if isinstance(horizon, Mapping) else None
+        self.duration = float(duration) if isinstance(duration, int | float) and 0 < duration < 1e9 else 0.0
         self.notes: list[str] = []
 
     def result(self) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -113,8 +113,8 @@ class _Resolved:
         if chaser is not None and target is None:
             rule = "must be given with a start set from the chaser's ephemeris"
             raise ScenarioError("orbit.ephemeris", None, rule)
-        named = target, self.source.two_line_elements, self.orbit.get("elements")
-        if any(one is not None for one in named) or self.source.within_m is None:
+        sources = target, self.source.two_line_elements, self.orbit.get("elements")
+        if any(one is not None for one in sources) or self.source.within_m is None:
             path = self._path(target, chaser)
             self._fill(path)
         if self.source.within_m is not None:
@@ -126,25 +126,25 @@ class _Resolved:
     def _file(self, name: str, field: str) -> Ephemeris:
         place = self.folder / name
         try:
-            read = read_oem(place)
+            ephemeris = read_oem(place)
         except ScenarioError as error:
             raise ScenarioError(field, name, error.rule) from error
         digest = hashlib.sha256(read_regular(place)).hexdigest()
         self.notes.append(f"{field}: {printable(name)}, SHA-256 {digest}")
-        return read
+        return ephemeris
 
     def _path(self, target: Ephemeris | None, chaser: Ephemeris | None) -> _Path:
         """Return the target's path from whichever source there is."""
-        given = {
+        sources = {
             "orbit.elements": self.orbit.get("elements"),
             "orbit.two_line_elements": self.source.two_line_elements,
             "orbit.ephemeris": target,
         }
-        named = [key for key, value in given.items() if value is not None]
-        if len(named) != 1:
+        keys = [key for key, value in sources.items() if value is not None]
+        if len(keys) != 1:
             rule = "must have one of orbit.elements, orbit.two_line_elements and orbit.ephemeris"
-            raise ScenarioError("orbit", named or None, rule)
-        if self.source.epoch is not None and "orbit.elements" in named:
+            raise ScenarioError("orbit", keys or None, rule)
+        if self.source.epoch is not None and "orbit.elements" in keys:
             raise ScenarioError("orbit.epoch", self.source.epoch, "must be left out: elements have an epoch")
         try:
             epoch = None if self.source.epoch is None else parse_epoch(self.source.epoch)
@@ -177,40 +177,40 @@ class _Resolved:
         """Return the table as an environment: missing values are 0."""
         filled = {"radius_deviation_max_m": 0.0, "radial_rate_max_m_s": 0.0, "rate_deviation_max": 0.0}
         table = validate(_Orbit, {"orbit": {**filled, **self.orbit}}, self.where).orbit
-        made: Environment = table.make("orbit", mean_motion=motion or 1e-3)
-        return made, table
+        environment: Environment = table.make("orbit", mean_motion=motion or 1e-3)
+        return environment, table
 
     def _fill(self, path: _Path) -> None:
         """Put everything that follows from the target's path into the document."""
         state = path.states(np.zeros(1))[0]
         a, e, *angles = elements_of_state(state)
-        turn = 2 * math.pi * math.sqrt(a**3 / MU)
+        period = 2 * math.pi * math.sqrt(a**3 / MU)
         if not a * (1 - e) > EARTH_RADIUS_M or not a < FAR_M:
             rule = f"must be an orbit of the Earth, above its surface and within {FAR_M:g} m"
             raise ScenarioError("orbit", f"{path.told}: a = {a:g} m, e = {e:g}", rule)
-        wanted = min(max(2 * self.duration, REVOLUTIONS * turn), MOST_REVOLUTIONS * turn)
-        lasts = min(path.lasts, wanted)
+        required = min(max(2 * self.duration, REVOLUTIONS * period), MOST_REVOLUTIONS * period)
+        end = min(path.lasts, required)
         if path.lasts < self.duration:
             rule = (
-                f"must cover the scenario's {self.duration:g} s from its time 0 on; it ends after {lasts:g} s"
+                f"must cover the scenario's {self.duration:g} s from its time 0 on; it ends after {end:g} s"
             )
             raise ScenarioError("orbit", path.told, rule)
-        states = path.states(np.linspace(0.0, lasts, max(2, math.ceil(lasts / turn * SAMPLES))))
-        span = f"{lasts:.0f} s"
-        if lasts < wanted:
-            later = np.linspace(0.0, wanted - lasts, math.ceil((wanted - lasts) / turn * SAMPLES) + 1)
+        states = path.states(np.linspace(0.0, end, max(2, math.ceil(end / period * SAMPLES))))
+        span = f"{end:.0f} s"
+        if end < required:
+            later = np.linspace(0.0, required - end, math.ceil((required - end) / period * SAMPLES) + 1)
             env = replace(self._environment(None)[0], mean_motion=math.sqrt(MU / a**3))
             states = np.concatenate([states, propagate(env, states[-1], later)])
-            span += f" and {wanted - lasts:.0f} s beyond its end, propagated with J2 and drag"
+            span += f" and {required - end:.0f} s beyond its end, propagated with J2 and drag"
         system = self.document.get("system")
-        given = system.get("mean_motion_rad_s") if isinstance(system, Mapping) else None
+        untrusted = system.get("mean_motion_rad_s") if isinstance(system, Mapping) else None
         orbit = self.orbit
         orbit.setdefault("radius_deviation_max_m", RADIUS_M)
         orbit.setdefault("radial_rate_max_m_s", RATE_M_S)
         normal = np.cross(states[:, :3], states[:, 3:])
         tilt = np.degrees(np.arctan2(np.hypot(normal[:, 0], normal[:, 1]), np.abs(normal[:, 2]))).max()
         orbit.setdefault("inclination_max_deg", min(90.0, math.ceil(10 * (float(tilt) + TILT_DEG)) / 10))
-        number = given if isinstance(given, float) and 0 < given <= 0.01 else None
+        number = untrusted if isinstance(untrusted, float) and 0 < untrusted <= 0.01 else None
         motion, largest, share = fit_ellipses(states, self._environment(None)[0], number)
         orbit.setdefault("eccentricity_max", largest)
         orbit.setdefault("rate_deviation_max", share)
@@ -252,23 +252,23 @@ class _Resolved:
             text = f"covers the model error within {reach:g} m at up to {speed:.2g} m/s"
             self.notes.append(f"system.disturbance_max_m_s2: {allowed:g} m/s^2 {text}")
 
-    def _start(self, target: Ephemeris, chaser: Ephemeris, epoch: int, asked: StartSource) -> None:
+    def _start(self, target: Ephemeris, chaser: Ephemeris, epoch: int, spec: StartSource) -> None:
         """Put the start set into the document."""
         centre, spans, assumption = start_set(
-            target, chaser, epoch, asked.sigma, asked.velocity_frame == "rotating"
+            target, chaser, epoch, spec.sigma, spec.velocity_frame == "rotating"
         )
         self.document["initial_set"] = {
             "kind": "zonotope", "center": centre.tolist(), "generators": spans.T.tolist(),
         }  # fmt: skip
         self.notes.append(assumption)
-        about = str(self.document.get("description", "")).rstrip()
-        self.document["description"] = f"{about}\n{assumption}.\n".lstrip()
+        description = str(self.document.get("description", "")).rstrip()
+        self.document["description"] = f"{description}\n{assumption}.\n".lstrip()
 
 
 def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> _Path:
     if epoch is None:
-        known = () if chaser is None else sorted(chaser.covariances)
-        inside = [one for one in known if target.epochs[0] <= one <= target.epochs[-1]]
+        epochs = () if chaser is None else sorted(chaser.covariances)
+        inside = [one for one in epochs if target.epochs[0] <= one <= target.epochs[-1]]
         epoch = inside[0] if inside else target.epochs[0]
     if not target.epochs[0] <= epoch <= target.epochs[-1]:
         rule = f"must lie in the target's ephemeris, {epoch_text(target.epochs[0])} to"
@@ -288,8 +288,8 @@ def _of_file(target: Ephemeris, chaser: Ephemeris | None, epoch: int | None) -> 
 
 def _of_lines(lines: tuple[str, str], epoch: int | None) -> _Path:
     """Return the path by SGP4, in TEME."""
-    if why := unusable("sgp4"):
-        raise ScenarioError("orbit.two_line_elements", lines[0], why)
+    if reason := unusable("sgp4"):
+        raise ScenarioError("orbit.two_line_elements", lines[0], reason)
     from sgp4.api import SGP4_ERRORS, Satrec
     from sgp4.io import verify_checksum
 
@@ -305,17 +305,17 @@ def _of_lines(lines: tuple[str, str], epoch: int | None) -> _Path:
     year = 2000 + satellite.epochyr if satellite.epochyr < 57 else 1900 + satellite.epochyr
     begin = parse_epoch(f"{year}-001T00:00:00") + round((satellite.epochdays - 1) * 86400e9 / 1000) * 1000
     start = begin if epoch is None else epoch
-    if (old := abs(start - begin) / SECOND / 86400) > OLD_DAYS:
-        rule = f"must be within {OLD_DAYS:g} days of the elements' {epoch_text(begin)}; it is {old:.0f} away"
+    if (age := abs(start - begin) / SECOND / 86400) > OLD_DAYS:
+        rule = f"must be within {OLD_DAYS:g} days of the elements' {epoch_text(begin)}; it is {age:.0f} away"
         raise ScenarioError("orbit.epoch", epoch_text(start), rule)
 
     def states(times: Array) -> Array:
-        out = []
+        rows = []
         for t in times:
             code, place, velocity = satellite.sgp4_tsince(((start - begin) / SECOND + float(t)) / 60)
             if code:
                 raise ScenarioError("orbit.two_line_elements", lines[0], f"SGP4 says: {SGP4_ERRORS[code]}")
-            out.append([*place, *velocity])
-        return np.array(out) * 1e3
+            rows.append([*place, *velocity])
+        return np.array(rows) * 1e3
 
     return _Path(states, start, "TEME", "UTC", math.inf, "orbit.two_line_elements by SGP4")

@@ -24,10 +24,10 @@ Model = TypeVar("Model", bound=BaseModel)
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
 
-def did_you_mean(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
+def did_you_mean(word: object, words: Iterable[str], cutoff: float = 0.6) -> str:
     """Return a hint at the known word nearest to another, ``; did you mean x?``, or an empty string."""
-    near = get_close_matches(word, list(known), n=1, cutoff=cutoff) if isinstance(word, str) else []
-    return f"; did you mean {near[0]}?" if near else ""
+    matches = get_close_matches(word, list(words), n=1, cutoff=cutoff) if isinstance(word, str) else []
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 class _Nothing:
@@ -42,68 +42,68 @@ NOTHING = _Nothing()
 
 def join_path(path: Sequence[str | int]) -> str:
     """Write a location as it would be written in TOML and in ``--set``: ``obstacles[0].radius_m``."""
-    out = ""
+    text = ""
     for part in path:
         if isinstance(part, int):
-            out += f"[{part}]"
+            text += f"[{part}]"
         else:
             key = part if _BARE_KEY.fullmatch(part) else printable(json.dumps(part), 60)
-            out += f".{key}" if out else key
-    return out or "file"
+            text += f".{key}" if text else key
+    return text or "file"
 
 
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """Return data and text of a TOML file; `ScenarioError` if it is unreadable, too large or no TOML."""
-    shown = printable(str(path))
+    name = printable(str(path))
     try:
         data = read_regular(path, MAX_BYTES)
     except FileNotFoundError as error:
-        raise ScenarioError("file", shown, "there is no such file") from error
+        raise ScenarioError("file", name, "there is no such file") from error
     except OSError as error:
-        raise ScenarioError("file", shown, f"cannot be read: {error.strerror}") from error
+        raise ScenarioError("file", name, f"cannot be read: {error.strerror}") from error
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ScenarioError("file", shown, f"must be UTF-8 text; byte {error.start} is not") from error
+        raise ScenarioError("file", name, f"must be UTF-8 text; byte {error.start} is not") from error
     if not text.strip():
-        raise ScenarioError("file", shown, "must not be empty")
-    return parse_toml(text, shown), text
+        raise ScenarioError("file", name, "must not be empty")
+    return parse_toml(text, name), text
 
 
-def parse_toml(text: str, where: str) -> dict[str, Any]:
+def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Parse TOML text, with one error for everything that is not TOML."""
     try:
         return files.parse_toml(text)
     except ValueError as error:  # TOMLDecodeError, and what int() and datetime() refuse
-        raise ScenarioError("file", where, f"must be TOML: {printable(str(error))}") from error
+        raise ScenarioError("file", source, f"must be TOML: {printable(str(error))}") from error
 
 
-def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
+def validate(model: type[Model], document: Mapping[str, Any], source: str | None = None) -> Model:
     """Validate the fields of a document one by one; `ScenarioError` names field, value and rule."""
     try:
         return model.model_validate(document)
     except ValidationError as error:
         problems = error.errors(include_url=False)
     except RecursionError:
-        raise ScenarioError("file", NOTHING, "must have fewer nested brackets", where) from None
+        raise ScenarioError("file", NOTHING, "must have fewer nested brackets", source) from None
     located = [one for one in (_located(problem, document) for problem in problems) if one]
     # An unknown key explains a missing one (a slip of the pen), so it comes first.
     located.sort(key=lambda one: not one[2].startswith("unknown key"))
-    path, given, rule = located[0]
+    path, value, rule = located[0]
     others = list(dict.fromkeys(other[0] for other in located[1:] if other[0] != path))
     if others:
         names = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         rule += f" (and {len(others)} more to correct: {names})"
-    raise ScenarioError(path, _safe(given), rule, where) from None
+    raise ScenarioError(path, _safe(value), rule, source) from None
 
 
-def _safe(given: Any) -> Any:
+def _safe(value: Any) -> Any:
     """Return something whose ``repr`` cannot fail (huge integers have none)."""
     try:
-        repr(given)
+        repr(value)
     except (ValueError, RecursionError):
-        return "a number of thousands of digits" if isinstance(given, int) else "(too large to show)"
-    return given
+        return "a number of thousands of digits" if isinstance(value, int) else "(too large to show)"
+    return value
 
 
 def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, Any, str] | None:
@@ -112,17 +112,17 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
     path: list[str | int] = []
     value: Any = document
     for part in problem["loc"]:
-        inside = (isinstance(value, Mapping) and part in value) or (
+        present = (isinstance(value, Mapping) and part in value) or (
             isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
         )
-        if inside:
+        if present:
             value = value[part]
             path.append(part)
     if kind == "missing":
         return join_path([*path, problem["loc"][-1]]), NOTHING, "is required"
     if kind == "unknown_key":
-        key, known = context["key"], context["known"]
-        hint = did_you_mean(key, known, 0.5) or f"; known here: {', '.join(known)}"
+        key, keys = context["key"], context["known"]
+        hint = did_you_mean(key, keys, 0.5) or f"; known here: {', '.join(keys)}"
         return join_path([*path, key]), value[key], context["gone"] or f"unknown key{hint}"
     if kind == "union_tag_invalid":
         rule = f"must be one of {context['expected_tags']}"

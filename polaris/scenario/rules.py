@@ -73,21 +73,21 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
         check_length(f"initial_set.{name}", getattr(start, name, range(n)), n)
     for path, part in (("goal", model.goal), *model.scene_parts()):
         for key in keys_of(part.MAKES).values():
-            given, count = getattr(part, key.name), d if key.per == "axis" else n
+            value, count = getattr(part, key.name), d if key.per == "axis" else n
             if key.name == "normals":
-                for row, normal in enumerate(given):
+                for row, normal in enumerate(value):
                     check_length(f"{path}.normals[{row}]", normal, d)
-                check_length(f"{path}.offsets_m", part.offsets_m, len(given))
-            elif key.per and given is not None:
-                named = {f"{path}.{key.name}": given}
-                if isinstance(given[0], tuple):
-                    named = {f"{path}.{key.name}[{row}]": each for row, each in enumerate(given)}
-                for field, each in named.items():
+                check_length(f"{path}.offsets_m", part.offsets_m, len(value))
+            elif key.per and value is not None:
+                vectors = {f"{path}.{key.name}": value}
+                if isinstance(value[0], tuple):
+                    vectors = {f"{path}.{key.name}[{row}]": each for row, each in enumerate(value)}
+                for field, each in vectors.items():
                     check_length(field, each, count)
-            elif key.name == "max_m_s" and isinstance(given, tuple):
-                check_length(f"{path}.max_m_s", given, d)
+            elif key.name == "max_m_s" and isinstance(value, tuple):
+                check_length(f"{path}.max_m_s", value, d)
             elif key.name == "bounds":
-                check_length(f"{path}.bounds", given, len(part.rows))
+                check_length(f"{path}.bounds", value, len(part.rows))
     for path, spec in model.controllers():
         if not isinstance(spec, scene.AffineTable):
             continue
@@ -125,12 +125,12 @@ def check_time(model: models.ScenarioModel) -> None:
 def check_names(model: models.ScenarioModel) -> None:
     """Check that names are unique: obstacles and keep-in sets together, controllers among themselves."""
     for group in (model.scene_parts(), model.controllers()):
-        seen: dict[str, str] = {}
+        path_by_name: dict[str, str] = {}
         for path, part in group:
-            if part.name in seen:
-                rule = f"must be unique; {seen[part.name]} has it too"
+            if part.name in path_by_name:
+                rule = f"must be unique; {path_by_name[part.name]} has it too"
                 raise ScenarioError(f"{path}.name", part.name, rule)
-            seen[part.name] = path
+            path_by_name[part.name] = path
     for path, controller in model.controllers():
         if controller.name in ("safety", "polaris"):
             rule = "must not be 'safety' or 'polaris', which the results use"
@@ -189,20 +189,20 @@ def check_start_and_goal(
                     rule = f"must be a state that {path} ({item.name}) allows; it is {-slack:.4g} m beyond"
                     raise ScenarioError(field, list(state), rule)
             continue
-        kept = isinstance(item, KeepIn)
-        side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
-        named = f"{side} {path} ({item.name})"
+        inward = isinstance(item, KeepIn)
+        side, into, wrong = ("inside", "out of it", "outside") if inward else ("outside", "into it", "inside")
+        region = f"{side} {path} ({item.name})"
         if (depth := unsafe_depth(item, Zonotope.point(place.c), 0.0, system)) > _TOUCH_M:
-            rule = f"must be {named}; the start is {depth:.4g} m {wrong}"
+            rule = f"must be {region}; the start is {depth:.4g} m {wrong}"
             raise ScenarioError("initial_set.center", list(model.initial_set.center), rule)
         if (depth := unsafe_depth(item, place, 0.0, system)) > _TOUCH_M:
-            rule = f"must keep the initial set {named}; the set reaches {depth:.4g} m {into}"
+            rule = f"must keep the initial set {region}; the set reaches {depth:.4g} m {into}"
             raise ScenarioError(*_size_of(model), rule)
         # Where another satellite is at the end is uncertain; the planner decides.
         if isinstance(model.goal, StationaryGoal) and not isinstance(item, SatelliteObstacle):
             spot = Zonotope.point(system.position @ np.array(model.goal.state))
             if (depth := unsafe_depth(item, spot, end, system)) > _TOUCH_M:
-                rule = f"must be {named}{'' if kept else ' at the end'}; it is {depth:.4g} m {wrong}"
+                rule = f"must be {region}{'' if inward else ' at the end'}; it is {depth:.4g} m {wrong}"
                 raise ScenarioError("goal.state", list(model.goal.state), rule)
 
 
@@ -236,10 +236,10 @@ def check_numerics(model: models.ScenarioModel, system: LinearSystem) -> None:
     if fastest * delta > 1e3 or growth * delta > 20:
         rule = f"must be at most {20 / fastest:.3g} s for the fastest mode, {fastest:.3g} rad/s"
         raise ScenarioError("horizon.step_s", delta, rule)
-    stuck = _missed_mode(system.A, system.B)
-    if stuck is not None:
+    eigenvalue = _missed_mode(system.A, system.B)
+    if eigenvalue is not None:
         field = "system.B" if model.system.kind == "linear" else "system"
-        rule = f"must control every mode that does not decay (not stabilisable: eigenvalue {stuck:.4g})"
+        rule = f"must control every mode that does not decay (not stabilisable: eigenvalue {eigenvalue:.4g})"
         raise ScenarioError(field, system.B.tolist(), rule)
 
 
@@ -278,9 +278,9 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     for name, value, size in (("Q", Q, system.n), ("R", R, system.m)):
         field, matrix = f"{path}.{name}", np.asarray(value, dtype=float)
         if matrix.shape not in ((size,), (size, size)):
-            given = " x ".join(str(s) for s in matrix.shape) + " numbers"
+            shape = " x ".join(str(s) for s in matrix.shape) + " numbers"
             rule = f"must have {size} numbers (the diagonal) or be {size} x {size}"
-            raise ScenarioError(field, given, rule)
+            raise ScenarioError(field, shape, rule)
         scale = float(np.abs(matrix).max())
         if matrix.ndim == 2 and np.abs(matrix - matrix.T).max() > 1e-9 * scale:
             raise ScenarioError(field, matrix.tolist(), "must be symmetric")
@@ -292,9 +292,9 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
             rule = f"must be positive semidefinite (least eigenvalue {least:.3g})"
             raise ScenarioError(field, matrix.tolist(), rule)
     Qm, Rm = full_weight(Q), full_weight(R)
-    unseen = _missed_mode(system.A.T, Qm)
-    if unseen is not None:
-        rule = f"must weight every mode that does not decay (eigenvalue {unseen:.4g} has no weight)"
+    eigenvalue = _missed_mode(system.A.T, Qm)
+    if eigenvalue is not None:
+        rule = f"must weight every mode that does not decay (eigenvalue {eigenvalue:.4g} has no weight)"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)
     try:
         P = solve_continuous_are(system.A, system.B, Qm, Rm)

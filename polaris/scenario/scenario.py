@@ -48,9 +48,9 @@ Wanted = TypeVar("Wanted", bound=Scenario)
 def scenario_folder() -> Path:
     """Return the folder of bundled scenarios: in the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
-    beside = package.parent / "scenarios"
+    checkout = package.parent / "scenarios"
     # A checkout's folder comes first, so that an editable installation never reads an old copy.
-    return beside if (package.parent / "pyproject.toml").is_file() else package / "bundled_scenarios"
+    return checkout if (package.parent / "pyproject.toml").is_file() else package / "bundled_scenarios"
 
 
 def bundled_files() -> dict[str, Path]:
@@ -72,10 +72,10 @@ def locate(name_or_path: str | Path) -> Path:
     if isinstance(name_or_path, str) and text in bundled:
         return bundled[text]
     try:
-        there = Path(text).exists()
+        exists = Path(text).exists()
     except (OSError, ValueError):
-        there = False
-    if not there and re.fullmatch(r"[\w-]+", text):  # a bare word: say what there is
+        exists = False
+    if not exists and re.fullmatch(r"[\w-]+", text):  # a bare word: say what there is
         rule = f"is neither a file nor a bundled scenario ({', '.join(bundled)}){did_you_mean(text, bundled)}"
         raise ScenarioError("scenario", printable(text), rule)
     return Path(name_or_path)
@@ -118,11 +118,11 @@ def load_scenario(
         If there is no such scenario, or it is not valid: names the field, what was given, the rule.
     """
     path = locate(name_or_path)
-    (document, text), where = read_document(path), printable(path.name)
-    noted = () if isinstance(overrides, Mapping) else tuple(overrides)
-    values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, noted))
-    known = {"text": None if values else text, "overrides": noted, "folder": path.parent}
-    return only.from_dict(overridden(document, values, where), where, **known)
+    (document, text), source = read_document(path), printable(path.name)
+    assignments = () if isinstance(overrides, Mapping) else tuple(overrides)
+    values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, assignments))
+    attributes = {"text": None if values else text, "overrides": assignments, "folder": path.parent}
+    return only.from_dict(overridden(document, values, source), source, **attributes)
 
 
 def loaded(scenario: str | Path | Wanted, overrides: Sequence[str], only: type[Wanted]) -> Wanted:

@@ -54,19 +54,19 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
     period = scenario.step * scenario.steps
     time = min(period, 1 / system.mean_motion) if system.mean_motion else period
     theta, C, V = scenario.initial_set(), system.position, system.velocity
-    wide = {"initial_set": np.abs(theta.G).sum(axis=1)}  # half widths of uncertain states
+    spreads = {"initial_set": np.abs(theta.G).sum(axis=1)}  # half widths of uncertain states
     speeds = {"initial_set": float(np.linalg.norm(V @ theta.c))}
     lengths = {}
     for path, part in scenario.model.scene_parts():
         if (state := getattr(part, "state", None)) is not None:
-            wide[path] = np.array(getattr(part, "state_half_widths", ()))
+            spreads[path] = np.array(getattr(part, "state_half_widths", ()))
             speeds[path] = float(np.linalg.norm(V @ state))
         elif (velocity := getattr(part, "velocity_m_s", None)) is not None:
             speeds[path] = float(np.linalg.norm(velocity))
         if (length := getattr(part, "radius_m", None) or getattr(part, "half_widths_m", None)) is not None:
             lengths[path] = float(np.max(length))
-    notes, start = [], float((np.abs(C) @ wide["initial_set"]).max())
-    for path, widths in wide.items():
+    notes, start = [], float((np.abs(C) @ spreads["initial_set"]).max())
+    for path, widths in spreads.items():
         drift, length = float((np.abs(V) @ widths).max()) * time, float((np.abs(C) @ widths).max())
         if drift > FAST * length > 0:
             text = f"its velocities are uncertain by {drift:.3g} m in {time:.4g} s"
@@ -91,9 +91,9 @@ def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
     block = np.zeros((system.n + inputs.shape[1],) * 2)
     block[: system.n, : system.n], block[: system.n, system.n :] = system.A, inputs
     with np.errstate(over="ignore", invalid="ignore"):
-        held = np.abs(system.position @ expm(block * step)[: system.n, system.n :])
-    held = np.nan_to_num(held, nan=np.inf)
-    push, shove = held[:, : system.m], held[:, system.m :] * system.unbiased.w_max
+        response = np.abs(system.position @ expm(block * step)[: system.n, system.n :])
+    response = np.nan_to_num(response, nan=np.inf)
+    push, shove = response[:, : system.m], response[:, system.m :] * system.unbiased.w_max
     return float((push @ system.u_max).max()), float(np.linalg.norm(shove, axis=1).max())
 
 

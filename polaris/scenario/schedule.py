@@ -75,8 +75,8 @@ class ScheduleScenario(Scenario):
         if pushing and system.observer is not None and system.timing.missed:
             rule = "must be known at once with navigation.measurement, unless timing.missed_periods = 0"
             raise ScenarioError("faults", pushing[0], rule)
-        abort, given = model.abort, model.navigation
-        parts = () if given is None else (given, *given.phases, given.measurement or given)
+        abort, bounds = model.abort, model.navigation
+        parts = () if bounds is None else (bounds, *bounds.phases, bounds.measurement or bounds)
         drifts = abort is not None and abort.build(system) is not None and abort.keep_in
         if drifts and any(part.within_m is not None for part in parts):
             rule = "must be false with within_m in navigation, as a drift needs no navigation"
@@ -134,14 +134,14 @@ class ScheduleScenario(Scenario):
     def allocation(self) -> Allocation | None:
         """Return the allocation of inputs to thrusters in every fault, where anything is said of it."""
         thrusters, faults = self.model.thrusters, self.model.faults
-        made = allocation(thrusters, faults, self.model.system.build().u_max)
-        return made if thrusters is None else thrusters.in_turn(made, self.period(), faults)
+        base = allocation(thrusters, faults, self.model.system.build().u_max)
+        return base if thrusters is None else thrusters.in_turn(base, self.period(), faults)
 
     @kept
     def period(self) -> float:
         """Control period [s]: the file's, or the one that is chosen without it."""
-        if (given := self.model.feedback.period_s) is not None:
-            return given
+        if (period := self.model.feedback.period_s) is not None:
+            return period
         from ..synthesis.tracker.feedback import choose_feedback
         from ..synthesis.tracker.lqr import lqr_gain
         from .experimental import gains_of
@@ -163,8 +163,8 @@ class ScheduleScenario(Scenario):
         system, parts = self.system(), [part.make(path) for path, part in self.model.scene_parts()]
         if self.model.navigation is not None:
             parts += self.model.navigation.kept_within(system, (self.steps, self.step))
-        moved = float(np.linalg.norm(np.abs(system.position) @ system.state_offset)) * (1 + ROUNDING)
-        return tuple(part.blurred(system.timing.clock, moved).inflated(radius) for part in parts)
+        offset = float(np.linalg.norm(np.abs(system.position) @ system.state_offset)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, offset).inflated(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:
@@ -204,16 +204,16 @@ class ScheduleScenario(Scenario):
 
     def check_black_boxes(self, boxes: Mapping[str, Ask | None] | Collection[str] | None) -> None:
         """Raise `ScenarioError` unless exactly the black boxes of the scenario are given, by their names."""
-        given = [name for name in boxes or () if not isinstance(boxes, Mapping) or boxes[name] is not None]
-        named = {
+        supplied = [name for name in boxes or () if not isinstance(boxes, Mapping) or boxes[name] is not None]
+        paths = {
             spec.name: path for path, spec in self.model.controllers() if isinstance(spec, BlackBoxTable)
         }
-        for name in given:
-            if name not in named:
-                rule = f"must be one of the scenario's black boxes ({', '.join(named) or 'none'})"
+        for name in supplied:
+            if name not in paths:
+                rule = f"must be one of the scenario's black boxes ({', '.join(paths) or 'none'})"
                 raise ScenarioError("black box", name, rule)
-        for name, path in named.items():
-            if name not in given:
+        for name, path in paths.items():
+            if name not in supplied:
                 rule = "must be given with `polaris run --black-box NAME=COMMAND`, or from Python"
                 raise ScenarioError(path, name, rule)
 
@@ -221,8 +221,8 @@ class ScheduleScenario(Scenario):
     def asked(self) -> dict[str, Any]:
         """Probability, confidence and seed of the statement about its black boxes."""
         specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBoxTable)]
-        said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
-        return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
+        statement = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        return {"probability": statement[0], "confidence": statement[1], "seed": self.simulation.seed}
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
@@ -241,8 +241,8 @@ class ScheduleScenario(Scenario):
         return self._moved(lambda file: str(file.resolve())) + "".join(f"# {each}\n" for each in digests)
 
     def _copied(self) -> str:
-        beside = all(file.name == spec.path for spec, file in self._networks())
-        return super()._copied() if beside else self._moved(lambda file: file.name)
+        adjacent = all(file.name == spec.path for spec, file in self._networks())
+        return super()._copied() if adjacent else self._moved(lambda file: file.name)
 
     def _networks(self) -> list[tuple[Neural, Path]]:
         specs = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
@@ -306,5 +306,5 @@ class ScheduleScenario(Scenario):
     def switching_rules(self) -> SwitchingRules:
         """Options of Algorithm 2."""
         weights = tuple(spec.weight for spec in self.model.experimental)
-        made: SwitchingRules = self.model.schedule.make("schedule", weights=weights)
-        return made
+        switching: SwitchingRules = self.model.schedule.make("schedule", weights=weights)
+        return switching

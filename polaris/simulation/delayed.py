@@ -71,13 +71,13 @@ class Predicting(Integrator):
         if system.error_by_step is None or timing.instant:
             return self.estimate_bounds if timing.instant else system.measured + 0 * self.estimate_bounds
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
-        left = self.estimate_bounds - prediction_error(system, np.zeros(system.n), worst, age)
-        away = when_measured(timing, timing.period, system.state_offset_at_nodes)
-        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, system.measured)
-        noise, steps = left, np.arange(len(left)) + self.lag
+        slack = self.estimate_bounds - prediction_error(system, np.zeros(system.n), worst, age)
+        offset = when_measured(timing, timing.period, system.state_offset_at_nodes)
+        slack = np.clip(slack @ np.linalg.inv(np.abs(expm(system.A * age))).T - offset, 0.0, system.measured)
+        noise, steps = slack, np.arange(len(slack)) + self.lag
         for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
-            used = np.minimum(steps + late * self.substeps, len(left) - 1)
-            noise = np.minimum(noise, left[used])
+            used = np.minimum(steps + late * self.substeps, len(slack) - 1)
+            noise = np.minimum(noise, slack[used])
         return np.asarray(noise)
 
     def _begun(self, step: int, since: int) -> Array | float:
@@ -85,13 +85,13 @@ class Predicting(Integrator):
         observer, A, h = self.system.observer, self.system.A, self.dt * self.substeps
         if self.eta is None or observer is None:
             return 0.0
-        signs, left, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
-        off = signs * (0.0 if observer.initial is None else observer.initial)
+        signs, gain, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
+        error = signs * (0.0 if observer.initial is None else observer.initial)
         for _ in range(PAST if observer.initial is None else 0):  # past updates
-            noise = observer.errors(np.sign(self.eta[0] @ left), np.sign(self.eta[0] @ observer.measures.T))
-            off, left = off + noise @ left.T, loop @ left
-        made = np.linalg.matrix_power(loop, -(-step // self.substeps))
-        return np.asarray(off @ (expm(-A * min(since, 0) * self.dt) @ made).T)
+            noise = observer.errors(np.sign(self.eta[0] @ gain), np.sign(self.eta[0] @ observer.measures.T))
+            error, gain = error + noise @ gain.T, loop @ gain
+        transition = np.linalg.matrix_power(loop, -(-step // self.substeps))
+        return np.asarray(error @ (expm(-A * min(since, 0) * self.dt) @ transition).T)
 
     def _before(self, step: int, start: int) -> Array:
         """Return an observer's estimates of the start, in a step whose measurement was made before it."""
@@ -113,21 +113,21 @@ class Predicting(Integrator):
             for at in range(max(self.measured, 0), self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
             self.measured += self.substeps
-            off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
+            innovation = (self.seen[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None and self.measured > 0:  # exact before, see `_begun`
                 used = min(self.measured + self.lag, self.steps - 1)
                 signs, first = (np.sign(self.eta[at] @ observer.measures.T) for at in (used, 0))
                 at, box = max(self.measured, 0), np.zeros(len(observer.noise))
                 if (sights := self.system.sights) is not None:  # which turn, whatever is constant of the rest
                     box[:3] = sights[min(at // self.steps_per_cell, len(sights) - 1), 2:]
-                off = off + observer.errors(signs, first) - box * signs
-                off = off + self.turned(at, self.seen[self.measured], box * signs, box)
+                innovation = innovation + observer.errors(signs, first) - box * signs
+                innovation = innovation + self.turned(at, self.seen[self.measured], box * signs, box)
             missing = (self.ages[(self.measured + self.lag) // self.substeps] > 0) & (self.measured > 0)
             if self.faults is not None:
                 missing |= self.faults.missing(np.full(len(missing), self.measured))
-            self.heard = np.where(missing[:, None], np.nan, off + self.filtered @ observer.measures.T)
+            self.heard = np.where(missing[:, None], np.nan, innovation + self.filtered @ observer.measures.T)
             gain = gains[np.minimum(self.since, len(gains) - 1)]
-            update = np.einsum("rnm,rm->rn", gain, off)
+            update = np.einsum("rnm,rm->rn", gain, innovation)
             self.filtered = self.filtered + np.where(missing[:, None], 0.0, update)
             self.since = np.where(missing, self.since + 1, 0)
         return self.filtered
@@ -138,10 +138,10 @@ class Predicting(Integrator):
         predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.estimate_bounds[step, 0] + self.system.state_offset_at_nodes, 1e-300)
         Ad, Bd, _ = self.discrete
-        asked = step - self.lag - ages * self.substeps
-        missing = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.missing(asked)
+        measured_at = step - self.lag - ages * self.substeps
+        missing = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.missing(measured_at)
         if self.faults is not None:
-            ages = np.where(missing, ages + (asked - self.faults.begins) // self.substeps + 1, ages)
+            ages = np.where(missing, ages + (measured_at - self.faults.begins) // self.substeps + 1, ages)
         if self.system.observer is not None:  # what it has not measured it predicts
             ages = np.zeros(len(x))
         for age in np.unique(ages).astype(int).tolist():
@@ -153,8 +153,8 @@ class Predicting(Integrator):
             else:
                 y = self.seen[start, runs]
                 if self.eta is not None:
-                    off = self.noise[start] * self.eta[start, runs]
-                    y = y + self.turned(start, y, off, self.noise[start, 0] * self.estimate_bounds[start, 0])
+                    miss = self.noise[start] * self.eta[start, runs]
+                    y = y + self.turned(start, y, miss, self.noise[start, 0] * self.estimate_bounds[start, 0])
             for at in range(max(start, 0), step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound

@@ -122,9 +122,9 @@ def adjoint_worst_case(
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
-    adjoint, (own, eta, errors, bodies) = np.zeros((len(rows), system.n)), flight.columns
+    adjoint, (forces, eta, errors, bodies) = np.zeros((len(rows), system.n)), flight.columns
     w, total = np.zeros((steps, len(rows), flight.constant.stop)), np.zeros((len(rows), system.p))
-    turned = np.zeros((len(rows), system.m, system.m))
+    products = np.zeros((len(rows), system.m, system.m))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     clipped, grows = None, flight.thrusters.proportional
@@ -144,36 +144,36 @@ def adjoint_worst_case(
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
         curvatures = isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox))
         about = _undisturbed(flight) if about is None and (curvatures or grows) else about
-        made = kick if spends is None else kick + spends[step]  # how much what is applied counts
-        asked = made  # and what is commanded
+        effect = kick if spends is None else kick + spends[step]  # how much what is applied counts
+        demand = effect  # and what is commanded
         if about is not None and flight.thrusters.constant:
-            turned += made[:, :, None] * about.inputs[:, step // flight.substeps, None, :]
+            products += effect[:, :, None] * about.inputs[:, step // flight.substeps, None, :]
         elif about is not None and grows:
-            asked = made + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(made))
-        if asked is not kick:
-            answer = (kick - asked if clipped is None else (kick - asked) * ~clipped[step]) @ gain
-            carried, direction[:, own.stop :] = carried + answer, direction[:, own.stop :] + answer
+            demand = effect + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(effect))
+        if demand is not kick:
+            answer = (kick - demand if clipped is None else (kick - demand) * ~clipped[step]) @ gain
+            carried, direction[:, forces.stop :] = carried + answer, direction[:, forces.stop :] + answer
         if about is not None and curvatures:
             x = about.states[:, step // flight.substeps]
-            answer, heard = _answered(flight, number, step, x, asked)
-            w[step, :, bodies.start : bodies.start + heard.shape[1]] = np.sign(heard)
+            answer, body_gain = _answered(flight, number, step, x, demand)
+            w[step, :, bodies.start : bodies.start + body_gain.shape[1]] = np.sign(body_gain)
             carried = carried + answer
-            direction[:, own.stop :] += answer
+            direction[:, forces.stop :] += answer
         if eta.start < eta.stop:
             w[step, :, eta], filtering = worst_errors(flight, step, direction, filtering)
-        along = direction[:, own]
+        along = direction[:, forces]
         total += along
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
-        w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
+        w[step, :, forces] = along * (system.w_max / np.maximum(size, 1e-300))
         if errors.start < errors.stop:
-            w[step, :, errors.start : errors.start + system.m] = np.sign(made)
+            w[step, :, errors.start : errors.start + system.m] = np.sign(effect)
         if free is not None:
-            free[step] = np.sign(made) * system.u_max
+            free[step] = np.sign(effect) * system.u_max
         adjoint = carried
     if np.any(system.bias):
         w[..., flight.constant] = np.sign(total) * system.bias
     if flight.thrusters.constant:
-        ways = np.where(np.eye(system.m) > 0, np.sign(turned), turned)
+        ways = np.where(np.eye(system.m) > 0, np.sign(products), products)
         w[..., _shares(flight)] = ways.reshape(len(rows), -1)
     return w, free, adjoint
 
@@ -184,22 +184,22 @@ def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) 
     Of an observer its noise, as `Predicting` reads it: `later` (R, n) is how much its error counts at the end
     of the step, returned with how much it does before, and counted in `direction`.
     """
-    observer, known, (Ad, _, Dd), p = (
+    observer, bounds, (Ad, _, Dd), p = (
         flight.system.observer,
         flight.estimate_bounds[step],
         flight.discrete,
         flight.system.p,
     )
-    noted = direction[:, p:]
+    weights = direction[:, p:]
     if observer is None:
-        return np.sign(noted) * known, later
+        return np.sign(weights) * bounds, later
     direction[:, :p] -= later @ Dd
-    before = later @ Ad + noted
+    before = later @ Ad + weights
     if step % flight.substeps:
         return 0 * before, before
     way = np.sign(before @ observer.gain) @ np.linalg.pinv(observer.measures).T if step else before
     size = np.maximum(np.abs(way).max(axis=1, keepdims=True), 1e-300)
-    return way / size * known.min(), before @ observer.rest
+    return way / size * bounds.min(), before @ observer.rest
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:
@@ -213,10 +213,10 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
         fit = getattr(flight.schedule.steps[k].tube, "fit", None)
         return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2]), x[:, :0]
     assert isinstance(law, NeuralController)
-    own = flight.own.get(number, flight.safe)[k, place - place % flight.substeps]
+    reference = flight.own.get(number, flight.safe)[k, place - place % flight.substeps]
     passed = place // flight.substeps * law.tracking.flow.h
-    free = np.abs(law.command(k, own, own, x, passed)) < flight.system.u_max
-    back = law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)
+    free = np.abs(law.command(k, reference, reference, x, passed)) < flight.system.u_max
+    back = law.pullback(k, reference, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)
     return back @ law.loop.C, back @ law.sight * law.obstacle_motion[1][k, law.node(passed)]
 
 
@@ -241,9 +241,9 @@ def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]
         free = np.array([not case >> axis & 1 for axis in range(system.m)], dtype=float)
         held = flight.substeps == 1
         loop = system.A if held else system.A - system.B @ (free[:, None] * gain)
-        carried, pushed = discretize(loop, system.D, dt)
+        carried, forced = discretize(loop, system.D, dt)
         kicked = discretize(loop, system.B, dt)[1]
         back.append(carried - kicked @ (free[:, None] * gain) if held else carried)
-        push.append(np.hstack([pushed, -kicked @ (free[:, None] * gain)]))
+        push.append(np.hstack([forced, -kicked @ (free[:, None] * gain)]))
         thrust.append(kicked)
     return np.array(back), np.array(push), np.array(thrust), gain

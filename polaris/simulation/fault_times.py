@@ -33,8 +33,8 @@ class FaultTimes:
 
     def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "FaultTimes":
         """Return the faults of some of the flights."""
-        known = {name: getattr(self, name)[chosen] for name in TOLD}
-        return FaultTimes(**known, gap=0 * self.gap[chosen], latched=self.latched)
+        values = {name: getattr(self, name)[chosen] for name in TOLD}
+        return FaultTimes(**values, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """Return the first of the flights, as `from_table` reads it."""
@@ -43,16 +43,16 @@ class FaultTimes:
     @classmethod
     def from_table(cls, table: dict[str, Any], n: int) -> "FaultTimes":
         """One flight with n states from a `table`."""
-        known: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
-        return cls(**known, gap=np.zeros((1, n)))
+        values: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
+        return cls(**values, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Return True where the fault lasts."""
         return np.asarray((self.begins <= step) & (step < self.ends))
 
-    def missing(self, when: NDArray[Any]) -> NDArray[np.bool_]:
+    def missing(self, steps: NDArray[Any]) -> NDArray[np.bool_]:
         """Return True where the measurement in some steps (R,) is lost."""
-        return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
+        return np.asarray(self.lost & (self.begins <= steps) & (steps < self.ends))
 
     def by_s(self, step: int | NDArray[np.int_]) -> NDArray[np.bool_]:
         """Return True where S flies because of it."""
@@ -64,10 +64,10 @@ class FaultTimes:
 
     def columns(self, times: Array) -> dict[str, Array]:
         """Return each flight's kind of fault, its begin and end [s], nodes being at times (N+1,)."""
-        some, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
+        faulty, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
         at = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
-        begins, ends = (np.where(some, when, np.nan) for when in at)
-        names = np.where(some, np.select(kinds, KINDS[:3], KINDS[3]), "")
+        begins, ends = (np.where(faulty, time, np.nan) for time in at)
+        names = np.where(faulty, np.select(kinds, KINDS[:3], KINDS[3]), "")
         return {"fault": names, "fault_begins_s": begins, "fault_ends_s": ends}
 
     def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
@@ -81,8 +81,8 @@ class FaultTimes:
     def added(self, u: Array, step: int) -> Array:
         """Return the thrust a failing thruster adds to commands u, which ask of it their part along it."""
         size = np.maximum(np.sum(self.thrust**2, axis=1), 1e-300)
-        asked = np.clip(np.sum(u * self.thrust, axis=1) / size, 0.0, 1.0)
-        level = np.where(self.share < 0, 1.0, -self.share * asked)
+        demand = np.clip(np.sum(u * self.thrust, axis=1) / size, 0.0, 1.0)
+        level = np.where(self.share < 0, 1.0, -self.share * demand)
         return np.asarray((level * self.on(step))[:, None] * self.thrust)
 
     def predict(self, step: int, carried: Array, wrong: Array, eta: Array | float) -> None:
@@ -107,15 +107,15 @@ def drawn(
     thrust, share, lost = np.zeros((count, system.m)), np.ones(count), np.zeros(count, dtype=bool)
     kicks = np.einsum("lrn,nm->rlm", rows @ tracking.transitions, system.B)
     for number, fault in enumerate(system.transients):
-        mine, thrusters, on = np.flatnonzero(which == number), len(fault.thrust), fault.name == "stuck_on"
-        length[mine] = np.clip(int(fault.lasts / tracking.flow.h * per_node + 1e-9), 1, targets.max())
-        lost[mine] = not thrusters
-        if thrusters and len(mine):
-            along = kicks[mine] @ fault.thrust.T * (1 if on else -1)
-            age, best = np.divmod(along.reshape(len(mine), -1).argmax(axis=1), thrusters)
-            chosen = np.where(worst[mine], best, rng.integers(0, thrusters, len(mine)))
-            ends[mine] -= np.where(worst[mine], np.minimum(age * per_node, ends[mine] - 1), 0)
-            thrust[mine], share[mine] = fault.thrust[chosen], -1.0 if on else fault.share
+        group, thrusters, stuck = np.flatnonzero(which == number), len(fault.thrust), fault.name == "stuck_on"
+        length[group] = np.clip(int(fault.lasts / tracking.flow.h * per_node + 1e-9), 1, targets.max())
+        lost[group] = not thrusters
+        if thrusters and len(group):
+            along = kicks[group] @ fault.thrust.T * (1 if stuck else -1)
+            age, best = np.divmod(along.reshape(len(group), -1).argmax(axis=1), thrusters)
+            chosen = np.where(worst[group], best, rng.integers(0, thrusters, len(group)))
+            ends[group] -= np.where(worst[group], np.minimum(age * per_node, ends[group] - 1), 0)
+            thrust[group], share[group] = fault.thrust[chosen], -1.0 if stuck else fault.share
     ends = -(-np.maximum(ends, length) // per_node) * per_node
     return FaultTimes(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))
 

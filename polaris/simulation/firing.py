@@ -78,22 +78,22 @@ class Firing:
             )
             h = self.dt * self.substeps
             due = f * h + self.left
-            whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
-            whole = np.where(whole > 0, np.abs(due), 0.0) if timing.fine else whole
-            f = np.sign(due) * np.minimum(whole / h, full)
+            impulse = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
+            impulse = np.where(impulse > 0, np.abs(due), 0.0) if timing.fine else impulse
+            f = np.sign(due) * np.minimum(impulse / h, full)
             self.left = due - f * h
-        self.asked, made = f, f @ self.ways
-        self.made = made if self.thrust is None else made + self._wrong(self.thrust, step, commanded, made)
-        return self.made if self.faults is None else self.made + self.faults.added(made, step)
+        self.asked, ideal = f, f @ self.ways
+        self.made = ideal if self.thrust is None else ideal + self._wrong(self.thrust, step, commanded, ideal)
+        return self.made if self.faults is None else self.made + self.faults.added(ideal, step)
 
-    def _wrong(self, thrust: Array, step: int, commanded: Array, made: Array) -> Array:
+    def _wrong(self, thrust: Array, step: int, commanded: Array, inputs: Array) -> Array:
         """Return the errors of thrust in a step, by the commanded and the made thrust, (R, m)."""
         m, errors = self.system.m, self.thrusters
         if not errors.constant:
             return np.asarray(thrust[step][:, :m] * errors.error(commanded))
         shares = errors.matrices(thrust[0, :, m:].reshape(-1, m, m))
         fixed = thrust[step, :, :m] * errors.error(0 * commanded)
-        return np.asarray(np.einsum("rab,rb->ra", shares, made) + fixed)
+        return np.asarray(np.einsum("rab,rb->ra", shares, inputs) + fixed)
 
     def size(self, u: Array) -> Array:
         """Return the thrust that counts as velocity change while inputs u (R, m) are applied, (R,) [N].
@@ -110,16 +110,16 @@ class Firing:
         """Note when thrust made in the period that begins with a step, and before, is in force."""
         late, last = np.zeros((len(self.made), 1)), self.parts
         if self.jitter > 0:
-            late, held, self.before = self.lateness(step), self.before, self.made
-            self.parts = [(held - self.made, np.eye(self.system.m), 0 * late, late)]
+            late, previous, self.before = self.lateness(step), self.before, self.made
+            self.parts = [(previous - self.made, np.eye(self.system.m), 0 * late, late)]
         if not len(self.fired):
             return
-        on, kept = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
-        begin = begins(on, self.system.timing.pulse_place) + late
-        last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:kept]]
+        duration, overlap = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
+        begin = begins(duration, self.system.timing.pulse_place) + late
+        last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:overlap]]
         for *_, over in last:  # what is not over yet
             begin = np.maximum(begin, over)
-        self.parts = [(np.sign(self.asked) * self.fired, self.ways, begin, begin + on), *last]
+        self.parts = [(np.sign(self.asked) * self.fired, self.ways, begin, begin + duration), *last]
 
     @cached_property
     def edges(self) -> Array:
@@ -137,9 +137,9 @@ class Firing:
 
         Late is what the last inputs do more for along `thrust`, and nothing in the first period.
         """
-        more = self.before - self.made
-        more = more * (0.0 if self.thrust is None else self.thrust[step][:, : more.shape[1]])
-        return np.where(more.sum(axis=1, keepdims=True) > 0, self.jitter * (step > 0), 0.0)
+        increase = self.before - self.made
+        increase = increase * (0.0 if self.thrust is None else self.thrust[step][:, : increase.shape[1]])
+        return np.where(increase.sum(axis=1, keepdims=True) > 0, self.jitter * (step > 0), 0.0)
 
     def _beyond(self, power: int, start: Array | float, end: Array | float) -> Array:
         """Moment of inputs about the end of a part of a period beyond those that are held, (R, m).
@@ -150,8 +150,8 @@ class Firing:
         moment = -self.asked @ self.ways * (end - start) ** power if len(self.fired) else 0.0
         for force, ways, begin, over in self.parts:
             for edge in self.edges if len(self.fired) else (0.0,):
-                left, right = (end - np.clip(each + edge, start, end) for each in (begin, over))
-                moment = moment + force * (left**power - right**power) @ ways / len(self.edges)
+                rise, fall = (end - np.clip(each + edge, start, end) for each in (begin, over))
+                moment = moment + force * (rise**power - fall**power) @ ways / len(self.edges)
         return np.asarray(moment)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:

@@ -18,7 +18,7 @@ from .on_board import FlightCode
 from .run_metrics import Runs
 
 
-def columns(system: Craft, told: int = 0) -> tuple[slice, slice, slice, slice]:
+def columns(system: Craft, readings: int = 0) -> tuple[slice, slice, slice, slice]:
     """Columns of w, errors of estimates and thrusters where not exact, and shares of the networks' inputs.
 
     Where shares of commands are constant in a flight their matrix follows the fixed errors of thrusters.
@@ -26,7 +26,7 @@ def columns(system: Craft, told: int = 0) -> tuple[slice, slice, slice, slice]:
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
     third = second + system.m * (not system.thrusters.exact) + system.m**2 * system.on_time.constant
-    return slice(first), slice(first, second), slice(second, third), slice(third, third + told)
+    return slice(first), slice(first, second), slice(second, third), slice(third, third + readings)
 
 
 class Integrator(Firing):
@@ -73,9 +73,9 @@ class Integrator(Firing):
 
     def split(self, w: Array, first: Array) -> list[Array]:
         """Split disturbances into their `columns`; the constant, of the `first` step, is added to w."""
-        own, *errors = (w[..., part] for part in self.columns)
+        disturbance, *errors = (w[..., part] for part in self.columns)
         bias = first[..., self.constant]
-        return [own + bias if bias.shape[-1] else own, *errors]
+        return [disturbance + bias if bias.shape[-1] else disturbance, *errors]
 
     @cached_property
     def discrete(self) -> tuple[Array, Array, Array]:
@@ -115,10 +115,10 @@ class Integrator(Firing):
         u, step = self.command(number, k, at, x), k * self.steps_per_cell + at
         if self.code is None:
             return u
-        seen = self.estimate(step, x[:, : self.system.n])
+        estimate = self.estimate(step, x[:, : self.system.n])
         relieved = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.by_s(step)
-        whose = np.where(relieved, 0, number)
-        return self.code.step(step // self.substeps, seen, whose, u, self.rows, self.heard)
+        active = np.where(relieved, 0, number)
+        return self.code.step(step // self.substeps, estimate, active, u, self.rows, self.heard)
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """Command before clipping, shape (R, m), at the start of step `at` of cell k."""
@@ -131,22 +131,22 @@ class Integrator(Firing):
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, at]
-        own = self.own[number][k, at] if number in self.own else xi
+        reference = self.own[number][k, at] if number in self.own else xi
         passed = at * self.dt
         if isinstance(controller, NeuralController):
             bodies = self._obstacle_motion(controller, k, passed, step, len(x))
-            return controller.command(k, xi, own, x, passed, bodies)
+            return controller.command(k, xi, reference, x, passed, bodies)
         if isinstance(controller, BlackBox):
-            return controller.command(k, xi, own, x, passed)
-        return controller.command(k, xi, own, x)
+            return controller.command(k, xi, reference, x, passed)
+        return controller.command(k, xi, reference, x)
 
     def _obstacle_motion(
         self, law: NeuralController, k: int, passed: float, step: int, runs: int
     ) -> Array | None:
         """Return a network's readings of bodies some seconds after the start of cell k, (R, ...)."""
         if self.bodies:
-            seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
-            return law.senses.seen(k * law.reference.delta + passed, seen, runs)
+            bodies = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
+            return law.senses.seen(k * law.reference.delta + passed, bodies, runs)
         if self.shares is None:
             return None
         middle, half = (part[k, law.node(passed)] for part in law.obstacle_motion)
@@ -159,32 +159,32 @@ class Integrator(Firing):
         """
         if (sights := self.system.sights) is None:
             return error
-        off, angle, *box = sights[min(step // self.steps_per_cell, len(sights) - 1)]
-        less = float(np.min(bound[:3] / np.maximum(box, 1e-300), initial=1.0))  # measured for another phase
-        off, angle, box = less * off, np.arcsin(less * np.sin(angle)), less * np.array(box)
+        stretch, angle, *box = sights[min(step // self.steps_per_cell, len(sights) - 1)]
+        scale = float(np.min(bound[:3] / np.maximum(box, 1e-300), initial=1.0))  # measured for another phase
+        stretch, angle, box = scale * stretch, np.arcsin(scale * np.sin(angle)), scale * np.array(box)
         share, p = error[:, :3] / np.maximum(bound[:3], 1e-300), x[:, :3]
-        away = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), 1e-300)
-        along = np.sum(share * p / away, axis=1, keepdims=True)
-        across = share - along * p / away
+        norm = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), 1e-300)
+        along = np.sum(share * p / norm, axis=1, keepdims=True)
+        across = share - along * p / norm
         size = np.linalg.norm(across, axis=1, keepdims=True)
         turn, aside = angle * np.minimum(2 * size, 1.0), across / np.maximum(size, 1e-300)
-        seen = (away + off * np.clip(2 * along, -1, 1)) * (np.cos(turn) * p / away + np.sin(turn) * aside)
-        return np.hstack([error[:, :3] - share * box + seen - p, error[:, 3:]])
+        view = (norm + stretch * np.clip(2 * along, -1, 1)) * (np.cos(turn) * p / norm + np.sin(turn) * aside)
+        return np.hstack([error[:, :3] - share * box + view - p, error[:, 3:]])
 
     def estimate(self, step: int, x: Array) -> Array:
         """Return the estimates of states in a step, which controllers act on."""
-        known = (
+        estimate = (
             x if self.eta is None else x + self.turned(step, x, self.eta[step], self.estimate_bounds[step, 0])
         )
         if self.eta is not None and self.left is not None:
-            flown = self.system.state_offset_at_nodes / np.maximum(
+            share = self.system.state_offset_at_nodes / np.maximum(
                 self.estimate_bounds[step], 1e-300
             )  # not as errors
-            known = x + (known - x) * (1 - flown)
+            estimate = x + (estimate - x) * (1 - share)
         if self.faults is None:
-            return np.asarray(known)
+            return np.asarray(estimate)
         lost = self.faults.on(step) & self.faults.lost
-        return np.where(lost[:, None], x + self.faults.gap, known)
+        return np.where(lost[:, None], x + self.faults.gap, estimate)
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States (R, n) a step later, u being held."""
@@ -200,21 +200,21 @@ class Integrator(Firing):
         of what counts of velocity change (R,).
         """
         limit = self.system.u_max
-        begin, spent = place * self.substeps, np.zeros(len(x))
+        begin, thrust = place * self.substeps, np.zeros(len(x))
         raw = self.commanded(number, k, begin, x)
         demanded = np.max(np.abs(raw) / limit, axis=1)
-        u, held = self.applied(raw, k * self.steps_per_cell + begin), np.clip(raw, -limit, limit)
+        u, clipped = self.applied(raw, k * self.steps_per_cell + begin), np.clip(raw, -limit, limit)
         self.start(k * self.steps_per_cell + begin)
         for sub in range(self.substeps):
             step = begin + sub
             x = self.move(k, step, x, u, w[sub])
             if self.faults is not None:
                 at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.discrete
-                wrong = w[sub] @ Dd.T + (u - held) @ Bd.T
+                wrong = w[sub] @ Dd.T + (u - clipped) @ Bd.T
                 eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
                 self.faults.predict(at, Ad, wrong, eta)
-            spent += self.size(u)
-        return x, held, demanded, spent
+            thrust += self.size(u)
+        return x, clipped, demanded, thrust
 
     def run(self, x0: Array, w: Array) -> Runs:
         """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p).
@@ -234,24 +234,24 @@ class Integrator(Firing):
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
-            flown = self._unclipped(number, k, states[first], pushes)
-            if flown is None:
-                spent = np.zeros(len(x0))
+            segment = self._unclipped(number, k, states[first], pushes)
+            if segment is None:
+                thrust = np.zeros(len(x0))
                 for place, node in enumerate(range(first, last)):
-                    held = pushes[place * self.substeps :]
-                    flown = self.period(number, k, place, states[node], held)
-                    states[node + 1], inputs[node], demanded[node], more = flown
-                    spent += more
+                    disturbance = pushes[place * self.substeps :]
+                    segment = self.period(number, k, place, states[node], disturbance)
+                    states[node + 1], inputs[node], demanded[node], increase = segment
+                    thrust += increase
             else:
-                states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
-            delta_v += spent * self.dt / self.system.mass
+                states[first + 1 : last + 1], inputs[first:last], demanded[first:last], thrust = segment
+            delta_v += thrust * self.dt / self.system.mass
             for box in (box for box, end in boxes.items() if box != number and k < end):
                 for place in range(q):  # asked all along, whoever flies
                     self.command(box, k, place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        late = self.faults and self.faults.at_nodes(self.substeps)
-        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies, late)
+        faults = self.faults and self.faults.at_nodes(self.substeps)
+        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies, faults)
 
     def _boxes(self) -> dict[int, int]:
         """Numbers of the black boxes that fly, and the last cell of each."""
@@ -269,18 +269,18 @@ class Integrator(Firing):
         inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None
-        own = self.own.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start
+        reference = self.own.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]
         w = w if self.eta is None else np.concatenate([w, eta], axis=2)
         Ad, Bd, Dd = self.discrete
         Dd = Dd if self.eta is None else np.hstack([Dd, -Bd @ law.gain])
-        forced = ((law.own.nu[k] + own @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
+        forced = ((law.own.nu[k] + reference @ law.gain.T) @ Bd.T)[:, None] + w @ Dd.T
         carried = (Ad - Bd @ law.gain).T
         path = np.empty((len(w) + 1, *x.shape))
         path[0] = x
         for step in range(len(w)):
             path[step + 1] = path[step] @ carried + forced[step]
-        raw = law.own.nu[k] + (own[:, None] - path[:-1] - eta) @ law.gain.T
+        raw = law.own.nu[k] + (reference[:, None] - path[:-1] - eta) @ law.gain.T
         size = np.abs(raw)
         if not np.all(size <= limit):
             return None

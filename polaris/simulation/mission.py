@@ -48,24 +48,24 @@ def fly_on(schedules: Sequence[Schedule], leaves: Sequence[float], runs: int, se
     runs, seed : int
         Number of flights besides the nominal one; same seed, same flights.
     """
-    rng, parts, begun, x = np.random.default_rng(seed), list[tuple[Array, ...]](), 0.0, None
+    rng, parts, clock, x = np.random.default_rng(seed), list[tuple[Array, ...]](), 0.0, None
     for i, (schedule, until) in enumerate(zip(schedules, leaves, strict=True)):
         problem, tracking = schedule.safety.problem, schedule.safety.tracking
         node = round(until / tracking.flow.h)
-        flown = attack(schedule, node, runs, rng, x, nominal=True)
-        x, start = flown.states[:, node], problem.initial_set
+        flights = attack(schedule, node, runs, rng, x, nominal=True)
+        x, start = flights.states[:, node], problem.initial_set
         if i:
-            parts[-1] = *parts[-1][:-1], np.array(used_share(flown.states[:, 0], start.c, start.G))
-        modes = np.append(np.repeat(flown.modes, schedule.safety.clearance.q), 0)
-        spent = np.abs(flown.inputs[:, :node]).sum(axis=(1, 2)) * tracking.flow.h / problem.system.mass
-        shown = begun + flown.times, flown.states.swapaxes(0, 1), np.full(len(flown.times), i), modes
-        near = evaluate(flown).min_distance.min()
-        parts.append((*(each[: node + 1] for each in shown), spent, near, np.array(0.0)))
-        begun += until
+            parts[-1] = *parts[-1][:-1], np.array(used_share(flights.states[:, 0], start.c, start.G))
+        modes = np.append(np.repeat(flights.modes, schedule.safety.clearance.q), 0)
+        delta_v = np.abs(flights.inputs[:, :node]).sum(axis=(1, 2)) * tracking.flow.h / problem.system.mass
+        samples = clock + flights.times, flights.states.swapaxes(0, 1), np.full(len(flights.times), i), modes
+        nearest = evaluate(flights).min_distance.min()
+        parts.append((*(each[: node + 1] for each in samples), delta_v, nearest, np.array(0.0)))
+        clock += until
     columns = list(zip(*parts, strict=True))
     times, states, legs, by = (np.concatenate(column) for column in columns[:4])
-    each, near, used = (np.array(column) for column in columns[4:])
-    return MissionFlights(times, states.swapaxes(0, 1), legs, by, each.T, near, used[:-1])
+    each, nearest, used = (np.array(column) for column in columns[4:])
+    return MissionFlights(times, states.swapaxes(0, 1), legs, by, each.T, nearest, used[:-1])
 
 
 def attack(

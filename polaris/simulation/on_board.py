@@ -80,10 +80,10 @@ class FlightCode:
             raise ScenarioError("code", str(folder), f"must be a folder of flight code: {error}") from error
         self.online = f"{prefix}_online_step" in header.read_text()
         n, m, real = len(self.tables.range), len(self.tables.limit), REALS[self.precision]
-        seen = [("measured", real, len(self.tables.seen))] if self.tables.seen else []
-        given = [("period", "i4"), ("controller", "i4"), ("state", real, n), *seen, ("command", real, m)]
+        sensors = [("measured", real, len(self.tables.seen))] if self.tables.seen else []
+        inputs = [("period", "i4"), ("controller", "i4"), ("state", real, n), *sensors, ("command", real, m)]
         answer = [("mode", "i4"), ("fault", "u4"), ("command", real, m), ("margin", real)]
-        self._input, self._output = np.dtype(given, align=True), np.dtype(answer, align=True)
+        self._input, self._output = np.dtype(inputs, align=True), np.dtype(answer, align=True)
         with tempfile.TemporaryDirectory() as scratch:
             self._library = _compiled(prefix, source, Path(scratch), self.online)
         size, *others = (ctypes.c_int32 * 3).in_dll(self._library, "sizes")
@@ -146,15 +146,15 @@ class FlightCode:
         ndarray, shape (r, m)
             Commands [N]; one of S that was clipped is past its limits by `PAST`, as it must never be.
         """
-        given, answer = (np.zeros(len(states), dtype=each) for each in (self._input, self._output))
-        given["period"], given["controller"] = period, controllers
-        given["state"], given["command"] = states, commands
+        inputs, answer = (np.zeros(len(states), dtype=each) for each in (self._input, self._output))
+        inputs["period"], inputs["controller"] = period, controllers
+        inputs["state"], inputs["command"] = states, commands
         if self.tables.seen and period > 0:
             if measured is None:
                 raise ScenarioError("code", self.tables.sizes, "has an observer, which needs measurements")
-            given["measured"] = measured
+            inputs["measured"] = measured
         settling = np.ascontiguousarray(self._settling[rows])
-        self._library.step(len(given), settling.ctypes, given.ctypes, answer.ctypes)
+        self._library.step(len(inputs), settling.ctypes, inputs.ctypes, answer.ctypes)
         self._settling[rows], self.modes[rows] = settling, answer["mode"]
         self.answers.update(zip(answer["mode"].tolist(), answer["fault"].tolist(), strict=True))
         clipped = (answer["mode"] == 0) & (answer["fault"] & CLIPPED > 0)
@@ -169,9 +169,9 @@ def _compiled(prefix: str, source: Path, scratch: Path, online: bool) -> ctypes.
     entry = f"{prefix}_online" if online else prefix
     loop.write_text(LOOP.format(prefix, entry if online else f"{prefix}_memory", entry))
     command = [compiler, *FLAGS, f"-I{source.parent}", str(source), str(loop), "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise PolarisError(f"{source}: the compiler says {done.stderr.strip()[:200]}")
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise PolarisError(f"{source}: the compiler says {process.stderr.strip()[:200]}")
     return ctypes.CDLL(str(out))
 
 
@@ -193,13 +193,13 @@ def code_of(schedule: Schedule, precision: str = "double", observer: bool = Fals
     check_flyable(schedule.guarantee, system.u_max.tolist())
     plan = schedule.modes.tolist(), reference.chi.tolist(), reference.nu.tolist()
     sampling = tracking.flow.h, tracking.feedback.nodes_per_cell
-    made = tables_of(system.A, system.B, *sampling, *plan, tracking.gain.tolist(), system.u_max, forever)
+    tables = tables_of(system.A, system.B, *sampling, *plan, tracking.gain.tolist(), system.u_max, forever)
     if observer and system.observer is not None:
         gains, timing = (system.observer.gain, *system.observer.after), (sampling[0], system.timing.delay)
-        seen = observer_tables(system.A, system.B, *timing, system.observer.measures, gains, made.range)
-        made = replace(made, **seen)
+        observed = observer_tables(system.A, system.B, *timing, system.observer.measures, gains, tables.range)
+        tables = replace(tables, **observed)
     with tempfile.TemporaryDirectory() as scratch:
-        for name, text in files(made.rounded(precision), "flown", precision, "0" * 64).items():
+        for name, text in files(tables.rounded(precision), "flown", precision, "0" * 64).items():
             (Path(scratch) / name).write_text(text)
         return FlightCode(scratch)
 
@@ -239,8 +239,8 @@ def tables_of(
         modes=modes,
         waypoints=states[:cells],
         feed=inputs[:steps],
-        moved=[moved.tolist() for moved, _ in parts],
-        pushed=[pushed.tolist() for _, pushed in parts],
+        moved=[Ad.tolist() for Ad, _ in parts],
+        pushed=[Bd.tolist() for _, Bd in parts],
         gain=gain,
         limit=list(map(float, limit)),
         range=booked_range(np.array(states), np.array(gain), np.array(limit)).tolist(),
@@ -263,10 +263,10 @@ def observer_tables(
     later = [
         measures @ expm(A * (h * age - delay)) @ discretize(A, B, part)[1] for age, part in enumerate(parts)
     ]
-    held, force = discretize(A, B, h)
+    Ad, Bd = discretize(A, B, h)
     return {
-        "held": held.tolist(),
-        "force": force.tolist(),
+        "held": Ad.tolist(),
+        "force": Bd.tolist(),
         "seen": (measures @ back).tolist(),
         "later": [part.tolist() for part in later],
         "updates": [(ahead @ np.array(gain)).tolist() for gain in gains],

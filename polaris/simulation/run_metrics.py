@@ -74,8 +74,8 @@ class Runs:
         parts = ("states", "inputs", "demanded", "delta_v")
         bodies = {name: states[chosen] for name, states in self.bodies.items()}
         faults = None if self.faults is None else self.faults.pick(chosen)
-        kept = {name: getattr(self, name)[chosen] for name in parts}
-        return replace(self, bodies=bodies, faults=faults, **kept)
+        selected = {name: getattr(self, name)[chosen] for name in parts}
+        return replace(self, bodies=bodies, faults=faults, **selected)
 
     @property
     def positions(self) -> Array:
@@ -86,8 +86,8 @@ class Runs:
     def flown(self) -> NDArray[np.int_]:
         """Return the mode over the period after every node, S because of a fault included, (R, N)."""
         modes = np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
-        planned, late = np.broadcast_to(modes, self.demanded.shape), self.faults
-        by_s = False if late is None else late.by_s(np.arange(planned.shape[1])[:, None]).T
+        planned, faults = np.broadcast_to(modes, self.demanded.shape), self.faults
+        by_s = False if faults is None else faults.by_s(np.arange(planned.shape[1])[:, None]).T
         return np.where(by_s, 0, planned)
 
     def metrics(self) -> Metrics:
@@ -117,9 +117,9 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
     for having entered a set, and limits on the whole state are looked at within every period, too.
     """
     of_kind("runs", runs, Runs, "polaris.simulate")
-    rng, who = np.random.default_rng(seed), _who(runs) if controller is None else controller
+    rng, label = np.random.default_rng(seed), _who(runs) if controller is None else controller
     count = len(runs.states)
-    return Metrics.join([_measured(runs.some(slice(i, i + PART)), rng, who) for i in range(0, count, PART)])
+    return Metrics.join([_measured(runs.some(slice(i, i + PART)), rng, label) for i in range(0, count, PART)])
 
 
 def drift_horizon(system: LinearSystem, duration: float) -> float:
@@ -156,8 +156,8 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         within = held_path(system, h, x[:, :-1], x[:, 1:], np.array([share]))[..., 0, :]
         collided |= (signed_distances(limits, times[:-1] + share * h, within, system) <= 0).any(axis=(0, 2))
     collided |= (signed_distances(limits, times[-1:], x[:, -1:], system) <= 0).any(axis=(0, 2))
-    who = runs.flown
-    modes = who[:, ::q] if runs.faults is None else who
+    node_modes = runs.flown
+    modes = node_modes[:, ::q] if runs.faults is None else node_modes
     return Metrics(
         controller=controller,
         names=tuple(obstacle.name for obstacle in obstacles),
@@ -174,8 +174,8 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         delta_v=runs.delta_v,
         collided=collided,
         max_thrust_ratio=runs.demanded.max(axis=1),
-        max_thrust_ratio_safety=peak(runs.demanded, who == 0),
-        max_thrust_ratio_experimental=peak(runs.demanded, who > 0),
+        max_thrust_ratio_safety=peak(runs.demanded, node_modes == 0),
+        max_thrust_ratio_experimental=peak(runs.demanded, node_modes > 0),
         nearest=np.stack([distance.min(axis=0), distance.mean(axis=0), distance.max(axis=0)]),
     )
 
@@ -191,22 +191,22 @@ def _refined(runs: Runs, truth: Mapping[str, Array], nearest: SampledApproach) -
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
     node = np.clip(np.round(nearest.time / h).astype(int), 0, N)
-    left = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
+    starts = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
     s = np.linspace(0.0, 1.0, PARTS + 1)
-    run = np.arange(len(left))[:, None]
+    run = np.arange(len(starts))[:, None]
 
     def between(x: Array) -> Array:
-        return held_path(system, h, x[run, left], x[run, left + 1], s).reshape(len(x), -1, x.shape[-1])
+        return held_path(system, h, x[run, starts], x[run, starts + 1], s).reshape(len(x), -1, x.shape[-1])
 
-    t = (times[left][..., None] + s * h).reshape(len(left), -1)
-    states = {name: between(known) for name, known in truth.items()}
+    t = (times[starts][..., None] + s * h).reshape(len(starts), -1)
+    states = {name: between(path) for name, path in truth.items()}
     obstacles, _ = _placed(problem.unsafe)
     finer = closest(
         signed_distances(obstacles, t, between(runs.states) @ system.position.T, system, states), t
     )
-    better = finer.distance < nearest.distance
+    closer = finer.distance < nearest.distance
     pairs = zip(astuple(finer), astuple(nearest), strict=True)
-    return SampledApproach(*(np.where(better, new, old) for new, old in pairs))
+    return SampledApproach(*(np.where(closer, new, old) for new, old in pairs))
 
 
 def held_path(system: LinearSystem, h: float, before: Array, after: Array, shares: Array) -> Array:
@@ -218,7 +218,7 @@ def held_path(system: LinearSystem, h: float, before: Array, after: Array, share
     carried, added = discretize(system.A, eye, h)
     rate = (after - before @ carried.T) @ np.linalg.inv(added).T
     parts = [discretize(system.A, eye, share * h) for share in shares]
-    return np.stack([before @ moved.T + rate @ pushed.T for moved, pushed in parts], axis=-2)
+    return np.stack([before @ Ad.T + rate @ Bd.T for Ad, Bd in parts], axis=-2)
 
 
 def experimental_share(t: Array, modes: NDArray[np.int_]) -> Array:
@@ -236,5 +236,5 @@ def peak(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
 def _who(runs: Runs) -> str:
     if np.array_equal(runs.modes[: len(runs.schedule.modes)], runs.schedule.modes):
         return "polaris"
-    alone = np.unique(runs.modes[: len(runs.schedule.modes)])
-    return runs.schedule.controllers[int(alone[0])].name if len(alone) == 1 else "mixed"
+    modes = np.unique(runs.modes[: len(runs.schedule.modes)])
+    return runs.schedule.controllers[int(modes[0])].name if len(modes) == 1 else "mixed"

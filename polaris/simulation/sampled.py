@@ -63,26 +63,26 @@ class SampledSchedules:
     repeats: bool = True
 
 
-def flights_needed(probability: float, doubt: float) -> int:
-    """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `doubt`."""
+def flights_needed(probability: float, risk: float) -> int:
+    """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `risk`."""
     from scipy.stats import binom  # takes long to load
 
-    return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= doubt)
+    return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= risk)
 
 
-def at_most(outside: int, flights: int, doubt: float) -> float:
-    """Upper bound on a probability (Clopper and Pearson 1934), wrong with one of at most `doubt`."""
+def at_most(outside: int, flights: int, risk: float) -> float:
+    """Upper bound on a probability (Clopper and Pearson 1934), wrong with one of at most `risk`."""
     from scipy.stats import beta  # takes long to load
 
-    return 1.0 if outside >= flights else float(beta.ppf(1 - doubt, outside + 1, flights - outside))
+    return 1.0 if outside >= flights else float(beta.ppf(1 - risk, outside + 1, flights - outside))
 
 
 def outside(runs: Runs) -> NDArray[np.float64]:
     """Return how far each flight leaves the bands of its boxes, at its worst, shape (R,); outside above 1."""
-    schedule, worst = runs.schedule, np.zeros(len(runs.states))
+    schedule, excess = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
     system = schedule.safety.problem.system
-    moved = system.state_offset_at_nodes * bool(
+    offset = system.state_offset_at_nodes * bool(
         system.timing.carried_impulse
     )  # bands are about errors without that
     arcs = schedule.safety.reference.fine(q)
@@ -90,8 +90,8 @@ def outside(runs: Runs) -> NDArray[np.float64]:
         if isinstance(step.tube, FittedSegment):
             part = slice(step.k * q, (step.k + 1) * q)
             errors = runs.states[:, part] - arcs[step.k, :-1]
-            worst = np.maximum(worst, step.tube.outside(errors, runs.inputs[:, part], moved))
-    return np.asarray(worst)
+            excess = np.maximum(excess, step.tube.outside(errors, runs.inputs[:, part], offset))
+    return np.asarray(excess)
 
 
 def _drawn(schedule: Schedule, n: int, seed: int) -> Runs:
@@ -99,14 +99,14 @@ def _drawn(schedule: Schedule, n: int, seed: int) -> Runs:
     return simulate(schedule, n, seed, initial="random", disturbance="random")
 
 
-def _repeats(begun: Runs, seed: int) -> bool:
+def _repeats(first_runs: Runs, seed: int) -> bool:
     """Return True if flights come out the same again, and with boxes asked about few, the last first."""
-    schedule, limits = begun.schedule, begun.schedule.safety.tracking.system.u_max
+    schedule, limits = first_runs.schedule, first_runs.schedule.safety.tracking.system.u_max
     h = schedule.safety.tracking.flow.h
 
     def only_few(ask: Ask) -> Ask:
         def asked(t: float, x: Array, xi: Array) -> Any:
-            u = begun.inputs[:, round(t / h)].copy()
+            u = first_runs.inputs[:, round(t / h)].copy()
             u[FEW] = ask(t, x[FEW], xi)
             return u
 
@@ -114,14 +114,14 @@ def _repeats(begun: Runs, seed: int) -> bool:
             setattr(asked, "reset", lambda runs: ask.reset(len(range(runs)[FEW])))  # noqa: B010
         return asked
 
-    again = _drawn(schedule, len(begun.states), seed)
+    repeat = _drawn(schedule, len(first_runs.states), seed)
     laws = (
         replace(law, ask=only_few(law.ask)) if isinstance(law, BlackBox) else law
         for law in schedule.controllers
     )
-    few = _drawn(replace(schedule, controllers=tuple(laws)), len(begun.states), seed)
-    off = np.abs(few.inputs - begun.inputs)  # a product over fewer rows may round otherwise
-    return np.array_equal(begun.inputs, again.inputs) and bool(np.all(off <= ROUNDED * limits))
+    few = _drawn(replace(schedule, controllers=tuple(laws)), len(first_runs.states), seed)
+    deviation = np.abs(few.inputs - first_runs.inputs)  # a product over fewer rows may round otherwise
+    return np.array_equal(first_runs.inputs, repeat.inputs) and bool(np.all(deviation <= ROUNDED * limits))
 
 
 def with_boxes(
@@ -176,27 +176,27 @@ def synthesize_sampled(
     for name, value in (("probability", probability), ("confidence", confidence)):
         if not 0 < number(name, value) < 1:
             raise ScenarioError(name, value, "must be > 0 and < 1")
-    known = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
-    proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
-    doubt, laws = 1 - confidence, list(experimental)
+    models = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
+    proven = synthesize(scenario, safety, models, progress=progress, recourse=True)
+    risk, laws = 1 - confidence, list(experimental)
     for attempt in range(ATTEMPTS):
-        schedule, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
+        schedule, risk = synthesize(scenario, safety, laws, progress=progress), risk / 2
         if not schedule.sampled_steps:
             return SampledSchedules(schedule if schedule.share() > proven.share() else proven, proven, None)
-        flights, left = flights_needed(probability, doubt), 0
+        flights, outliers = flights_needed(probability, risk), 0
         for first in range(0, flights, BATCH):
             drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
             runs = _drawn(schedule, min(BATCH, flights - first), drawn)
-            left += int(np.count_nonzero(~(outside(runs) <= 1)))
+            outliers += int(np.count_nonzero(~(outside(runs) <= 1)))
             if not first:
-                begun = runs
-        bound = at_most(left, flights, doubt)
+                first_runs = runs
+        bound = at_most(outliers, flights, risk)
         if bound <= probability:
-            said = SampledBound(bound, confidence, flights, left, seed, attempt + 1)
-            schedule = replace(schedule, sampled_bound=said)
+            statement = SampledBound(bound, confidence, flights, outliers, seed, attempt + 1)
+            schedule = replace(schedule, sampled_bound=statement)
             hostile = simulate(schedule, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
-            repeats = _repeats(begun, seed + MOST * (attempt + 1))
+            repeats = _repeats(first_runs, seed + MOST * (attempt + 1))
             return SampledSchedules(schedule, proven, falsify(schedule, attacks, seed), adverse, repeats)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return SampledSchedules(proven, proven, None)

@@ -46,9 +46,9 @@ class Spread:
         """Return the spread of values (N,) at times t (N,) [s], inf among them."""
         finite, weight = np.isfinite(values), weights(t)
         mean = float(np.sum(values * weight)) if finite.all() else np.inf
-        when = float(t[np.argmin(values)]) if finite.any() else np.nan
+        time = float(t[np.argmin(values)]) if finite.any() else np.nan
         share = float(np.sum(weight[finite]))
-        return cls(float(values.min()), mean, float(values.max()), when, min(share, 1.0))
+        return cls(float(values.min()), mean, float(values.max()), time, min(share, 1.0))
 
 
 @short_repr
@@ -82,7 +82,7 @@ class AgentMetrics:
     running_times: tuple[float, float, float] | None  # mean, largest and smallest wall time of a decision [s]
 
     def _plain(self) -> dict[str, Any]:
-        spent = self.running_times
+        times = self.running_times
         return {
             "samples": self.samples,
             "duration_s": self.duration,
@@ -91,7 +91,7 @@ class AgentMetrics:
             "agents": {item.name: item._plain() for item in self.others},
             "usage": self.usage,
             "switches": self.switches,
-            "running_time_s": spent and dict(zip(("mean", "max", "min"), spent, strict=True)),
+            "running_time_s": times and dict(zip(("mean", "max", "min"), times, strict=True)),
         }
 
 
@@ -192,24 +192,24 @@ class _Measurement:
                 detail = f"its position does not change as a velocity of {source} would have it"
                 self.notes.append(f"{name}: {detail}")
             unsafe = tuple(self.against_set(agent, self.d, v, other) for other in self.trace.unsafe)
-            rest = [other for other in self.trace.agents if other != name]
-            others = tuple(self.against_agent(agent, self.d, v, other) for other in rest)
-        kept = zip(agent.limits, agent.margins, strict=True)
+            other_names = [other for other in self.trace.agents if other != name]
+            others = tuple(self.against_agent(agent, self.d, v, other) for other in other_names)
+        margins = zip(agent.limits, agent.margins, strict=True)
         unsafe += tuple(
-            Separation(each, LIMIT, Spread.from_samples(row, agent.times), None) for each, row in kept
+            Separation(each, LIMIT, Spread.from_samples(row, agent.times), None) for each, row in margins
         )
         shares = mode_shares(agent.times, agent.known_modes)
-        modes = {number: word.lower() for number, word in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
-        spent = agent.running_times
+        modes = {number: mode_name.lower() for number, mode_name in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
+        times = agent.running_times
         return AgentMetrics(
             len(agent.times),
             float(agent.times[-1] - agent.times[0]),
             source,
             unsafe,
             others,
-            {word: float(shares.get(number, 0.0)) for number, word in modes.items()},
+            {mode_name: float(shares.get(number, 0.0)) for number, mode_name in modes.items()},
             int(count_switches(agent.known_modes, agent.times)),
-            (float(spent.mean()), float(spent.max()), float(spent.min())) if len(spent) else None,
+            (float(times.mean()), float(times.max()), float(times.min())) if len(times) else None,
         )
 
     def against_set(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
@@ -227,17 +227,17 @@ class _Measurement:
     def against_agent(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
         """Against another agent, interpolated linearly, at times when both are there."""
         t, other = agent.times, self.trace.agents[name]
-        both = (t >= other.times[0]) & (t <= other.times[-1])
-        if not both.any():
+        present = (t >= other.times[0]) & (t <= other.times[-1])
+        if not present.any():
             return Separation(name, "agent", None, None)
         left, right, share = between(other.times, t)
-        rows = left[both], right[both], share[both]
-        apart = agent.states[both, :d] - interpolate(other.states[:, :d], rows)
-        distance, ttc = Spread.from_samples(np.linalg.norm(apart, axis=1), t[both]), None
+        rows = left[present], right[present], share[present]
+        offset = agent.states[present, :d] - interpolate(other.states[:, :d], rows)
+        distance, ttc = Spread.from_samples(np.linalg.norm(offset, axis=1), t[present]), None
         w, _ = find_velocity(name, other, d, self.wanted)
         if v is not None and w is not None:
-            relative = v[both] - interpolate(w, rows)
-            ttc = Spread.from_samples(BallShape(self.radius).entry_time(apart, relative), t[both])
+            relative = v[present] - interpolate(w, rows)
+            ttc = Spread.from_samples(BallShape(self.radius).entry_time(offset, relative), t[present])
         return Separation(name, "agent", distance, ttc)
 
 
@@ -271,8 +271,8 @@ class FreeDrift:
                 rule = f"must be the {system.n} states of the system that drifts (--mean-motion)"
                 raise ScenarioError(place, f"{agent.n} states", rule)
         if d is not None and not np.array_equal(system.position, np.eye(d, system.n)):
-            given = f"{d} axes of position"
-            raise ScenarioError("--dims", given, "must be the first states of the system that drifts")
+            axes = f"{d} axes of position"
+            raise ScenarioError("--dims", axes, "must be the first states of the system that drifts")
         longest = max(float(np.ptp(agent.times)) for agent in trace.agents.values())
         self.system, self.horizon = system, drift_horizon(system, longest)
         if not self.horizon > 0:

@@ -91,17 +91,17 @@ def _agent(
     name: str, system: LinearSystem, t: Array, states: ArrayLike, modes: ArrayLike, running_times: ArrayLike
 ) -> AgentTrace:
     if not np.array_equal(system.position, np.eye(system.d, system.n)):
-        shown = system.position.tolist()
-        raise ScenarioError("system.C", shown, "must choose the first states as position")
-    given, count = np.asarray(modes), np.size(t)
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise ScenarioError("modes", given.shape, "must be a list of whole numbers")
-    if len(given) not in (count - 1, count):
-        raise ScenarioError("modes", given.shape, f"must be {count - 1}, one per step, or {count}")
-    given = np.pad(given, (0, count - len(given)), mode="edge")
-    flown = np.select([given > 0, given == 0], [UNTRUSTED, SAFETY], given)
-    x, spent = np.asarray(states, dtype=float), np.asarray(running_times, dtype=float)
-    agent = AgentTrace(t, x, flown, spent, where=f"agents.{name}")
+        position = system.position.tolist()
+        raise ScenarioError("system.C", position, "must choose the first states as position")
+    mode_array, count = np.asarray(modes), np.size(t)
+    if mode_array.ndim != 1 or not np.issubdtype(mode_array.dtype, np.integer):
+        raise ScenarioError("modes", mode_array.shape, "must be a list of whole numbers")
+    if len(mode_array) not in (count - 1, count):
+        raise ScenarioError("modes", mode_array.shape, f"must be {count - 1}, one per step, or {count}")
+    mode_array = np.pad(mode_array, (0, count - len(mode_array)), mode="edge")
+    trace_modes = np.select([mode_array > 0, mode_array == 0], [UNTRUSTED, SAFETY], mode_array)
+    x, durations = np.asarray(states, dtype=float), np.asarray(running_times, dtype=float)
+    agent = AgentTrace(t, x, trace_modes, durations, where=f"agents.{name}")
     if agent.n != system.n:
         rule = f"must have {system.n} columns, as the system has states"
         raise ScenarioError("states", agent.states.shape, rule)
@@ -119,20 +119,20 @@ def _sets(
             f"{name}: limit on the whole state, as the chaser's clearance to it (1 m/s counts as 100 m)",
         )
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
-        true, radii = satellites[name], np.full(len(t), obstacle.radius)
-        centre, velocity = obstacle.motion(t, system, true)
+        states, radii = satellites[name], np.full(len(t), obstacle.radius)
+        centre, velocity = obstacle.motion(t, system, states)
         ball = BallTrace(t, centre, radii, velocity)
         note = f"{name}: another satellite, as a ball about where it is nominally"
-        return {name: ball}, note if true is None else None
+        return {name: ball}, note if states is None else None
     if isinstance(obstacle, BallObstacle):
         return {name: BallTrace(t, obstacle.centre(t), np.full(len(t), obstacle.radius))}, None
     if isinstance(obstacle, BoxObstacle):
         centers, lengths = obstacle.centre(t), 2 * np.asarray(obstacle.half_widths)
         return {name: RectangleTrace(t, centers, np.broadcast_to(lengths, centers.shape))}, None
     if isinstance(obstacle, RigidObstacle):
-        cover, moved = obstacle.cover, obstacle.centre(t)
+        cover, positions = obstacle.cover, obstacle.centre(t)
         note = f"{name}: as the polytope around it (over-approximated)"
-        traced = PolytopeTrace(t, cover.H[None], cover.b + moved @ cover.H.T)
+        traced = PolytopeTrace(t, cover.H[None], cover.b + positions @ cover.H.T)
         return {name: traced}, None if cover is obstacle.shape else note
     sets = _covers(obstacle, t, system)
     if isinstance(obstacle, SatelliteObstacle):
@@ -195,13 +195,13 @@ def export_run(
             flights = read_flights(run.path / "trajectories.npz")
     controller = controller or ("schedule" if option == "--method" else "polaris")
     one_of(option, controller, flights)
-    flown = flights[controller]
-    one_of("--run", label, flown.labels)
-    row = flown.labels.index(label)
+    flight = flights[controller]
+    one_of("--run", label, flight.labels)
+    row = flight.labels.index(label)
     if option == "--method":
-        modes = flown.modes[row]
+        modes = flight.modes[row]
     else:
-        modes = np.repeat(flown.modes, (len(flown.times) - 1) // len(flown.modes))
+        modes = np.repeat(flight.modes, (len(flight.times) - 1) // len(flight.modes))
     obstacles, system = run.scenario.obstacles(), run.scenario.system()
     others = dict.fromkeys(item.name for item in obstacles) if nominal else None
-    return to_trace(flown.times, flown.states[row], modes, obstacles, system, satellites=others)
+    return to_trace(flight.times, flight.states[row], modes, obstacles, system, satellites=others)

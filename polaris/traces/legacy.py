@@ -60,14 +60,14 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
 
     agents: Legacy = {}
     for name, agent in trace.agents.items():
-        one = _Agent(trace, name, agent, d or 1, velocity)
+        metrics = _Agent(trace, name, agent, d or 1, velocity)
         agents[name] = {
-            "controllerUsage": attempt(one.usage),
-            "compute_dists": attempt(one.dists),
-            "compute_agent_dists": attempt(one.agent_dists),
-            "compute_unsafe_TTC": attempt(one.unsafe_ttc),
-            "compute_agent_TTC": attempt(one.agent_ttc),
-            "running_times": attempt(one.running_times),
+            "controllerUsage": attempt(metrics.usage),
+            "compute_dists": attempt(metrics.dists),
+            "compute_agent_dists": attempt(metrics.agent_dists),
+            "compute_unsafe_TTC": attempt(metrics.unsafe_ttc),
+            "compute_agent_TTC": attempt(metrics.agent_ttc),
+            "running_times": attempt(metrics.running_times),
         }
     return agents
 
@@ -75,8 +75,8 @@ def evaluate_legacy(trace: Trace, *, dims: int | None = None, velocity: Velocity
 class _Agent:
     """The methods, for one agent. Rows of others belong to its own by their place, whatever their stamps."""
 
-    def __init__(self, trace: Trace, name: str, agent: AgentTrace, d: int, wanted: Velocity) -> None:
-        self.trace, self.name, self.agent, self.d, self.wanted = trace, name, agent, d, wanted
+    def __init__(self, trace: Trace, name: str, agent: AgentTrace, d: int, selection: Velocity) -> None:
+        self.trace, self.name, self.agent, self.d, self.wanted = trace, name, agent, d, selection
 
     def _paired(self, times: Array, *values: Array) -> list[Array]:
         """The first rows of others, as many as the agent has; one row alone is repeated."""
@@ -115,21 +115,21 @@ class _Agent:
         p = self.agent.states[:, 1 : item.d + 1]  # defect 1: the rows have lost their time already
         if p.shape[1] < item.d:
             raise _Stop("fewer states than axes after the first")
-        off = p - centers
+        offset = p - centers
         if isinstance(item, BallTrace):
-            distance = np.maximum(np.linalg.norm(off, axis=1) - sizes, 0.0)
+            distance = np.maximum(np.linalg.norm(offset, axis=1) - sizes, 0.0)
         else:
-            distance = np.linalg.norm(np.maximum(np.abs(off) - sizes / 2, 0.0), axis=1)
+            distance = np.linalg.norm(np.maximum(np.abs(offset) - sizes / 2, 0.0), axis=1)
         return np.asarray(distance), centers[:, : self.d] - self.agent.states[:, : self.d]
 
     def _polytope(self, item: PolytopeTrace) -> tuple[Array, Array]:
         if self.d == 1:
             raise _Stop("polytopes need two axes or three")
         A, b = self._paired(item.times, item.A, item.b)
-        held = replace(item, times=self.agent.times, A=A, b=b)
+        paired = replace(item, times=self.agent.times, A=A, b=b)
         p = self.agent.states[:, : self.d]
-        distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
-        lines = MovingPolytope(*unit_rows(held.A, held.b)).to_nearest(p)
+        distance = np.maximum(place(paired, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
+        lines = MovingPolytope(*unit_rows(paired.A, paired.b)).to_nearest(p)
         return np.asarray(distance), lines
 
     def agent_dists(self) -> tuple[float, float, dict[str, float]]:
@@ -147,13 +147,13 @@ class _Agent:
         return others
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
-        wanted = guess_heading(agent, self.d) if self.wanted is None else self.wanted
-        if wanted is None:
+        selection = guess_heading(agent, self.d) if self.wanted is None else self.wanted
+        if selection is None:
             raise _Stop("the states have no heading")  # defect 9
-        v, source = find_velocity(name, agent, self.d, wanted)
+        v, source = find_velocity(name, agent, self.d, selection)
         if v is None:
             raise _Stop("one sample")
-        if source != DIFFERENCES and not isinstance(wanted, Heading) and self.d > 1:
+        if source != DIFFERENCES and not isinstance(selection, Heading) and self.d > 1:
             raise _Stop("the states have no heading")
         return v
 
@@ -175,41 +175,41 @@ class _Agent:
                 distance, line = self._distance(item)
             if distance is None or line is None:
                 raise _Stop("no distance before it")
-            along = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
-            times[name] = distance / along
+            speed = np.abs(np.sum(v * line, axis=1)) / np.linalg.norm(line, axis=1)
+            times[name] = distance / speed
             distance, line = float(np.atleast_1d(distance)[-1]), np.broadcast_to(line[-1], line.shape)
         return _each(times)
 
     def agent_ttc(self) -> Each:
         """({agent: min}, ...): when the first axes meet, if the others do then as floats (defect 5)."""
         times: dict[str, Array] = {}
-        own = self._velocity(self.name, self.agent)
+        v = self._velocity(self.name, self.agent)
         for name, p, other in self._others():
             (w,) = self._paired(other.times, self._velocity(name, other))
-            t = p[:, 0] / -(w - own)[:, 0]
-            meet = np.all(np.isfinite(t)[:, None] & (p[:, 1:] == -(w - own)[:, 1:] * t[:, None]), axis=1)
+            t = p[:, 0] / -(w - v)[:, 0]
+            meet = np.all(np.isfinite(t)[:, None] & (p[:, 1:] == -(w - v)[:, 1:] * t[:, None]), axis=1)
             times[name] = np.where(meet & np.isfinite(t) & ~(t < 0), t, NEVER)
-        met = {name: values[values != NEVER] for name, values in times.items()}
-        mean = {name: float(values.mean()) if len(values) else NEVER for name, values in met.items()}
+        meetings = {name: values[values != NEVER] for name, values in times.items()}
+        mean = {name: float(values.mean()) if len(values) else NEVER for name, values in meetings.items()}
         return *_each(times)[:2], mean
 
     def running_times(self) -> tuple[float, float, float]:
         """(avg, max, min): not the order its documentation gives."""
-        spent = self.agent.running_times
-        if not len(spent):
+        times = self.agent.running_times
+        if not len(times):
             raise _Stop("no running times")
-        return float(spent.mean()), float(spent.max()), float(spent.min())
+        return float(times.mean()), float(times.max()), float(times.min())
 
 
 def _each(columns: dict[str, Array]) -> Each:
     """Python's ``min`` and ``max``, for which every comparison with nan is false, and means."""
-    least = {name: min(values.tolist()) for name, values in columns.items()}
+    smallest = {name: min(values.tolist()) for name, values in columns.items()}
     largest = {name: max(values.tolist()) for name, values in columns.items()}
-    return least, largest, {name: float(values.mean()) for name, values in columns.items()}
+    return smallest, largest, {name: float(values.mean()) for name, values in columns.items()}
 
 
 def _joined(columns: dict[str, Array]) -> tuple[float, float, dict[str, float]]:
     if not columns:
         raise _Stop("nothing to measure to")
-    least, largest, mean = _each(columns)
-    return min(least.values()), max(largest.values()), mean
+    smallest, largest, mean = _each(columns)
+    return min(smallest.values()), max(largest.values()), mean

@@ -21,24 +21,24 @@ MODE_NAMES = {NORMAL: "NORMAL", UNTRUSTED: "UNTRUSTED", SAFETY: "SAFETY"}
 Modes = NDArray[np.int64]
 
 
-def _stamps(where: str, times: ArrayLike) -> Array:
-    array = as_finite(f"{where}.times", times, 1)
+def _stamps(place: str, times: ArrayLike) -> Array:
+    array = as_finite(f"{place}.times", times, 1)
     if len(array) == 0:
-        raise ScenarioError(where, [], "must hold at least one row")
+        raise ScenarioError(place, [], "must hold at least one row")
     back = np.flatnonzero(np.diff(array) < 0)
     if back.size:
         row = int(back[0]) + 1
         rule = f"must not be earlier than the row before it ({array[row - 1]:g} s)"
-        raise ScenarioError(f"{where}[{row}]", float(array[row]), f"its time {rule}")
+        raise ScenarioError(f"{place}[{row}]", float(array[row]), f"its time {rule}")
     return array
 
 
-def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+def _rows(place: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """A finite array of the given shape (None: any length)."""
-    array = as_finite(f"{where}.{name}", value, len(shape))
-    if any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
-        wanted = " x ".join("any" if want is None else str(want) for want in shape)
-        raise ScenarioError(f"{where}.{name}", array.shape, f"must have the shape {wanted}")
+    array = as_finite(f"{place}.{name}", value, len(shape))
+    if any(size is not None and size != length for size, length in zip(shape, array.shape, strict=True)):
+        expected = " x ".join("any" if size is None else str(size) for size in shape)
+        raise ScenarioError(f"{place}.{name}", array.shape, f"must have the shape {expected}")
     return array
 
 
@@ -63,10 +63,10 @@ class AgentTrace:
     where: str = field(default="agent", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "times", _stamps(f"{self.where}.state_trace", self.times))
+        assign = object.__setattr__
+        assign(self, "times", _stamps(f"{self.where}.state_trace", self.times))
         N = len(self.times)
-        put(self, "states", _rows(f"{self.where}.state_trace", "states", self.states, (N, None)))
+        assign(self, "states", _rows(f"{self.where}.state_trace", "states", self.states, (N, None)))
         if self.states.shape[1] == 0:
             raise ScenarioError(f"{self.where}.state_trace[0]", [], "must hold a state besides its time")
         modes = np.asarray(self.modes)
@@ -75,17 +75,17 @@ class AgentTrace:
         if modes.ndim != 1 or not np.issubdtype(modes.dtype, np.integer) or len(modes) not in (N, N - 1):
             rule = f"must be {N} whole numbers, one per state (or {N - 1}, without the last)"
             raise ScenarioError(f"{self.where}.mode_trace", modes.shape, rule)
-        put(self, "modes", modes.astype(np.int64))
+        assign(self, "modes", modes.astype(np.int64))
         running = _rows(self.where, "running_times", self.running_times, (None,))
         if np.any(running < 0):
             row = int(np.argmax(running < 0))
             raise ScenarioError(f"{self.where}.running_times[{row}]", float(running[row]), "must be >= 0 [s]")
-        put(self, "running_times", running)
+        assign(self, "running_times", running)
         margins = np.asarray(self.margins, dtype=float) if self.limits else np.empty((0, N))
         if margins.shape != (len(self.limits), N) or np.any(np.isnan(margins) | (margins == -np.inf)):
             rule = f"must hold {N} numbers [m], or null, for each limit"
             raise ScenarioError(f"{self.where}.margin_trace", margins.shape, rule)
-        put(self, "margins", margins)
+        assign(self, "margins", margins)
 
     @property
     def n(self) -> int:
@@ -164,8 +164,8 @@ class BallTrace(CentredTrace):
         object.__setattr__(self, "radii", _rows(self._trace, "radii", self.radii, (len(self.times),)))
         self._sizes("radius", self.radii)
         if self.velocities is not None:
-            given = _rows(f"{self.where}.velocity_trace", "velocities", self.velocities, self.centers.shape)
-            object.__setattr__(self, "velocities", given)
+            rows = _rows(f"{self.where}.velocity_trace", "velocities", self.velocities, self.centers.shape)
+            object.__setattr__(self, "velocities", rows)
 
 
 @short_repr
@@ -197,7 +197,7 @@ class PolytopeTrace(UnsafeTrace):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        put = object.__setattr__
+        assign = object.__setattr__
         A = as_finite(f"{self._trace}.A", self.A, 3)
         count, F, d = A.shape
         if count not in (1, len(self.times)):
@@ -213,8 +213,8 @@ class PolytopeTrace(UnsafeTrace):
             raise ScenarioError(f"{self._trace}[{row}]", A[row].tolist(), rule)
         if count > 1 and np.all(A[0] == A):
             A = A[:1]
-        put(self, "A", A)
-        put(self, "b", _rows(self._trace, "b", self.b, (len(self.times), F)))
+        assign(self, "A", A)
+        assign(self, "b", _rows(self._trace, "b", self.b, (len(self.times), F)))
 
     @property
     def d(self) -> int:
@@ -245,5 +245,5 @@ class Trace:
 
 
 def _same(one: object, other: object) -> bool:
-    mine, others = vars(one) | {"where": ""}, vars(other) | {"where": ""}
-    return type(one) is type(other) and all(np.array_equal(mine[key], others[key]) for key in mine)
+    fields, other_fields = vars(one) | {"where": ""}, vars(other) | {"where": ""}
+    return type(one) is type(other) and all(np.array_equal(fields[key], other_fields[key]) for key in fields)

@@ -47,8 +47,8 @@ class MovingPolytope:
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), one per time."""
         worst = np.max(np.einsum("nfd,nd->nf", self._rows(p), p) - self.b, axis=1)
-        away = np.linalg.norm(self.to_nearest(p), axis=1)
-        return np.asarray(np.where(worst > 0, np.maximum(away, worst), worst))
+        distance = np.linalg.norm(self.to_nearest(p), axis=1)
+        return np.asarray(np.where(worst > 0, np.maximum(distance, worst), worst))
 
     def to_nearest(self, p: Array) -> Array:
         """Lines (N, d) from positions to the nearest points, 0 inside: one quadratic program each."""
@@ -135,13 +135,13 @@ def place(item: AnySet, t: Array, d: int) -> PlacedParts:
 def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
     """Centres (N, d) and rates, known or differences; at rest before the first stamp and after the last."""
     rows = between(item.times, t)
-    known = item.velocities if isinstance(item, BallTrace) else None
-    speeds = rates(item.times, centers) if known is None else known[:, : centers.shape[1]]
+    velocities = item.velocities if isinstance(item, BallTrace) else None
+    speeds = rates(item.times, centers) if velocities is None else velocities[:, : centers.shape[1]]
     centre = interpolate(centers, rows)
     if speeds is None:
         return centre, np.zeros_like(centre)
-    away = (t < item.times[0]) | (t > item.times[-1])
-    return centre, np.where(away[:, None], 0.0, interpolate(speeds, rows))
+    outside = (t < item.times[0]) | (t > item.times[-1])
+    return centre, np.where(outside[:, None], 0.0, interpolate(speeds, rows))
 
 
 def _place_polytope(item: PolytopeTrace, t: Array) -> PlacedParts:
@@ -149,20 +149,20 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> PlacedParts:
     local = b[0] - H[0] @ PolytopeShape(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
     centre, velocity = _moved(item, centers, t)
-    rest = b - np.einsum("mfd,md->mf", H, centers)
-    for row in np.flatnonzero(rest.min(axis=1) < 0):  # most are cleared by the centre itself
-        if MovingPolytope(H, rest).shape_at(int(row)).depth < 0:
-            given = item.b[row].tolist()
-            raise ScenarioError(f"{item.where}.state_trace[{row}]", given, "A p <= b must hold somewhere")
+    slack = b - np.einsum("mfd,md->mf", H, centers)
+    for row in np.flatnonzero(slack.min(axis=1) < 0):  # most are cleared by the centre itself
+        if MovingPolytope(H, slack).shape_at(int(row)).depth < 0:
+            offsets = item.b[row].tolist()
+            raise ScenarioError(f"{item.where}.state_trace[{row}]", offsets, "A p <= b must hold somewhere")
     size = np.abs(b).max(axis=1) + np.abs(local).max()
-    if len(H) == 1 and np.all(np.abs(rest - local).max(axis=1) <= ROUNDING * size):
+    if len(H) == 1 and np.all(np.abs(slack - local).max(axis=1) <= ROUNDING * size):
         return PlacedParts((UnsafePart(PolytopeShape(H[0], local), centre, velocity),))
     left, right, _ = rows = between(item.times, t)
     if len(H) == 1:
-        return PlacedParts((UnsafePart(MovingPolytope(H, interpolate(rest, rows)), centre, velocity),))
+        return PlacedParts((UnsafePart(MovingPolytope(H, interpolate(slack, rows)), centre, velocity),))
     # Where facets turn in between: the union of what the set is at the stamps on either side.
     sides = (left,) if np.array_equal(left, right) else (left, right)
-    return PlacedParts(tuple(UnsafePart(MovingPolytope(H[k], rest[k]), centers[k], velocity) for k in sides))
+    return PlacedParts(tuple(UnsafePart(MovingPolytope(H[k], slack[k]), centers[k], velocity) for k in sides))
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:

@@ -93,9 +93,9 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def _object(where: str, value: Any, rule: str = "must be an object") -> dict[str, Any]:
+def _object(place: str, value: Any, rule: str = "must be an object") -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ScenarioError(where, value, rule)
+        raise ScenarioError(place, value, rule)
     return value
 
 
@@ -110,8 +110,8 @@ def _trace(data: Any) -> Trace:
     ignored = [key for key in root if key not in ("agents", "unsafe")]
     for key, items in (("agents", agents), ("unsafe", unsafe)):
         for name, item in items.items():
-            known = KEYS["ball" if key == "unsafe" and item.get("set_type") == "ball" else key]
-            ignored += [f"{key}.{name}.{word}" for word in item if word not in known]
+            keys = KEYS["ball" if key == "unsafe" and item.get("set_type") == "ball" else key]
+            ignored += [f"{key}.{name}.{entry}" for entry in item if entry not in keys]
     return Trace(*parts, tuple(ignored))
 
 
@@ -122,33 +122,33 @@ KEYS = {
 }
 
 
-def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
-    place = f"{where}.state_trace"
-    rows = rows_of(where, item, "[t, s0, s1, ...]")
+def _agent(prefix: str, item: dict[str, Any]) -> AgentTrace:
+    place = f"{prefix}.state_trace"
+    rows = rows_of(prefix, item, "[t, s0, s1, ...]")
     values = table(place, rows, _agent_row)
-    running, spent = item.get("running_times") or [], np.empty(0)
+    running, durations = item.get("running_times") or [], np.empty(0)
     if not isinstance(running, list):
-        raise ScenarioError(f"{where}.running_times", running, "must be a list of numbers [s]")
+        raise ScenarioError(f"{prefix}.running_times", running, "must be a list of numbers [s]")
     if running:
-        spent = numbers(f"{where}.running_times", [[value] for value in running], running)[:, 0]
-    limits = _object(f"{where}.margin_trace", item.get("margin_trace", {}))
-    margins = [_margins(f"{where}.margin_trace.{name}", given) for name, given in limits.items()]
+        durations = numbers(f"{prefix}.running_times", [[value] for value in running], running)[:, 0]
+    limits = _object(f"{prefix}.margin_trace", item.get("margin_trace", {}))
+    margins = [_margins(f"{prefix}.margin_trace.{name}", margin) for name, margin in limits.items()]
     if any(len(each) != len(rows) for each in margins):
         raise ScenarioError(
-            f"{where}.margin_trace", list(limits), f"must hold {len(rows)} numbers for each limit"
+            f"{prefix}.margin_trace", list(limits), f"must hold {len(rows)} numbers for each limit"
         )
-    known = spent, tuple(limits), np.array(margins)
-    return AgentTrace(values[:, 0], values[:, 1:], _modes(where, item, len(rows)), *known, where=where)
+    optional = durations, tuple(limits), np.array(margins)
+    return AgentTrace(values[:, 0], values[:, 1:], _modes(prefix, item, len(rows)), *optional, where=prefix)
 
 
-def _margins(where: str, given: Any) -> Array:
+def _margins(place: str, items: Any) -> Array:
     """Return clearance to a limit [m] row by row: null, while it does not hold, is inf."""
-    if not isinstance(given, list):
-        raise ScenarioError(where, given, "must be a list of numbers [m], null while the limit does not hold")
-    held = [i for i, value in enumerate(given) if value is not None]
-    margins = np.full(len(given), np.inf)
-    if held:
-        margins[held] = numbers(where, [[given[i]] for i in held], [given[i] for i in held])[:, 0]
+    if not isinstance(items, list):
+        raise ScenarioError(place, items, "must be a list of numbers [m], null while the limit does not hold")
+    active = [i for i, value in enumerate(items) if value is not None]
+    margins = np.full(len(items), np.inf)
+    if active:
+        margins[active] = numbers(place, [[items[i]] for i in active], [items[i] for i in active])[:, 0]
     return margins
 
 
@@ -160,27 +160,27 @@ def _agent_row(row: Any) -> list[Any]:
     return row
 
 
-def _modes(where: str, item: dict[str, Any], count: int) -> Modes:
-    place = f"{where}.mode_trace"
+def _modes(prefix: str, item: dict[str, Any], count: int) -> Modes:
+    place = f"{prefix}.mode_trace"
     if "mode_trace" in item and item["mode_trace"] is None:
         return np.full(count, UNKNOWN)
     rule = "must be a list of modes, one per row of state_trace, or null if none is known"
-    given = item.get("mode_trace")
-    if not isinstance(given, list) or len(given) not in (count, count - 1):
-        shown = given if not isinstance(given, list) else f"{len(given)} modes"
-        raise ScenarioError(place, shown, f"{rule} ({count}, or {count - 1} without the last)")
-    values = given if set(map(type, given)) <= {int} else [_mode(place, i, v) for i, v in enumerate(given)]
+    modes = item.get("mode_trace")
+    if not isinstance(modes, list) or len(modes) not in (count, count - 1):
+        summary = modes if not isinstance(modes, list) else f"{len(modes)} modes"
+        raise ScenarioError(place, summary, f"{rule} ({count}, or {count - 1} without the last)")
+    values = modes if set(map(type, modes)) <= {int} else [_mode(place, i, v) for i, v in enumerate(modes)]
     try:
         return np.array(values, dtype=np.int64)
     except OverflowError as error:
         i = next(i for i, value in enumerate(values) if not -(2**63) <= value < 2**63)
-        raise ScenarioError(f"{place}[{i}]", given[i], MODE_RULE) from error
+        raise ScenarioError(f"{place}[{i}]", modes[i], MODE_RULE) from error
 
 
-def _mode(place: str, i: int, given: Any) -> int:
-    value = given
+def _mode(place: str, i: int, mode: Any) -> int:
+    value = mode
     if isinstance(value, dict):
-        value = value.get("value", value.get("name", given))
+        value = value.get("value", value.get("name", mode))
     if isinstance(value, Enum):
         value = value.value
     if value is None:
@@ -188,7 +188,7 @@ def _mode(place: str, i: int, given: Any) -> int:
     if isinstance(value, str):
         value = MODE_NUMBERS.get(value.rpartition(".")[2].upper())
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ScenarioError(f"{place}[{i}]", given, MODE_RULE)
+        raise ScenarioError(f"{place}[{i}]", mode, MODE_RULE)
     return value
 
 
@@ -234,8 +234,8 @@ def write_trace(path: str | Path, trace: Trace, *, force: bool = False) -> Path:
         data = text.encode("utf-8")
     except ValueError as error:
         raise ScenarioError("trace", str(path), f"cannot be written: {error}") from error
-    with replacing_file(target, "trace", force) as beside:
-        beside.write_bytes(data)
+    with replacing_file(target, "trace", force) as partial:
+        partial.write_bytes(data)
     return target
 
 
@@ -247,8 +247,8 @@ def _agent_data(agent: AgentTrace) -> dict[str, Any]:
     if len(agent.running_times):
         out["running_times"] = agent.running_times.tolist()
     if agent.limits:
-        shown = ([x if np.isfinite(x) else None for x in row] for row in agent.margins.tolist())
-        out["margin_trace"] = dict(zip(agent.limits, shown, strict=True))
+        rows = ([x if np.isfinite(x) else None for x in row] for row in agent.margins.tolist())
+        out["margin_trace"] = dict(zip(agent.limits, rows, strict=True))
     return out
 
 

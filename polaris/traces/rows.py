@@ -17,34 +17,34 @@ class Odd(ValueError):
     """Fault of a row, as the rule of an error message."""
 
 
-def table(where: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:
+def table(place: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:
     """All rows as one array, shape (rows, columns); `flat` turns a row into a flat list, or raises `Odd`."""
     flattened: list[list[Any]] = []
     for row in rows:
         try:
             flattened.append(flat(row))
         except Odd as error:
-            raise ScenarioError(f"{where}[{len(flattened)}]", row, str(error)) from None
-    return numbers(where, flattened, rows)
+            raise ScenarioError(f"{place}[{len(flattened)}]", row, str(error)) from None
+    return numbers(place, flattened, rows)
 
 
-def numbers(where: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
+def numbers(place: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
     """Flat lists of numbers as one array; `rows` is what messages show."""
     width = len(flat[0])
     if set(map(len, flat)) != {width}:
         i = next(i for i, row in enumerate(flat) if len(row) != width)
-        raise ScenarioError(f"{where}[{i}]", rows[i], f"must be as long as the first row ({width} numbers)")
+        raise ScenarioError(f"{place}[{i}]", rows[i], f"must be as long as the first row ({width} numbers)")
     if not set(map(type, chain.from_iterable(flat))) <= {int, float}:
         i = next(i for i, row in enumerate(flat) if not set(map(type, row)) <= {int, float})
-        raise ScenarioError(f"{where}[{i}]", rows[i], "must hold nothing but numbers")
+        raise ScenarioError(f"{place}[{i}]", rows[i], "must hold nothing but numbers")
     try:
         array = np.array(flat, dtype=float)
-        bad = np.flatnonzero(~np.all(np.abs(array) <= LARGEST, axis=1))
-        i = int(bad[0]) if bad.size else -1
+        invalid = np.flatnonzero(~np.all(np.abs(array) <= LARGEST, axis=1))
+        i = int(invalid[0]) if invalid.size else -1
     except OverflowError:
         i = next(i for i, row in enumerate(flat) if any(abs(value) > LARGEST for value in row))
     if i >= 0:
-        raise ScenarioError(f"{where}[{i}]", rows[i], f"must hold finite numbers, at most {LARGEST:g}")
+        raise ScenarioError(f"{place}[{i}]", rows[i], f"must hold finite numbers, at most {LARGEST:g}")
     return array
 
 
@@ -56,43 +56,43 @@ FORMS = {
 }
 
 
-def rows_of(where: str, item: dict[str, Any], form: str) -> list[Any]:
+def rows_of(prefix: str, item: dict[str, Any], form: str) -> list[Any]:
     """The rows of an agent or a set."""
     rows = item.get("state_trace")
     if not isinstance(rows, list) or not rows:
-        raise ScenarioError(f"{where}.state_trace", rows, f"must be a list of rows {form}, at least one")
+        raise ScenarioError(f"{prefix}.state_trace", rows, f"must be a list of rows {form}, at least one")
     return rows
 
 
-def set_trace(where: str, item: dict[str, Any]) -> AnySet:
+def set_trace(prefix: str, item: dict[str, Any]) -> AnySet:
     """The stamped definitions of one unsafe set; velocities are read for a ball only."""
-    kind, rows = item.get("set_type"), rows_of(where, item, "[t, def]")
+    kind, rows = item.get("set_type"), rows_of(prefix, item, "[t, def]")
     if not isinstance(kind, str) or kind not in FORMS:
-        raise ScenarioError(f"{where}.set_type", kind, f"must be one of {', '.join(FORMS)}")
-    place = f"{where}.state_trace"
+        raise ScenarioError(f"{prefix}.set_type", kind, f"must be one of {', '.join(FORMS)}")
+    place = f"{prefix}.state_trace"
     if kind == "polytope":
-        return _polytopes(where, place, rows)
+        return _polytopes(prefix, place, rows)
     values = table(place, rows, lambda row: _centred(kind, row))
-    t, rest = values[:, 0], values[:, 1:]
+    t, columns = values[:, 0], values[:, 1:]
     if kind == "point":
-        return PointTrace(t, rest, where=where)
+        return PointTrace(t, columns, where=prefix)
     if kind == "ball":
-        known = _velocities(where, item.get("velocity_trace"), len(rows))
-        return BallTrace(t, rest[:, :-1], rest[:, -1], known, where=where)
-    if rest.shape[1] % 2:
+        velocities = _velocities(prefix, item.get("velocity_trace"), len(rows))
+        return BallTrace(t, columns[:, :-1], columns[:, -1], velocities, where=prefix)
+    if columns.shape[1] % 2:
         raise ScenarioError(f"{place}[0]", rows[0], FORMS[kind])
-    center, lengths = np.hsplit(rest, 2)
-    return RectangleTrace(t, center, lengths, where=where)
+    center, lengths = np.hsplit(columns, 2)
+    return RectangleTrace(t, center, lengths, where=prefix)
 
 
-def _velocities(where: str, given: Any, count: int) -> Array | None:
+def _velocities(prefix: str, value: Any, M: int) -> Array | None:
     """The velocities of a ball's centre, one row per stamp; None if none are given."""
-    if given is None:
+    if value is None:
         return None
-    place, rule = f"{where}.velocity_trace", f"must be a list of rows [vx, vy, vz], {count} as in state_trace"
-    rows = given if isinstance(given, list) and all(isinstance(row, list) for row in given) else []
-    if len(rows) != count:
-        raise ScenarioError(place, given, rule)
+    place, rule = f"{prefix}.velocity_trace", f"must be a list of rows [vx, vy, vz], {M} as in state_trace"
+    rows = value if isinstance(value, list) and all(isinstance(row, list) for row in value) else []
+    if len(rows) != M:
+        raise ScenarioError(place, value, rule)
     return numbers(place, rows, rows)
 
 
@@ -107,24 +107,24 @@ def _centred(kind: str, row: Any) -> list[Any]:
     """``[t, *center, *sizes]`` of a point, ball or rectangle."""
     if isinstance(row, list) and len(row) > 2 and not any(isinstance(item, list) for item in row):
         return row  # all flat
-    t, given = _definition(kind, row)
+    t, parts = _definition(kind, row)
     if kind == "point":
-        return [t, *given] if isinstance(given, list) else [t, given]
-    if not isinstance(given, list) or len(given) < 2:
+        return [t, *parts] if isinstance(parts, list) else [t, parts]
+    if not isinstance(parts, list) or len(parts) < 2:
         raise Odd(FORMS[kind])
-    center = given[0] if isinstance(given[0], list) else given[:1]
-    sizes = given[1] if len(given) == 2 and isinstance(given[1], list) else given[1:]
+    center = parts[0] if isinstance(parts[0], list) else parts[:1]
+    sizes = parts[1] if len(parts) == 2 and isinstance(parts[1], list) else parts[1:]
     if len(sizes) != (1 if kind == "ball" else len(center)):
         raise Odd(FORMS[kind])
     return [t, *center, *sizes]
 
 
-def _polytopes(where: str, place: str, rows: list[Any]) -> PolytopeTrace:
+def _polytopes(prefix: str, place: str, rows: list[Any]) -> PolytopeTrace:
     shapes: list[tuple[int, int]] = []
 
     def flat(row: Any) -> list[Any]:
-        t, given = _definition("polytope", row)
-        A, b = given if isinstance(given, list) and len(given) == 2 else ([], [])
+        t, parts = _definition("polytope", row)
+        A, b = parts if isinstance(parts, list) and len(parts) == 2 else ([], [])
         facets = isinstance(A, list) and all(isinstance(facet, list) for facet in A)
         if not facets or not isinstance(b, list) or len(b) != len(A) or len(set(map(len, A))) != 1:
             raise Odd(FORMS["polytope"])
@@ -139,4 +139,4 @@ def _polytopes(where: str, place: str, rows: list[Any]) -> PolytopeTrace:
     values = table(place, rows, flat)
     F, d = shapes[0]
     A = values[:, 1 : 1 + F * d].reshape(len(rows), F, d)
-    return PolytopeTrace(values[:, 0], A, values[:, 1 + F * d :], where=where)
+    return PolytopeTrace(values[:, 0], A, values[:, 1 + F * d :], where=prefix)

@@ -57,45 +57,45 @@ def _axes_count(trace: Trace) -> int | None:
     raise ScenarioError("agents", counts, "leave the number of position axes open; give --dims")
 
 
-def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tuple[Array | None, str]:
+def find_velocity(name: str, agent: AgentTrace, d: int, selection: Velocity) -> tuple[Array | None, str]:
     """Velocities (N, d) [m/s], None if they cannot be known, and where they come from.
 
     By default the entries after the position where there are as many and it changes so; else `rates`.
     """
-    if isinstance(wanted, Heading):
-        return _by_heading(name, agent, d, wanted)
-    if isinstance(wanted, str) and wanted != "differences":
-        raise ScenarioError("--velocity", wanted, "must be 'differences' or the entries of the states")
+    if isinstance(selection, Heading):
+        return _by_heading(name, agent, d, selection)
+    if isinstance(selection, str) and selection != "differences":
+        raise ScenarioError("--velocity", selection, "must be 'differences' or the entries of the states")
     refused = ""
-    if wanted is None and agent.n == 2 * d:
-        shown = f"states {', '.join(map(str, range(d, 2 * d)))}"
+    if selection is None and agent.n == 2 * d:
+        source = f"states {', '.join(map(str, range(d, 2 * d)))}"
         if not doubtful(agent, d, agent.states[:, d:]):
-            return agent.states[:, d:], shown
-        refused = f" ({shown} do not change its position as a velocity would)"
-    if wanted is None or isinstance(wanted, str):
+            return agent.states[:, d:], source
+        refused = f" ({source} do not change its position as a velocity would)"
+    if selection is None or isinstance(selection, str):
         velocity = rates(agent.times, agent.states[:, :d])
         return velocity, DIFFERENCES + refused if velocity is not None else "unknown (one instant only)"
-    entries = list(wanted)
+    entries = list(selection)
     if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
         rule = f"must be {d} entries of the {agent.n} states of agents.{name}, counted from 0"
         raise ScenarioError("--velocity", entries, rule)
     return agent.states[:, entries], f"states {', '.join(map(str, entries))}"
 
 
-def _by_heading(name: str, agent: AgentTrace, d: int, wanted: Heading) -> tuple[Array, str]:
-    entries = [*wanted.angles, wanted.speed]
+def _by_heading(name: str, agent: AgentTrace, d: int, heading: Heading) -> tuple[Array, str]:
+    entries = [*heading.angles, heading.speed]
     if len(entries) != d or any(not 0 <= entry < agent.n for entry in entries):
         flags = ("no --heading", "a --heading", "--heading with pitch")[d - 1]
         rule = f"must be entries of the {agent.n} states of agents.{name}, from 0; {d} axes need {flags}"
         raise ScenarioError("--speed, --heading", entries, rule)
-    speed, angles = agent.states[:, [wanted.speed]], agent.states[:, list(wanted.angles)]
+    speed, angles = agent.states[:, [heading.speed]], agent.states[:, list(heading.angles)]
     if d == 1:
-        return speed, f"speed in state {wanted.speed}"
+        return speed, f"speed in state {heading.speed}"
     level = np.column_stack([np.cos(angles[:, 0]), np.sin(angles[:, 0])])
     if d == 3:
         level = np.column_stack([level * np.cos(angles[:, 1:]), np.sin(angles[:, 1])])
-    shown = ", ".join(map(str, wanted.angles))
-    return speed * level, f"speed in state {wanted.speed}, direction in {shown}"
+    indices = ", ".join(map(str, heading.angles))
+    return speed * level, f"speed in state {heading.speed}, direction in {indices}"
 
 
 def guess_heading(agent: AgentTrace, d: int) -> Heading | None:
@@ -108,12 +108,12 @@ def guess_heading(agent: AgentTrace, d: int) -> Heading | None:
 
 def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
     """Return True if velocities taken from the states are far from how the positions change."""
-    moved = rates(agent.times, agent.states[:, :d])
-    if moved is None:
+    derived = rates(agent.times, agent.states[:, :d])
+    if derived is None:
         return False
-    apart = np.linalg.norm(moved - velocity, axis=1)
-    size = np.linalg.norm(moved, axis=1) + np.linalg.norm(velocity, axis=1)
-    return bool(np.median(apart) > 0.2 * np.median(size))
+    error = np.linalg.norm(derived - velocity, axis=1)
+    size = np.linalg.norm(derived, axis=1) + np.linalg.norm(velocity, axis=1)
+    return bool(np.median(error) > 0.2 * np.median(size))
 
 
 def parse_velocity(velocity: str | None, heading: str | None, speed: int | None) -> Velocity:
@@ -175,8 +175,8 @@ def between(stamps: Array, t: Array) -> tuple[NDArray[np.int64], NDArray[np.int6
     Of rows with the same stamp the last counts, unless both have the same stamps throughout.
     """
     if np.array_equal(stamps, t):
-        same = np.arange(len(t))
-        return same, same, np.zeros(len(t))
+        rows = np.arange(len(t))
+        return rows, rows, np.zeros(len(t))
     left = np.clip(np.searchsorted(stamps, t, side="right") - 1, 0, len(stamps) - 1)
     right = np.minimum(left + 1, len(stamps) - 1)
     gap = stamps[right] - stamps[left]

@@ -100,18 +100,18 @@ class Transition:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        where = f"the transition {self.source!r} -> {self.target!r}"
+        label = f"the transition {self.source!r} -> {self.target!r}"
         if self.guard is None and self.window is None and self.dwell is None:
-            raise ReachError(f"{where} needs a guard, a window or a dwell time")
+            raise ReachError(f"{label} needs a guard, a window or a dwell time")
         if self.urgent and self.window is None and self.dwell is None:
-            raise ReachError(f"{where} is urgent: it needs a window or a dwell time that ends")
+            raise ReachError(f"{label} is urgent: it needs a window or a dwell time that ends")
         for name in ("window", "dwell"):
             value = getattr(self, name)
             if value is None:
                 continue
             ends = as_numbers(name, value)
             if ends.shape != (2,) or not (np.all(np.isfinite(ends)) and 0 <= ends[0] <= ends[1]):
-                raise ReachError(f"the {name} of {where} must be two times 0 <= t0 <= t1, got {value!r}")
+                raise ReachError(f"the {name} of {label} must be two times 0 <= t0 <= t1, got {value!r}")
             object.__setattr__(self, name, (float(ends[0]), float(ends[1])))
 
     def __str__(self) -> str:
@@ -141,9 +141,9 @@ class HybridAutomaton:
     start: str | None = None
 
     def __post_init__(self) -> None:
-        for what, given, kind in (("modes", self.modes, Mode), ("transitions", self.transitions, Transition)):
-            if not isinstance(given, list | tuple) or not all(isinstance(one, kind) for one in given):
-                raise ReachError(f"{what} must be a sequence of {kind.__name__}, got {given!r}")
+        for role, parts, kind in (("modes", self.modes, Mode), ("transitions", self.transitions, Transition)):
+            if not isinstance(parts, list | tuple) or not all(isinstance(one, kind) for one in parts):
+                raise ReachError(f"{role} must be a sequence of {kind.__name__}, got {parts!r}")
         if not self.modes:
             raise ReachError("an automaton needs a mode")
         object.__setattr__(self, "modes", tuple(self.modes))
@@ -161,9 +161,9 @@ class HybridAutomaton:
     def _complete(self, t: Transition) -> Transition:
         """The transition with its reset filled in, after checks against its modes."""
         n, m = self[t.source].system.dim, self[t.target].system.dim
-        for what, body, dim in (("guard", t.guard, n), ("uncertain part", t.uncertain, m)):
+        for role, body, dim in (("guard", t.guard, n), ("uncertain part", t.uncertain, m)):
             if body is not None:
-                require_single(f"the {what} of {t}", body, dim)
+                require_single(f"the {role} of {t}", body, dim)
         R = np.eye(n) if t.R is None else as_array(f"R of {t}", t.R, m, n)
         r = np.zeros(m) if t.r is None else as_array(f"r of {t}", t.r, m)
         if R.shape != (m, n):

@@ -104,8 +104,8 @@ class HybridTube:
         for segment in self.segments:
             k, i = segment.steps
             span = segment.span(k, i)
-            now = (span[:, 0] <= t) & (t <= span[:, 1])
-            sets, meets = segment.cut(k[now], i[now])
+            covering = (span[:, 0] <= t) & (t <= span[:, 1])
+            sets, meets = segment.cut(k[covering], i[covering])
             if np.any(meets):
                 sections.append((segment.mode.name, sets[meets]))
         return sections

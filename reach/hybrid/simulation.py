@@ -104,28 +104,28 @@ def simulate_hybrid(
     if policy == "random" and rng is None:
         raise ReachError("the policy 'random' needs a random generator")
     if not (0 < dt < np.inf and 0 <= horizon < np.inf) or horizon / dt > MOST_SAMPLES:
-        given = f"got {dt!r}, {horizon!r}"
-        raise ReachError(f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, {given}")
+        detail = f"got {dt!r}, {horizon!r}"
+        raise ReachError(f"dt and horizon must be > 0 and give at most {MOST_SAMPLES:,} samples, {detail}")
     t, name = 0.0, str(automaton.start)
     x = as_array("the initial state", x0, automaton[name].system.dim)
     visits: list[Visit] = []
     while True:
         mode, drawn = automaton[name], rng if policy == "random" else None
         u = _point(mode.system.U[0], drawn) if mode.system.U else np.zeros(0)
-        move = _Motion(mode, x, u, dt)
-        left, bound = horizon - t, float(automaton.longest_stay(name, t, t))
-        end, stops = move.leaves(min(left, bound))
-        stops = stops or bound < left
-        options = _options(automaton, move, t, end) if len(visits) < jumps else []
-        chosen = _choose(options, policy, rng, must=stops)
+        motion = _Motion(mode, x, u, dt)
+        remaining, max_stay = horizon - t, float(automaton.longest_stay(name, t, t))
+        end, stops = motion.leaves(min(remaining, max_stay))
+        stops = stops or max_stay < remaining
+        options = _options(automaton, motion, t, end) if len(visits) < jumps else []
+        chosen = _choose(options, policy, rng, must_jump=stops)
         if chosen is None:
-            visits.append(move.visit(t, end))
+            visits.append(motion.visit(t, end))
             return HybridTrajectory(tuple(visits), deadlock=stops and end < horizon - t)
-        transition, at = chosen
+        transition, stay = chosen
         w = None if transition.uncertain is None else _point(transition.uncertain, drawn)
-        visits.append(replace(move.visit(t, at), transition=transition, uncertain=w))
-        x = transition.R @ move.at(at) + transition.r + (0 if w is None else w)
-        t, name = t + at, transition.target
+        visits.append(replace(motion.visit(t, stay), transition=transition, uncertain=w))
+        x = transition.R @ motion.at(stay) + transition.r + (0 if w is None else w)
+        t, name = t + stay, transition.target
 
 
 def _point(body: Any, rng: np.random.Generator | None) -> Array:
@@ -156,11 +156,11 @@ class _Motion:
         count = int(np.ceil(max(end, 0.0) / self.dt))
         step, states = expm(self.M * self.dt), np.empty((count + 1, self.n + 1))
         states[0] = self.z
-        have, power = 1, step
-        while have <= count:
-            more = min(have, count + 1 - have)
-            states[have : have + more] = states[:more] @ power.T
-            have, power = 2 * have, power @ power
+        filled, power = 1, step
+        while filled <= count:
+            added = min(filled, count + 1 - filled)
+            states[filled : filled + added] = states[:added] @ power.T
+            filled, power = 2 * filled, power @ power
         times = np.minimum(self.dt * np.arange(count + 1), end)
         if count:
             states[-1, : self.n] = self.at(end)
@@ -205,16 +205,16 @@ def inside(region: HPolytope | None, states: Array, size: Array, slack: float = 
     """Return True for states (m, n) in a polytope, or out of it by `slack` times the size of its terms."""
     if region is None:
         return np.ones(len(states), dtype=bool)
-    room = slack * (np.abs(region.A) @ size + np.abs(region.b))
-    return np.asarray(np.all(states @ region.A.T <= region.b + room, axis=1))
+    allowance = slack * (np.abs(region.A) @ size + np.abs(region.b))
+    return np.asarray(np.all(states @ region.A.T <= region.b + allowance, axis=1))
 
 
 def _options(
-    automaton: HybridAutomaton, move: _Motion, t: float, end: float
+    automaton: HybridAutomaton, motion: _Motion, t: float, end: float
 ) -> list[tuple[Transition, float, float]]:
     """Transitions with stretches of time in which they may be taken, in time since entry."""
     options = []
-    for transition in automaton.leaving(move.mode.name):
+    for transition in automaton.leaving(motion.mode.name):
         window, dwell = transition.window or (0.0, np.inf), transition.dwell or (0.0, np.inf)
         low = max(window[0] - t, dwell[0], 0.0)
         high = min(window[1] - t, dwell[1], end)
@@ -225,25 +225,25 @@ def _options(
         if transition.guard is None:
             options.append((transition, low, high))
             continue
-        times, states = move.samples(end)
-        hit = inside(transition.guard, states, move.size)
-        edges = np.flatnonzero(np.diff(np.r_[False, hit, False].astype(int)))
+        times, states = motion.samples(end)
+        in_guard = inside(transition.guard, states, motion.size)
+        edges = np.flatnonzero(np.diff(np.r_[False, in_guard, False].astype(int)))
         for first, after in edges.reshape(-1, 2):
             begin, stop = times[first], times[after - 1]
             if first > 0:
-                begin = move.bisect(times[first - 1], begin, transition.guard, False)
+                begin = motion.bisect(times[first - 1], begin, transition.guard, False)
             if after < len(times):
-                stop = move.bisect(stop, times[after], transition.guard, True)
+                stop = motion.bisect(stop, times[after], transition.guard, True)
             if max(begin, low) <= min(stop, high):
                 options.append((transition, float(max(begin, low)), float(min(stop, high))))
     return options
 
 
 def _choose(
-    options: list[tuple[Transition, float, float]], policy: Policy, rng: Any, must: bool
+    options: list[tuple[Transition, float, float]], policy: Policy, rng: Any, must_jump: bool
 ) -> tuple[Transition, float] | None:
     """A transition and the time since entry at which it is taken; None if there is, or need be, none."""
-    if not options or (policy == "random" and not must and rng.random() < 0.2):
+    if not options or (policy == "random" and not must_jump and rng.random() < 0.2):
         return None
     if policy == "first":
         return min(((t, low) for t, low, _ in options), key=lambda o: o[1])

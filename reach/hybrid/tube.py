@@ -115,9 +115,9 @@ def hybrid_tube(
     return HybridTube(tuple(segments), float(horizon), complete=not pending)
 
 
-def _require_positive(name: str, given: Any) -> None:
+def _require_positive(name: str, setting: Any) -> None:
     """Refuse all that is not positive: a number (of a tolerance several), or a mapping from names to such."""
-    for value in given.values() if isinstance(given, Mapping) else (given,):
+    for value in setting.values() if isinstance(setting, Mapping) else (setting,):
         if value is None:
             continue
         numbers = as_numbers(name, as_count(name, value) if name == "clusters" else value)
@@ -186,21 +186,21 @@ class Worklist:
     def cross(self, segment: Segment, t: Transition) -> Starts | None:
         """Start sets behind a transition; None if it cannot be taken."""
         n, target = segment.mode.system.dim, self.automaton[t.target]
-        here = strips([segment.mode.invariant, t.guard], n)
+        region = strips([segment.mode.invariant, t.guard], n)
         if t.window is not None or t.dwell is not None:
             sets, entered = self._timed(segment, t)
         else:
-            k, i = np.nonzero(segment.alive & meets(segment.flowpipes, *here))
+            k, i = np.nonzero(segment.alive & meets(segment.flowpipes, *region))
             sets, entered = segment.flowpipes.sets(k, i), np.minimum(segment.span(k, i), self.horizon)
         if len(sets) == 0:
             return None
-        sets, hit = clip(sets, *here)
-        sets, entered = sets[hit], entered[hit]
+        sets, nonempty = clip(sets, *region)
+        sets, entered = sets[nonempty], entered[nonempty]
         sets = t.R @ sets + t.r
         if t.uncertain is not None:
             sets = sets + t.uncertain
-        sets, hit = clip(sets, *strips([target.invariant], target.system.dim))
-        return Starts(target, sets[hit], entered[hit]) if np.any(hit) else None
+        sets, nonempty = clip(sets, *strips([target.invariant], target.system.dim))
+        return Starts(target, sets[nonempty], entered[nonempty]) if np.any(nonempty) else None
 
     def _timed(self, segment: Segment, t: Transition) -> tuple[Zonotope, Array]:
         """Sets over the local times at which a window or dwell time allows the transition."""
@@ -208,11 +208,11 @@ class Worklist:
         window = t.window or (0.0, self.horizon)
         dwell = t.dwell or (0.0, np.inf)
         # A start is dead from the beginning of its first step that misses the invariant.
-        lasting = segment.alive.sum(axis=0)
-        death = segment.flowpipes.times[lasting]
+        live_steps = segment.alive.sum(axis=0)
+        death = segment.flowpipes.times[live_steps]
         first = np.maximum(np.maximum(window[0] - b, dwell[0]), 0.0)
         last = np.minimum(np.minimum(window[1] - a, dwell[1]), np.minimum(self._stay(segment), death))
-        open_ = np.nonzero((first <= last) & (lasting > 0))[0]
+        open_ = np.nonzero((first <= last) & (live_steps > 0))[0]
         first, last = first[open_], last[open_]
         plain = segment.flowpipes.start[open_].project(range(segment.mode.system.dim))
         if len(open_) == 0:
@@ -225,8 +225,8 @@ class Worklist:
             sets = self._responding(sets, segment, until)
         low, high = a[open_][j] + first[j] + flow.times[k], b[open_][j] + first[j] + flow.times[k + 1]
         entered = np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])], axis=-1)
-        keep = entered[:, 0] <= np.minimum(entered[:, 1], self.horizon)
-        return sets[keep], np.minimum(entered[keep], self.horizon)
+        in_time = entered[:, 0] <= np.minimum(entered[:, 1], self.horizon)
+        return sets[in_time], np.minimum(entered[in_time], self.horizon)
 
     def _responding(self, sets: Zonotope, segment: Segment, until: Array) -> Zonotope:
         """Add the response to the inputs; it grows with time, as the centred inputs hold zero."""
@@ -242,15 +242,15 @@ class Worklist:
         """Start sets to go on with, one entry per mode, merged and reduced."""
         pending = []
         for mode in self.automaton.modes:
-            same = [s for s in entered if s.mode is mode]
-            if not same:
+            starts = [s for s in entered if s.mode is mode]
+            if not starts:
                 continue
             limit = self.options.value("clusters", mode)
-            same = [s if limit is None or len(s.sets) <= limit else _merged(s, int(limit)) for s in same]
-            width = max(s.sets.order_count for s in same)
-            padded = [s.sets._pad(width) for s in same]
+            starts = [s if limit is None or len(s.sets) <= limit else _merged(s, int(limit)) for s in starts]
+            width = max(s.sets.order_count for s in starts)
+            padded = [s.sets._pad(width) for s in starts]
             sets = Zonotope(np.concatenate([p.c for p in padded]), np.concatenate([p.G for p in padded]))
-            times = np.concatenate([s.entered for s in same])
+            times = np.concatenate([s.entered for s in starts])
             used = np.any(sets.G != 0, axis=(0, 1))
             sets = Zonotope(sets.c, sets.G[..., used])
             pending.append(Starts(mode, sets.reduce(self.options.order, self.options.reduction), times))

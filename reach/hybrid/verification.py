@@ -92,14 +92,14 @@ def verify_hybrid(
     ReachError
         If a mode is unknown or a region does not fit; also as `hybrid_tube`.
     """
-    begun = perf_counter()
+    started = perf_counter()
     require_single("the initial set", initial)
 
     def verdict(status: str, reason: str) -> HybridVerdict:
-        return HybridVerdict(status, run, tube, perf_counter() - begun, reason)
+        return HybridVerdict(status, run, tube, perf_counter() - started, reason)
 
-    for name, asked in specs.items():
-        for spec in asked:
+    for name, mode_specs in specs.items():
+        for spec in mode_specs:
             if spec.region.dim != automaton[name].system.dim:
                 raise ReachError(f"a region for mode {name!r} has dimension {spec.region.dim}")
     rng, jumps = np.random.default_rng(as_count("seed", seed)), options.jumps
@@ -107,14 +107,14 @@ def verify_hybrid(
     run = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, jumps=jumps)
     if run is None:
         tube = hybrid_tube(automaton, initial, horizon, options)
-        every = ((name, spec) for name, asked in specs.items() for spec in asked)
-        doubt = next(filter(None, (unproven(tube, name, spec) for name, spec in every)), "")
-        doubt = doubt if tube.complete else "the limit on jumps cut trajectories off"
-        if not doubt:
+        pairs = ((name, spec) for name, mode_specs in specs.items() for spec in mode_specs)
+        objection = next(filter(None, (unproven(tube, name, spec) for name, spec in pairs)), "")
+        objection = objection if tube.complete else "the limit on jumps cut trajectories off"
+        if not objection:
             return verdict("proven", "the tube meets all of it")
         run = falsify_hybrid(automaton, initial, specs, horizon, dt=dt, runs=runs, rng=rng, jumps=jumps)
         if run is None:
-            return verdict("unknown", doubt)
+            return verdict("unknown", objection)
     last = run.visits[-1]
     return verdict("violated", f"broken in mode {last.mode!r} at t = {last.times[-1]:.6g}")
 
@@ -135,11 +135,11 @@ def unproven(tube: HybridTube, mode: str, spec: Always | Never) -> str:
 
 def doubtful(segment: Segment, spec: Always | Never) -> Index:
     """Steps k and starts i, shape (2, M), for which a specification is not proved."""
-    asked = segment.alive.copy()
+    applies = segment.alive.copy()
     if spec.during is not None:
         k, i = segment.steps
         span = segment.span(k, i)
-        asked[k, i] = (span[:, 1] >= spec.during[0]) & (span[:, 0] <= spec.during[1])
+        applies[k, i] = (span[:, 1] >= spec.during[0]) & (span[:, 0] <= spec.during[1])
     invariant, terms = segment.mode.invariant, segment.flowpipes.start.terms + 8
     rows, limits, cuts = spec.region.A, spec.region.b, [invariant]
     if isinstance(spec, Always):
@@ -152,15 +152,15 @@ def doubtful(segment: Segment, spec: Always | Never) -> Index:
     else:
         cuts, low = [invariant, spec.region], -segment.flowpipes.support(-rows)
         safe = np.any(low - gamma(terms) * np.abs(low) > limits, axis=-1)
-    k, i = np.nonzero(asked & ~safe)
-    left = np.ones(len(k), dtype=bool)
+    k, i = np.nonzero(applies & ~safe)
+    unproved = np.ones(len(k), dtype=bool)
     for j in range(0, len(k), PART):
         part = slice(j, j + PART)
         sets, meets = clip(segment.flowpipes.sets(k[part], i[part]), *strips(cuts, segment.mode.system.dim))
         if isinstance(spec, Always):
             meets = meets & np.any(sets.support_up(rows) > limits, axis=-1)
-        left[part] = meets
-    return np.stack([k[left], i[left]])
+        unproved[part] = meets
+    return np.stack([k[unproved], i[unproved]])
 
 
 def _implied(invariant: HPolytope | None, rows: Array, limits: Array) -> NDArray[np.bool_]:
@@ -218,10 +218,10 @@ def first_violation(path: HybridTrajectory, specs: Specs) -> HybridTrajectory | 
         for spec in specs.get(visit.mode, ()):
             slack = -DEEP if isinstance(spec, Never) else DEEP
             within = inside(spec.region, visit.states, size, slack)
-            bad = within if isinstance(spec, Never) else ~within
+            violating = within if isinstance(spec, Never) else ~within
             if spec.during is not None:
-                bad = bad & (visit.times >= spec.during[0]) & (visit.times <= spec.during[1])
-            broken |= bad
+                violating = violating & (visit.times >= spec.during[0]) & (visit.times <= spec.during[1])
+            broken |= violating
         if np.any(broken):
             k = int(np.argmax(broken)) + 1
             end = Visit(visit.mode, visit.times[:k], visit.states[:k], visit.input)
@@ -252,7 +252,7 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
     if trajectory.visits[0].mode != automaton.start:
         return float("inf")
     for visit, after in zip(trajectory.visits, (*trajectory.visits[1:], None), strict=True):
-        mode, begun, length = automaton[visit.mode], visit.times[0], np.ptp(visit.times)
+        mode, start, length = automaton[visit.mode], visit.times[0], np.ptp(visit.times)
         force = np.asarray(mode.system.B @ visit.input).ravel() + mode.system.c
         size = np.abs(visit.states).max(axis=0)
         scale = np.where(size > 0, size, size.max() or 1.0)
@@ -263,20 +263,20 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
                 (0.0, length),
                 x,
                 method="LSODA" if np.abs(mode.system.A).max() * length > 100 else "DOP853",
-                t_eval=np.clip(visit.times - begun, 0, length),
+                t_eval=np.clip(visit.times - start, 0, length),
                 rtol=rtol,
                 atol=rtol * float(scale.min()),
             ).y.T
         worst = max(worst, float(np.max(np.abs(states - visit.states) / scale)))
         slack, t, x = 1e-9 * (1 + abs(visit.times[-1])), visit.transition, states[-1]
-        kept = [
+        conditions = [
             *(U.contains(visit.input) for U in mode.system.U),
             np.all(inside(mode.invariant, states, size, REPLAYED)),
-            length <= float(automaton.longest_stay(visit.mode, begun, begun)) + slack,
+            length <= float(automaton.longest_stay(visit.mode, start, start)) + slack,
         ]
         if t is not None and after is not None:
             w = np.zeros(len(t.r)) if visit.uncertain is None else visit.uncertain
-            kept += [
+            conditions += [
                 (t.source, t.target) == (visit.mode, after.mode),
                 inside(t.guard, x[None], size, REPLAYED)[0],
                 t.window is None or t.window[0] - slack <= visit.times[-1] <= t.window[1] + slack,
@@ -284,6 +284,6 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol
                 not np.any(w) if t.uncertain is None else t.uncertain.contains(w),
             ]
             x = t.R @ x + t.r + w
-        if not all(kept):
+        if not all(conditions):
             return float("inf")
     return worst

@@ -81,8 +81,8 @@ class Activation:
         slope = np.divide(top - bottom, width, out=np.zeros_like(width), where=width > 0)
         slope = np.clip(slope, 0.0, self.steepest)
         places = np.stack([lo, hi, *(np.clip(y, lo, hi) for y in self._turns(slope))])
-        rest = self(places) - slope * places
-        upper, lower = rest.max(axis=0), rest.min(axis=0)
+        deviation = self(places) - slope * places
+        upper, lower = deviation.max(axis=0), deviation.min(axis=0)
         scale = np.maximum(np.abs(top), np.abs(bottom)) + np.maximum(np.abs(lo), np.abs(hi))
         return slope, (upper + lower) / 2, (upper - lower) / 2 + SLACK * scale
 

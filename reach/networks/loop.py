@@ -68,14 +68,14 @@ def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) ->
 
     Returned are the states at the next sample, not reduced, and the intersample bound as in `NetworkTube`.
     """
-    A, phi, held, drive = flow.A_x, flow.phi, flow.input_map(B), inputs.c
+    A, phi, input_map, drive = flow.A_x, flow.phi, flow.input_map(B), inputs.c
     G = np.pad(states.G, ((0, 0), (0, inputs.G.shape[1] - states.G.shape[1])))
-    after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ inputs.G)
-    size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + inputs.half_widths)
+    after = Zonotope(phi @ states.c + input_map @ drive, phi @ G + input_map @ inputs.G)
+    size = np.abs(phi) @ states.extent + np.abs(input_map) @ (np.abs(drive) + inputs.half_widths)
     noise = flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
     # x'' = e^{A s} A (A x + B u), states and inputs taken together.
-    bend = np.abs(A @ (A @ G + B @ inputs.G)).sum(axis=1) + np.abs(A @ (A @ states.c + B @ drive))
-    intersample = flow.h**2 / 8 * flow.growth @ bend + flow.period_box
+    curvature = np.abs(A @ (A @ G + B @ inputs.G)).sum(axis=1) + np.abs(A @ (A @ states.c + B @ drive))
+    intersample = flow.h**2 / 8 * flow.growth @ curvature + flow.period_box
     return after + noise.reduce(NOISE_ORDER), intersample
 
 
@@ -131,25 +131,25 @@ class NetworkLoop:
         return LinearFlow.continuous(self.A, self.D, self.w_max, self.h)
 
     def command(
-        self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0, spread: Any = None
+        self, states: Zonotope, s: ArrayLike | float = 0.0, input_error: Any = 0.0, spread: Any = None
     ) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
         s = per_row("offset of what is read", s, self.network.inputs)
-        seen, extent = self.C @ states + s, states.extent
+        inputs, extent = self.C @ states + s, states.extent
         if self.error is not None:
-            seen = Zonotope(seen.c, np.hstack([seen.G, self.C * self.error]))
+            inputs = Zonotope(inputs.c, np.hstack([inputs.G, self.C * self.error]))
             extent = extent + self.error
         if spread is not None:
-            seen = seen + Zonotope(np.zeros(seen.dim), spread)
-        rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + off
-        out = self.network.enclose(seen, rounding)
+            inputs = inputs + Zonotope(np.zeros(inputs.dim), spread)
+        rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + input_error
+        out = self.network.enclose(inputs, rounding)
         g = states.order_count
-        own = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)
-        return Zonotope(out.c, np.hstack([out.G[:, :g], own.G]))
+        bands = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)
+        return Zonotope(out.c, np.hstack([out.G[:, :g], bands.G]))
 
     @checked
     def step(
-        self, states: Zonotope, s: Any = 0.0, v: Any = 0.0, off: Any = 0.0, spread: Any = None
+        self, states: Zonotope, s: Any = 0.0, v: Any = 0.0, input_error: Any = 0.0, spread: Any = None
     ) -> tuple[Zonotope, Array, Zonotope]:
         """One period from a (single) set of states.
 
@@ -158,7 +158,7 @@ class NetworkLoop:
         states : Zonotope
         s, v : array_like, shapes (r,) and (m,)
             Offsets of the network's inputs, and of its commands.
-        off : array_like, shape (r,)
+        input_error : array_like, shape (r,)
             Largest errors of its inputs, elementwise.
         spread : ndarray, shape (r, g), optional
             Generators of what is added to what it reads and known as a set alone, as where another body is.
@@ -173,7 +173,7 @@ class NetworkLoop:
             Commands of the network.
         """
         require_single("the states", states)
-        command = self.command(states, s, off, spread)
+        command = self.command(states, s, input_error, spread)
         drive = command.c + per_row("known input", v, command.dim)
         return *held_step(self.flow, self.B, states, Zonotope(drive, command.G)), command
 

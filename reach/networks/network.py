@@ -92,32 +92,32 @@ class Network:
 
         By the chain rule, layer by layer from the output back; not enclosed, and at a kink one of several.
         """
-        y, back = as_vector(x, self.inputs), as_vector(weights, self.outputs)
-        before = []
+        y, gradient = as_vector(x, self.inputs), as_vector(weights, self.outputs)
+        layer_inputs = []
         for layer in self.layers:
-            before.append(y)
+            layer_inputs.append(y)
             y = layer(y)
-        for layer, y in zip(self.layers[::-1], before[::-1], strict=True):
-            back = back * layer.slope(y) if isinstance(layer, Activation) else layer.back(back)
-        return np.asarray(back)
+        for layer, y in zip(self.layers[::-1], layer_inputs[::-1], strict=True):
+            gradient = gradient * layer.slope(y) if isinstance(layer, Activation) else layer.back(gradient)
+        return np.asarray(gradient)
 
     def steepest(self, M: Array) -> Array:
         """Bound the entries of its derivative times a matrix (inputs, k), shape (outputs, k).
 
         The part of the rounding that is proportional to a difference of inputs is included.
         """
-        own = self.rounding
+        roundoff = self.rounding
 
         def grown(count: int) -> float:
-            return 1.0 if own is None else 1 + own.relative(count)
+            return 1.0 if roundoff is None else 1 + roundoff.relative(count)
 
-        bent = own is not None  # before anything bends or rounds, products of signed weights hold
-        M = np.abs(M) * grown(READ) if bent else M
+        absolute = roundoff is not None  # before anything bends or rounds, products of signed weights hold
+        M = np.abs(M) * grown(READ) if absolute else M
         for layer in self.layers:
             if isinstance(layer, Activation):
-                M, bent = np.abs(M) * layer.steepest * grown(2), True
+                M, absolute = np.abs(M) * layer.steepest * grown(2), True
             else:
-                M = (layer.sizes(M) if bent else layer.times(M)) * grown(layer.terms + MORE)
+                M = (layer.sizes(M) if absolute else layer.times(M)) * grown(layer.terms + MORE)
         return np.abs(M)
 
     @checked
@@ -146,10 +146,10 @@ class Network:
         require_single("a set of inputs", inputs)
         if inputs.dim != self.inputs:
             raise ReachError(f"the network has {self.inputs} inputs, the set has dimension {inputs.dim}")
-        c, G, own = inputs.c, inputs.G, self.rounding
-        off = np.abs(per_row("error", error, inputs.dim))
-        if own is not None:
-            off = off + own.read(np.abs(c) + np.abs(G).sum(axis=1) + off)
+        c, G, roundoff = inputs.c, inputs.G, self.rounding
+        errors = np.abs(per_row("error", error, inputs.dim))
+        if roundoff is not None:
+            errors = errors + roundoff.read(np.abs(c) + np.abs(G).sum(axis=1) + errors)
         for layer in self.layers:
             extent = np.abs(c) + np.abs(G).sum(axis=1)
             if isinstance(layer, Activation):
@@ -157,18 +157,18 @@ class Network:
                 if entries > MOST_ENTRIES:
                     detail = f"its enclosure has {entries:,} numbers, more than {MOST_ENTRIES:,}"
                     raise Unresolved(f"the network is too wide or too deep: {detail}")
-                spread = (extent - np.abs(c)) * (1 + gamma(G.shape[1])) + off
+                spread = (extent - np.abs(c)) * (1 + gamma(G.shape[1])) + errors
                 lo, hi = c - spread, c + spread
                 slope, offset, radius = layer.band(lo, hi)
                 # An interval's ends round as well; where the band is exact they do not matter.
-                radius = radius + slope * off
-                off = gamma(2) * (slope * extent + np.abs(offset))
-                if own is not None:
-                    off = off + own.bent(layer, np.maximum(np.abs(layer(lo)), np.abs(layer(hi))))
+                radius = radius + slope * errors
+                errors = gamma(2) * (slope * extent + np.abs(offset))
+                if roundoff is not None:
+                    errors = errors + roundoff.bent(layer, np.maximum(np.abs(layer(lo)), np.abs(layer(hi))))
                 c, G = slope * c + offset, np.hstack([slope[:, None] * G, np.diag(radius)])
             else:
                 rounding, size = gamma(layer.terms), layer.sizes(extent) + np.abs(layer.b)
-                more = 0.0 if own is None else own.summed(layer, extent + off)
-                off = (layer.sizes(off) + rounding * size) * (1 + rounding) + more
+                sum_error = 0.0 if roundoff is None else roundoff.summed(layer, extent + errors)
+                errors = (layer.sizes(errors) + rounding * size) * (1 + rounding) + sum_error
                 c, G = layer(c), layer.times(G)
-        return Zonotope(c, np.hstack([G, np.diag(off * (1 + gamma(len(off))))]))
+        return Zonotope(c, np.hstack([G, np.diag(errors * (1 + gamma(len(errors))))]))

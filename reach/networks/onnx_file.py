@@ -50,8 +50,8 @@ def read_onnx(path: str | Path, precision: str = "real") -> Network:
         operator that is not understood, computes with other numbers than float or double, or has a weight
         that is not finite.
     """
-    if why := unusable("onnx"):
-        raise ReachError(f"an ONNX file cannot be read: {why}")
+    if problem := unusable("onnx"):
+        raise ReachError(f"an ONNX file cannot be read: {problem}")
     import onnx
 
     if not isinstance(path, str | Path):
@@ -86,18 +86,18 @@ def _layers(graph: Any, budget: int) -> list[Layer]:
     from onnx import TensorProto, helper
 
     tensors = {tensor.name: tensor for tensor in graph.initializer}
-    given = [value for value in graph.input if value.name not in tensors]
-    if len(given) != 1 or len(graph.output) != 1:
-        raise ReachError(f"needs one input and one output, has {len(given)} and {len(graph.output)}")
-    known = [*given, *graph.value_info, *graph.output]
-    for value in known:
+    graph_inputs = [value for value in graph.input if value.name not in tensors]
+    if len(graph_inputs) != 1 or len(graph.output) != 1:
+        raise ReachError(f"needs one input and one output, has {len(graph_inputs)} and {len(graph.output)}")
+    values = [*graph_inputs, *graph.value_info, *graph.output]
+    for value in values:
         if value.type.tensor_type.elem_type not in REAL:
             kind = TensorProto.DataType.Name(value.type.tensor_type.elem_type)
             raise ReachError(
                 f"{value.name} is of type {kind}: only networks of FLOAT or DOUBLE are understood"
             )
-    dims = {value.name: [axis.dim_value for axis in value.type.tensor_type.shape.dim] for value in known}
-    at, shape, layers = given[0].name, dims[given[0].name], list[Layer]()
+    dims = {value.name: [axis.dim_value for axis in value.type.tensor_type.shape.dim] for value in values}
+    current, shape, layers = graph_inputs[0].name, dims[graph_inputs[0].name], list[Layer]()
     width, kind = shape[-1] if shape else 0, ""
     if not 1 <= width <= WIDEST or any(size > 1 for size in shape[:-1]):
         raise ReachError(f"the input must be a vector of known size, has shape {shape}")
@@ -108,32 +108,32 @@ def _layers(graph: Any, budget: int) -> list[Layer]:
 
     for node in graph.node:
         kind = node.op_type
-        more = {item.name: helper.get_attribute_value(item) for item in node.attribute}
+        attributes = {item.name: helper.get_attribute_value(item) for item in node.attribute}
         if kind == "Constant":
-            if "value" not in more:
+            if "value" not in attributes:
                 raise ReachError("a constant that is not a tensor is not understood")
-            tensors[node.output[0]] = more["value"]
+            tensors[node.output[0]] = attributes["value"]
             continue
-        if list(node.input).count(at) != 1 or any(
-            name not in (at, "") and name not in tensors for name in node.input
+        if list(node.input).count(current) != 1 or any(
+            name not in (current, "") and name not in tensors for name in node.input
         ):
             raise ReachError(f"{kind} takes more than constants and the output before it: no chain")
         if kind in SAME:
-            _require_same(kind, more, [tensors.get(name) for name in node.input])
+            _require_same(kind, attributes, [tensors.get(name) for name in node.input])
         else:
-            inputs = [None if name in (at, "") else numbers(name) for name in node.input]
-            made = _made(kind, inputs, more, width)
-            layers += made
-            width = made[-1].shape[0] if not isinstance(made[-1], Activation) else width
+            inputs = [None if name in (current, "") else numbers(name) for name in node.input]
+            new_layers = _made(kind, inputs, attributes, width)
+            layers += new_layers
+            width = new_layers[-1].shape[0] if not isinstance(new_layers[-1], Activation) else width
             budget -= sum(value.size for value in inputs if value is not None)
         if len(layers) > DEEPEST or budget < 0:
             detail = f"at most {DEEPEST} layers, with no more numbers than the file has bytes, are read"
             raise ReachError(f"the network is larger than its file: {detail}")
-        at = node.output[0]
-        sizes = dims.get(at) or [0]  # as the package infers them
+        current = node.output[0]
+        sizes = dims.get(current) or [0]  # as the package infers them
         if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):
             raise ReachError(f"{kind} must leave {width} components along the last axis")
-    if at != graph.output[0].name:
+    if current != graph.output[0].name:
         raise ReachError("the output is not the end of the chain of operators")
     return layers
 
@@ -157,53 +157,53 @@ def _numbers(tensor: Any, name: str) -> Array:
     return np.asarray(value, dtype=float)
 
 
-def _require_same(kind: str, more: dict[str, Any], tensors: list[Any]) -> None:
+def _require_same(kind: str, attributes: dict[str, Any], tensors: list[Any]) -> None:
     """Refuse a Cast to other numbers, and a Dropout of training."""
     from onnx import numpy_helper
 
-    if kind == "Cast" and more.get("to") not in REAL:
+    if kind == "Cast" and attributes.get("to") not in REAL:
         raise ReachError("a Cast must be to float or double: others change values")
     training = len(tensors) > 2 and tensors[2] is not None and bool(np.any(numpy_helper.to_array(tensors[2])))
-    if kind == "Dropout" and (training or not more.get("is_test", 1)):
+    if kind == "Dropout" and (training or not attributes.get("is_test", 1)):
         raise ReachError("Dropout must be that of inference: its training_mode must be false")
 
 
-def _made(kind: str, inputs: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+def _made(kind: str, inputs: list[Any], attributes: dict[str, Any], width: int) -> list[Layer]:
     """Layers that one operator makes of so many values."""
     if kind in ACTIVATIONS:
-        return [Activation(kind.lower().removeprefix("leaky"), more.get("alpha", ACTIVATIONS[kind]))]
+        return [Activation(kind.lower().removeprefix("leaky"), attributes.get("alpha", ACTIVATIONS[kind]))]
     if kind == "Clip":
-        return [_clip(inputs, more)]
+        return [_clip(inputs, attributes)]
     if kind == "BatchNormalization":
-        return _normalised(inputs, more, width)
+        return _normalised(inputs, attributes, width)
     if kind in ELEMENTWISE:
         scale, b = _scaling(kind, inputs)
         return [Diagonal(_spread(scale, width), _spread(b, width))]
-    W, b = _weights(kind, inputs, more)
+    W, b = _weights(kind, inputs, attributes)
     if W.shape[1] != width or len(W) > WIDEST:
         raise ReachError(f"weights of shape {W.shape} follow {width} values, at most {WIDEST}")
-    alpha, b = more.get("alpha", 1.0), _spread(b, len(W))
+    alpha, b = attributes.get("alpha", 1.0), _spread(b, len(W))
     if alpha == 1:
         return [Affine(W, b)]
     return [Affine(W, _spread(0.0, len(W))), Diagonal(_spread(alpha, len(W)), b)]
 
 
-def _weights(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Array, Array]:
+def _weights(kind: str, inputs: list[Any], attributes: dict[str, Any]) -> tuple[Array, Array]:
     """Weights and biases of a product."""
     if len(inputs) < 2 or inputs[0] is not None or inputs[1] is None or inputs[1].ndim != 2:
         raise ReachError(f"{kind} must multiply by weights from the right")
-    if more.get("transA", 0):
+    if attributes.get("transA", 0):
         raise ReachError("Gemm with a transposed input is not supported")
     b = inputs[2] if len(inputs) > 2 and inputs[2] is not None else np.zeros(1)
-    return inputs[1] if more.get("transB", 0) else inputs[1].T, more.get("beta", 1.0) * b
+    return inputs[1] if attributes.get("transB", 0) else inputs[1].T, attributes.get("beta", 1.0) * b
 
 
-def _normalised(inputs: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+def _normalised(inputs: list[Any], attributes: dict[str, Any], width: int) -> list[Layer]:
     """Less the mean, then scaled and shifted: each step's rounding is relative to its own terms."""
-    if len(inputs) < 5 or inputs[0] is not None or more.get("training_mode", 0):
+    if len(inputs) < 5 or inputs[0] is not None or attributes.get("training_mode", 0):
         raise ReachError("BatchNormalization must be that of inference")
     gain, shift, mean, variance = (_spread(value, width) for value in inputs[1:5])
-    small = more.get("epsilon", 1e-5)
+    small = attributes.get("epsilon", 1e-5)
     if np.any(variance < 0) or small < 0:
         raise ReachError("BatchNormalization has a variance or an epsilon below 0")
     sizes = np.abs(np.concatenate([gain[gain != 0], variance + small]))
@@ -227,12 +227,12 @@ def _scaling(kind: str, inputs: list[Any]) -> tuple[Any, Any]:
     return (1.0, -value) if first else (-1.0, value)
 
 
-def _clip(inputs: list[Any], more: dict[str, Any]) -> Activation:
+def _clip(inputs: list[Any], attributes: dict[str, Any]) -> Activation:
     """Limits of a Clip; one that is not given is the largest number."""
-    given: list[Any] = [more.get("min", -UNLIMITED), more.get("max", UNLIMITED)]
-    for at, value in enumerate(inputs[1:3]):
-        given[at] = given[at] if value is None else value
-    low, high = (np.reshape(np.asarray(limit, dtype=float), -1) for limit in given)
+    limits: list[Any] = [attributes.get("min", -UNLIMITED), attributes.get("max", UNLIMITED)]
+    for index, value in enumerate(inputs[1:3]):
+        limits[index] = limits[index] if value is None else value
+    low, high = (np.reshape(np.asarray(limit, dtype=float), -1) for limit in limits)
     if low.size != 1 or high.size != 1:
         raise ReachError("Clip must have one number for each limit")
     return Activation("clip", float(low[0]), float(high[0]))
@@ -240,7 +240,7 @@ def _clip(inputs: list[Any], more: dict[str, Any]) -> Activation:
 
 def _spread(value: Any, width: int) -> Array:
     """Spread constants, one for all components or one each, over `width` components."""
-    given = np.asarray(value, dtype=float)
-    if given.size not in (1, width):
-        raise ReachError(f"constants of shape {given.shape} follow {width} values")
-    return np.broadcast_to(given.reshape(-1), (width,))
+    constants = np.asarray(value, dtype=float)
+    if constants.size not in (1, width):
+        raise ReachError(f"constants of shape {constants.shape} follow {width} values")
+    return np.broadcast_to(constants.reshape(-1), (width,))

@@ -70,7 +70,7 @@ class Rounding:
         near_zero = 2 * self.tiny * (1 + layer.steepest)
         return np.asarray((self.relative(2) * values + curved + near_zero) * UP)
 
-    def _require_finite(self, what: str, x: Array) -> None:
+    def _require_finite(self, place: str, x: Array) -> None:
         """Raise `Unresolved` where rounded numbers of sizes up to x may be infinite."""
         if not np.all(x * UP <= self.largest):
-            raise Unresolved(f"{what} the network may reach {x.max():.3g}, beyond its floating-point format")
+            raise Unresolved(f"{place} the network may reach {x.max():.3g}, beyond its floating-point format")

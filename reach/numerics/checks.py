@@ -24,16 +24,16 @@ def checked(function: F) -> F:
     kinds = {name: kind for name, kind in function.__annotations__.items() if name in names}
 
     @wraps(function)
-    def call(*args: Any, **more: Any) -> Any:
-        given = [
+    def call(*args: Any, **kwargs: Any) -> Any:
+        positional = [
             as_kind(name, kinds[name], value) if name in kinds else value
             for name, value in zip(names, args, strict=False)
         ]
-        given += args[len(given) :]
-        named = {k: as_kind(k, kinds[k], v) if k in kinds else v for k, v in more.items()}
+        positional += args[len(positional) :]
+        keywords = {k: as_kind(k, kinds[k], v) if k in kinds else v for k, v in kwargs.items()}
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                return function(*given, **named)
+                return function(*positional, **keywords)
         except (FloatingPointError, OverflowError) as exc:
             raise Unresolved(f"the numbers given lead beyond floating point: {exc}") from exc
 
@@ -43,8 +43,8 @@ def checked(function: F) -> F:
 def check_fields(value: Any) -> None:
     """Check the fields of a dataclass by their annotations, and replace each by its converted value."""
     for field in fields(value):
-        given = as_kind(field.name, str(field.type), getattr(value, field.name))
-        object.__setattr__(value, field.name, given)
+        converted = as_kind(field.name, str(field.type), getattr(value, field.name))
+        object.__setattr__(value, field.name, converted)
 
 
 def as_kind(name: str, kind: str, value: Any) -> Any:
@@ -52,22 +52,22 @@ def as_kind(name: str, kind: str, value: Any) -> Any:
     options = kind.split(" | ")
     if value is None and not {"None", "Any", "Bound"}.isdisjoint(options):
         return None
-    wanted = []
+    needed = []
     for option in options:
         if option in _KINDS:
             words, convert = _KINDS[option]
             converted = convert(value)
             if converted is not _WRONG:
                 return converted
-            wanted.append(words)
+            needed.append(words)
         elif option in ("Any",) or not option.isidentifier() or _is_a(value, option):
             return value
         elif option != "None":
-            wanted.append(option)
+            needed.append(option)
     text = repr(value) if isinstance(value, int | float | str | tuple | list | None) else ""
-    shown = text if 0 < len(text) < 80 else f"an object of type {type(value).__name__}"
+    display = text if 0 < len(text) < 80 else f"an object of type {type(value).__name__}"
     name = "the initial set" if name == "initial" else name
-    raise ReachError(f"{name} must be {' or '.join(wanted)}, got {shown}")
+    raise ReachError(f"{name} must be {' or '.join(needed)}, got {display}")
 
 
 _WRONG: Any = object()
@@ -78,13 +78,13 @@ def _is_a(value: Any, *names: str) -> bool:
     return any(base.__name__ in names for base in type(value).__mro__)
 
 
-def _where(good: Callable[[Any], bool]) -> Callable[[Any], Any]:
-    return lambda value: value if good(value) else _WRONG
+def _where(accepts: Callable[[Any], bool]) -> Callable[[Any], Any]:
+    return lambda value: value if accepts(value) else _WRONG
 
 
 def _is_number(value: Any) -> bool:
-    known = isinstance(value, int | float | np.number | np.ndarray) and not isinstance(value, bool)
-    return known and not (np.ndim(value) or np.iscomplexobj(value) or np.isnan(value))
+    numeric = isinstance(value, int | float | np.number | np.ndarray) and not isinstance(value, bool)
+    return numeric and not (np.ndim(value) or np.iscomplexobj(value) or np.isnan(value))
 
 
 def _is_whole(value: Any) -> bool:
@@ -107,8 +107,8 @@ def _is_specs(value: Any) -> bool:
     """Return True if a value maps names of modes to sequences of specifications."""
     if not isinstance(value, Mapping):
         return False
-    good = all(isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
-    return good and all(_is_a(spec, "Always", "Never") for v in value.values() for spec in v)
+    sequences = all(isinstance(k, str) and isinstance(v, Sequence) for k, v in value.items())
+    return sequences and all(_is_a(spec, "Always", "Never") for v in value.values() for spec in v)
 
 
 def is_set(value: Any) -> bool:
@@ -152,19 +152,19 @@ def as_numbers(name: str, value: Any) -> Array:
         raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
 
 
-def as_shaped(name: str, value: Any, wanted: str, fits: Callable[[tuple[int, ...]], bool]) -> Array:
+def as_shaped(name: str, value: Any, needed: str, fits: Callable[[tuple[int, ...]], bool]) -> Array:
     """An array of finite floats whose shape fits the wanted one."""
     array = as_numbers(name, value)
     shaped = fits(array.shape)
     if not shaped or not np.isfinite(array).all():
-        raise ReachError(f"{name} must be {wanted}, got {'nan or inf' if shaped else f'shape {array.shape}'}")
+        raise ReachError(f"{name} must be {needed}, got {'nan or inf' if shaped else f'shape {array.shape}'}")
     return array
 
 
 def as_array(name: str, value: Any, *shape: int) -> Array:
     """An array of finite floats of one shape."""
-    wanted = f"{' x '.join(map(str, shape))} finite numbers"
-    return as_shaped(name, value, wanted, lambda given: given == shape)
+    needed = f"{' x '.join(map(str, shape))} finite numbers"
+    return as_shaped(name, value, needed, lambda actual: actual == shape)
 
 
 def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
@@ -185,8 +185,8 @@ def as_vector(value: ArrayLike, n: int, single: bool = False) -> Array:
 
 def as_map(value: ArrayLike, n: int, single: bool = False) -> Array:
     """A finite matrix that acts on dimension n, or a stack of them if there need not be a single one."""
-    wanted, axes = f"finite and act on dimension {n}", 2 if single else np.inf
-    return as_shaped("a map", value, wanted, lambda s: s[-1:] == (n,) and 2 <= len(s) <= axes)
+    needed, axes = f"finite and act on dimension {n}", 2 if single else np.inf
+    return as_shaped("a map", value, needed, lambda s: s[-1:] == (n,) and 2 <= len(s) <= axes)
 
 
 def as_frame(value: ArrayLike | None, n: int) -> Array:

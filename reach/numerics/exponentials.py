@@ -57,9 +57,9 @@ def thin_expm(A: Any, h: float, action: Action, half: Any = None) -> Any:
     n, norm = A.shape[0], action.norm * h
     if norm > MOST_PARTS * REACH:
         return None
-    some = np.zeros((PROBES, n))
-    some[np.arange(PROBES), np.random.default_rng(0).integers(n, size=PROBES)] = 1.0
-    fill = int(np.count_nonzero(action(some, h, 1)[-1], axis=-1).max())
+    probes = np.zeros((PROBES, n))
+    probes[np.arange(PROBES), np.random.default_rng(0).integers(n, size=PROBES)] = 1.0
+    fill = int(np.count_nonzero(action(probes, h, 1)[-1], axis=-1).max())
     work = _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (A.nnz + OVERHEAD)
     if fill > min(FULL, THIN * n) or n * fill > work:
         return None
@@ -151,8 +151,8 @@ def dense(M: Any) -> Array:
 
 def bordered(A: Any, B: Any, corner: Any = None) -> Any:
     """``[[A, B], [0, corner]]`` for a square A, dense or sparse as A is; a corner of zeros by default."""
-    rest = sparse.csr_matrix((B.shape[1], B.shape[1])) if corner is None else corner
-    out: Any = sparse.bmat([[sparse.csr_matrix(A), sparse.csr_matrix(B)], [None, rest]], format="csr")
+    block = sparse.csr_matrix((B.shape[1], B.shape[1])) if corner is None else corner
+    out: Any = sparse.bmat([[sparse.csr_matrix(A), sparse.csr_matrix(B)], [None, block]], format="csr")
     return out if sparse.issparse(A) else out.toarray()
 
 

@@ -19,9 +19,9 @@ def open_regular(path: str | Path, most: int = LARGEST) -> BufferedReader:
     OSError
         If it is no regular file, has more than `most` bytes, or cannot be opened.
     """
-    wait = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
-        descriptor = os.open(path, os.O_RDONLY | wait)
+        descriptor = os.open(path, os.O_RDONLY | flags)
     except ValueError as error:  # a zero byte in the name
         raise OSError(errno.EINVAL, str(error), str(path)) from error
     try:

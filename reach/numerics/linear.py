@@ -37,8 +37,8 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
         raise ReachError(f"B must have {len(A)} rows as A has, got shape {B.shape}")
     n, m = B.shape
     # Inputs in small units would cost e^{A h} digits: B is divided by a power of two, exactly.
-    large = float(np.abs(B).max(initial=0.0)) * h
-    unit = 2.0 ** np.ceil(np.log2(large)) if LARGE < large < np.inf else 1.0
+    size = float(np.abs(B).max(initial=0.0)) * h
+    unit = 2.0 ** np.ceil(np.log2(size)) if LARGE < size < np.inf else 1.0
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B / unit
     E = _exponential((block * h).tobytes(), n + m).copy()

@@ -54,15 +54,15 @@ def untested(requirement: str) -> str:
         from packaging.requirements import Requirement
     except ModuleNotFoundError:
         return ""
-    wanted = Requirement(requirement)
+    required = Requirement(requirement)
     try:
-        version = metadata.version(wanted.name)
+        version = metadata.version(required.name)
     except metadata.PackageNotFoundError:  # its import says so, or it came without its metadata
         return ""
-    if wanted.specifier.contains(version, prereleases=True):
+    if required.specifier.contains(version, prereleases=True):
         return ""
-    tested = ",".join(sorted(map(str, wanted.specifier), reverse=True))
-    return f"{wanted.name} {version} is installed, but only {wanted.name}{tested} is tested"
+    tested = ",".join(sorted(map(str, required.specifier), reverse=True))
+    return f"{required.name} {version} is installed, but only {required.name}{tested} is tested"
 
 
 def unusable(package: str) -> str:
@@ -79,15 +79,15 @@ def unusable(package: str) -> str:
         for requirement in needed if extra not in TOOLS else ():
             if Requirement(requirement).name == package:
                 missing = "" if find_spec(package) else f"needs the package {package}"
-                why = missing or untested(requirement)
-                return f"{why}: pip install '{DISTRIBUTION}[{extra}]'" if why else ""
+                problem = missing or untested(requirement)
+                return f"{problem}: pip install '{DISTRIBUTION}[{extra}]'" if problem else ""
     raise KeyError(package)
 
 
 @cache
 def check() -> None:
     """Raise `ReachError` if a required package is installed in a version that was not tested."""
-    faults = [why for requirement in project()["dependencies"] if (why := untested(requirement))]
+    faults = [fault for requirement in project()["dependencies"] if (fault := untested(requirement))]
     if faults:
         raise ReachError(f"{'; '.join(faults)}: pip install {DISTRIBUTION}")
 

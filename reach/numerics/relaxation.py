@@ -36,9 +36,9 @@ def clip_relaxation(
     ReachError
         If an interval is empty, a limit negative, or a number not finite.
     """
-    given = [np.asarray(v, dtype=float) for v in (lo, hi, limit)]
-    require_alike(*(v.shape for v in given))
-    lo, hi, limit = np.broadcast_arrays(*given)
+    arrays = [np.asarray(v, dtype=float) for v in (lo, hi, limit)]
+    require_alike(*(v.shape for v in arrays))
+    lo, hi, limit = np.broadcast_arrays(*arrays)
     if slopes is not None and slopes < 1:
         raise ReachError(f"slopes must be at least 1, got {slopes}")
     if not np.all(np.isfinite(lo) & np.isfinite(hi) & np.isfinite(limit)):

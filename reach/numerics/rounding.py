@@ -73,23 +73,23 @@ def cross(columns: NDArray[Any]) -> NDArray[Any]:
             )
             for rows in combinations(range(n), j + 1)
         }
-    every = tuple(range(n))
-    return np.stack([(-1) ** i * minors[every[:i] + every[i + 1 :]] for i in range(n)])
+    all_rows = tuple(range(n))
+    return np.stack([(-1) ** i * minors[all_rows[:i] + all_rows[i + 1 :]] for i in range(n)])
 
 
 def mixture(rows: Array, target: Array) -> list[Fraction] | None:
     """Exact weights of rows (k, n), k <= n, whose sum is a target (n,); None if there are none, or many."""
     k = len(rows)
-    whole, wanted = integers(rows, target)
+    whole, whole_target = integers(rows, target)
     system = [
         [Fraction(int(v)) for v in column] + [Fraction(int(t))]
-        for column, t in zip(whole.T, wanted, strict=True)
+        for column, t in zip(whole.T, whole_target, strict=True)
     ]
     for j in range(k):
-        at = next((i for i in range(j, len(system)) if system[i][j]), None)
-        if at is None:
+        pivot_row = next((i for i in range(j, len(system)) if system[i][j]), None)
+        if pivot_row is None:
             return None
-        system[j], system[at] = system[at], system[j]
+        system[j], system[pivot_row] = system[pivot_row], system[j]
         pivot = system[j]
         for i in range(len(system)):
             if i != j and system[i][j]:

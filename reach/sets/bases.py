@@ -76,27 +76,27 @@ class Bases:
         scaled = D / self.columns
         sizes = np.abs(scaled).max(axis=1, initial=0.0)
         scaled = scaled / np.where(sizes > 0, sizes, 1.0)[:, None]
-        left, tried = np.arange(r), 0
-        while len(left):
-            fresh, known = self.inverses[tried:], len(self.members)
-            span = max(1, ENTRIES // max(len(fresh) * n, 1))
-            for some in np.split(left, range(span, len(left), span)) if len(fresh) else ():
+        pending, tried = np.arange(r), 0
+        while len(pending):
+            untried, count = self.inverses[tried:], len(self.members)
+            span = max(1, ENTRIES // max(len(untried) * n, 1))
+            for chunk in np.split(pending, range(span, len(pending), span)) if len(untried) else ():
                 # Where many facets meet in one vertex, another basis of it has the direction in its cone.
-                weights = np.einsum("rn,fnk->rfk", scaled[some], fresh)
+                weights = np.einsum("rn,fnk->rfk", scaled[chunk], untried)
                 best = weights.min(axis=2).argmax(axis=1)
-                weights = weights[np.arange(len(some)), best]
+                weights = weights[np.arange(len(chunk)), best]
                 good = weights.min(axis=1) >= -INSIDE * np.abs(weights).max(axis=1)
-                which, basis, weights = some[good], tried + best[good], np.maximum(weights[good], 0.0)
-                points[which] = self.points[basis]
-                values[which] = (D[which] * points[which]).sum(axis=1)
+                solved, basis, weights = chunk[good], tried + best[good], np.maximum(weights[good], 0.0)
+                points[solved] = self.points[basis]
+                values[solved] = (D[solved] * points[solved]).sum(axis=1)
                 rows = self.members[basis]
-                multipliers[which[:, None], rows] = weights * sizes[which, None] / self.norms[rows]
-            left, tried = left[np.isnan(values[left])], known
-            if len(left):
-                at, left = left[0], left[1:]
+                multipliers[solved[:, None], rows] = weights * sizes[solved, None] / self.norms[rows]
+            pending, tried = pending[np.isnan(values[pending])], count
+            if len(pending):
+                at, pending = pending[0], pending[1:]
                 maximum = self.program(D[at].tobytes())
                 values[at], points[at], multipliers[at] = maximum.value, maximum.point, maximum.multipliers
-                if np.isfinite(maximum.value) and known < MOST_BASES:
+                if np.isfinite(maximum.value) and count < MOST_BASES:
                     self._add(self.basis(maximum))
         return values, points, multipliers
 
@@ -110,10 +110,10 @@ class Bases:
         picked: list[int] = []
         frame = np.zeros((0, n))
         for i in order[(used[order] > 0) | (gap[order] <= room[order])]:
-            rest = self.rows[i] - (frame @ self.rows[i]) @ frame
-            length = float(np.linalg.norm(rest))
+            residual = self.rows[i] - (frame @ self.rows[i]) @ frame
+            length = float(np.linalg.norm(residual))
             if length > 1e-7:
-                picked, frame = [*picked, int(i)], np.vstack([frame, rest / length])
+                picked, frame = [*picked, int(i)], np.vstack([frame, residual / length])
             if len(picked) == n:
                 return np.asarray([picked], dtype=np.intp)
         return np.zeros((0, n), dtype=np.intp)

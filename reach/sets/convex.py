@@ -128,9 +128,9 @@ class SetOperators(ConvexSet, ABC):
         """Support with its rounding included: never above the true value, shape (..., r)."""
         return self._rounded_support(as_vector(directions, self.dim), -1)
 
-    def _rounded_support(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, sign: int) -> Array:
         """Support with its rounding included upwards (1) or downwards (-1)."""
-        return np.asarray(self.support(D) + way * gamma(self.terms) * weighed(D, self.extent))
+        return np.asarray(self.support(D) + sign * gamma(self.terms) * weighed(D, self.extent))
 
     def interval_hull(self) -> Interval:
         """Smallest box around the set, rounded outwards."""
@@ -224,10 +224,10 @@ class SetOperators(ConvexSet, ABC):
             raise ReachError(f"frame must be an invertible {self.dim} x {self.dim} matrix")
         R = np.linalg.inv(F)
         # x = F y; the range of y - R x is added: |F^-1| |1 - F R| |x|, first order doubled.
-        left = np.abs(np.eye(self.dim) - F @ R) + gamma(self.dim) * (np.abs(F) @ np.abs(R))
+        residual = np.abs(np.eye(self.dim) - F @ R) + gamma(self.dim) * (np.abs(F) @ np.abs(R))
         extent = self.interval_hull().extent
-        booked = 2 * np.abs(R) @ (left @ extent) + gamma(self.dim) * np.abs(R) @ extent
-        box = Interval(-self.support_up(-R) - booked, self.support_up(R) + booked)
+        allowance = 2 * np.abs(R) @ (residual @ extent) + gamma(self.dim) * np.abs(R) @ extent
+        box = Interval(-self.support_up(-R) - allowance, self.support_up(R) + allowance)
         return box.to_zonotope().__rmatmul__(F)
 
     def vertices_2d(self) -> Array:

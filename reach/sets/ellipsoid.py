@@ -105,8 +105,8 @@ class Ellipsoid(Generated):
         size = np.where(size > 0, size, 1.0)
         scaled = self.L / size[:, None]
         u = (gap / size) @ np.linalg.pinv(scaled).T
-        missed = np.abs(u @ scaled.T - gap / size).max(axis=-1, initial=0.0)
-        return np.asarray((np.linalg.norm(u, axis=-1) <= 1 + slack) & (missed <= slack))
+        residual = np.abs(u @ scaled.T - gap / size).max(axis=-1, initial=0.0)
+        return np.asarray((np.linalg.norm(u, axis=-1) <= 1 + slack) & (residual <= slack))
 
     def enclosing_zonotope(self, frame: ArrayLike | None = None) -> Zonotope:
         """Zonotope around the set: the image of `reach.ball_generators`, or a parallelotope in a frame.
@@ -123,8 +123,8 @@ class Ellipsoid(Generated):
             return Zonotope.point(self.c)
         ball = ball_generators(int(live.sum()), 1.0)
         # U S V^T is the scaled L to rounding only; what it misses lies in a box.
-        missed = gamma(self.terms) * float(s.max()) * self.dim
-        return Zonotope(self.c, size[:, None] * ((U[:, live] * s[live]) @ ball)).inflate(missed * size)
+        defect = gamma(self.terms) * float(s.max()) * self.dim
+        return Zonotope(self.c, size[:, None] * ((U[:, live] * s[live]) @ ball)).inflate(defect * size)
 
     def volume(self) -> float:
         """Volume ``pi^(n/2) / Gamma(n/2 + 1) sqrt(det(L L^T))``; zero if flat."""

@@ -88,24 +88,24 @@ class Intersection(CompositeSet):
         """An upper bound."""
         return self._rounded_support(D, 1)
 
-    def _rounded_support(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, sign: int) -> Array:
         """Up: a bound by splitting each direction. Down: at a point that passes the parts' tests, or -inf."""
         self._refuse_empty()
         rows = D.reshape(-1, self.dim)
-        if way > 0:
+        if sign > 0:
             return np.array([self._bound(d, self._search.split(d)[1]) for d in rows]).reshape(D.shape[:-1])
         values = np.array([float(d @ self._search.inside(d)) for d in rows])
-        booked = weighed(rows, 1e-9 * self.interval_hull().half_widths + gamma(self.dim) * self.extent)
-        return np.nan_to_num(values - booked, nan=-np.inf).reshape(D.shape[:-1])
+        allowance = weighed(rows, 1e-9 * self.interval_hull().half_widths + gamma(self.dim) * self.extent)
+        return np.nan_to_num(values - allowance, nan=-np.inf).reshape(D.shape[:-1])
 
     def _bound(self, d: Array, split: Array) -> float:
         """Sum of the supports of the parts along a split of d; its rounding weighed with the whole."""
-        best = min(float(part.support_up(d)) for part in self.parts)
-        total, booked = 0.0, np.abs(d - split.sum(axis=0)) + gamma(len(split)) * np.abs(split).sum(axis=0)
+        bound = min(float(part.support_up(d)) for part in self.parts)
+        total, allowance = 0.0, np.abs(d - split.sum(axis=0)) + gamma(len(split)) * np.abs(split).sum(axis=0)
         for part, row in zip(self.parts, split, strict=True):
             total += float(part.support_up(row)) if row.any() else 0.0
-        total += float(weighed(booked, self.extent)) + gamma(len(split)) * abs(total)
-        return min(best, total) if np.isfinite(total) else best
+        total += float(weighed(allowance, self.extent)) + gamma(len(split)) * abs(total)
+        return min(bound, total) if np.isfinite(total) else bound
 
     def _furthest(self, D: Array) -> Array:
         """Points pulled inside where that is possible."""
@@ -176,23 +176,23 @@ class FurthestSearch:
     def _solve(self, direction: Array, depth: bool) -> tuple[Array, Array, float]:
         """One linear program in ``(x - middle) / size``, the parts' own coordinates, and a depth."""
         n, size = self.n, self.size
-        rows, own, offsets, inner = [], [], [], []
+        rows, lifted_rows, offsets, inner = [], [], [], []
         for part, flat, planes in zip(self.parts, self.flat, self.planes, strict=True):
             if flat is None or isinstance(part, HPolytope):
                 H, h = (planes, part.support(planes)) if flat is None else (part.A, part.b)
                 rows.append(H)
-                own.append(np.zeros((len(H), 0)))
+                lifted_rows.append(np.zeros((len(H), 0)))
                 offsets.append(h - H @ self.middle)
                 inner.append(np.ones(len(H)))
             else:  # two rows for every coordinate say that the points are the same
-                same, G, shift = np.diag(1 / size), flat.G / size[:, None], (flat.c - self.middle) / size
-                rows.append(np.vstack([same, -same, np.zeros((len(flat.A), n))]))
-                own.append(np.vstack([-G, G, flat.A]))
+                axes, G, shift = np.diag(1 / size), flat.G / size[:, None], (flat.c - self.middle) / size
+                rows.append(np.vstack([axes, -axes, np.zeros((len(flat.A), n))]))
+                lifted_rows.append(np.vstack([-G, G, flat.A]))
                 offsets.append(np.r_[shift, -shift, flat.b])
                 inner.append(np.r_[np.zeros(2 * n), np.ones(len(flat.A))])
-        A = np.hstack([np.vstack(rows) * size, block_diag(*own)])
-        room = np.hstack(inner) * np.linalg.norm(A, axis=1) * float(depth)
-        A = np.vstack([np.c_[A, room], np.eye(A.shape[1] + 1)[-1:]])
+        A = np.hstack([np.vstack(rows) * size, block_diag(*lifted_rows)])
+        depths = np.hstack(inner) * np.linalg.norm(A, axis=1) * float(depth)
+        A = np.vstack([np.c_[A, depths], np.eye(A.shape[1] + 1)[-1:]])
         goal = np.zeros(A.shape[1])
         goal[:n], goal[-1] = direction * size, float(depth)
         optimum = maximise(goal, A, np.r_[np.hstack(offsets), 1.0])

@@ -88,8 +88,8 @@ class Interval(SetStack):
         return self.dim
 
     def _support(self, D: Array) -> Array:
-        up, down = np.maximum(D, 0), np.minimum(D, 0)
-        return np.asarray((up @ self.hi[..., None] + down @ self.lo[..., None])[..., 0])
+        positive, negative = np.maximum(D, 0), np.minimum(D, 0)
+        return np.asarray((positive @ self.hi[..., None] + negative @ self.lo[..., None])[..., 0])
 
     def _furthest(self, D: Array) -> Array:
         lo, hi = (self.lo, self.hi) if D.ndim == 1 else (self.lo[..., None, :], self.hi[..., None, :])
@@ -151,14 +151,14 @@ class Interval(SetStack):
         if not np.all(np.isfinite(b)):
             raise ReachError("offset must be finite")
         # The least the other coordinates can contribute leaves this much for each one.
-        least = np.minimum(a * self.lo, a * self.hi)
-        booked = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
-        total = least.sum(axis=-1, keepdims=True)
-        if np.any(total - booked > b):
+        minima = np.minimum(a * self.lo, a * self.hi)
+        allowance = gamma(2 * self.dim) * (np.abs(a) * self.extent).sum(axis=-1, keepdims=True)
+        total = minima.sum(axis=-1, keepdims=True)
+        if np.any(total - allowance > b):
             raise ReachError("no point of the set satisfies normal . x <= offset")
-        room = b - (total - least) + booked + gamma(1) * np.abs(b)
+        slack = b - (total - minima) + allowance + gamma(1) * np.abs(b)
         with np.errstate(over="ignore"):  # of a row that hardly depends on a coordinate: no limit
-            ratio = np.divide(room, a, out=np.zeros(np.broadcast_shapes(room.shape, a.shape)), where=a != 0)
+            ratio = np.divide(slack, a, out=np.zeros(np.broadcast_shapes(slack.shape, a.shape)), where=a != 0)
             ratio = ratio + gamma(1) * np.sign(a) * np.abs(ratio)
         lo, hi = np.broadcast_arrays(self.lo, ratio)[0], np.broadcast_arrays(self.hi, ratio)[0]
         cut = np.where(a > 0, np.clip(ratio, lo, hi), hi)

@@ -42,11 +42,11 @@ class DerivedSet(SetOperators):
         """Return True if a box around the set was proved."""
         return bool(np.all(np.isfinite(self.extent)))
 
-    def _with_rounding(self, values: Array, D: Array, way: int, terms: int) -> Array:
+    def _with_rounding(self, values: Array, D: Array, sign: int, terms: int) -> Array:
         """Values with their rounding added; infinite ones stay, and those of unbounded sets are unproved."""
         with np.errstate(invalid="ignore"):
-            booked = values + way * gamma(terms) * weighed(D, self.extent)
-        return np.asarray(np.where(np.isposinf(values), np.inf, booked))
+            bounds = values + sign * gamma(terms) * weighed(D, self.extent)
+        return np.asarray(np.where(np.isposinf(values), np.inf, bounds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +89,9 @@ class AffineImage(DerivedSet):
     def _support(self, D: Array) -> Array:
         return np.asarray(self.base.support(D @ self.M) + D @ self.v)
 
-    def _rounded_support(self, D: Array, way: int) -> Array:
-        inner = self.base.support_up(D @ self.M) if way > 0 else self.base.support_down(D @ self.M)
-        return self._with_rounding(inner + D @ self.v, D, way, 2 * self.dim)
+    def _rounded_support(self, D: Array, sign: int) -> Array:
+        inner = self.base.support_up(D @ self.M) if sign > 0 else self.base.support_down(D @ self.M)
+        return self._with_rounding(inner + D @ self.v, D, sign, 2 * self.dim)
 
     def _furthest(self, D: Array) -> Array:
         return np.asarray(self.base.support_vector(D @ self.M) @ self.M.T + self.v)
@@ -132,9 +132,9 @@ class AffineImage(DerivedSet):
             raise ReachError("only the image of a bounded polytope or box is written by inequalities")
         W = inverse(self.M)
         R, n = base.A @ W, self.dim
-        left = np.abs(R @ self.M - base.A) + gamma(n) * (np.abs(R) @ np.abs(self.M) + np.abs(base.A))
-        booked = left @ base.extent + gamma(n) * (np.abs(R) @ np.abs(self.v) + np.abs(base.b))
-        return HPolytope(R, base.b + R @ self.v + booked * (1 + gamma(n)))
+        residual = np.abs(R @ self.M - base.A) + gamma(n) * (np.abs(R) @ np.abs(self.M) + np.abs(base.A))
+        allowance = residual @ base.extent + gamma(n) * (np.abs(R) @ np.abs(self.v) + np.abs(base.b))
+        return HPolytope(R, base.b + R @ self.v + allowance * (1 + gamma(n)))
 
 
 def inverse(M: Array) -> Array:
@@ -191,9 +191,9 @@ class MinkowskiSum(CompositeSet):
     def _support(self, D: Array) -> Array:
         return np.asarray(sum(part.support(D) for part in self.parts))
 
-    def _rounded_support(self, D: Array, way: int) -> Array:
-        values = (part.support_up(D) if way > 0 else part.support_down(D) for part in self.parts)
-        return self._with_rounding(np.asarray(sum(values)), D, way, len(self.parts))
+    def _rounded_support(self, D: Array, sign: int) -> Array:
+        values = (part.support_up(D) if sign > 0 else part.support_down(D) for part in self.parts)
+        return self._with_rounding(np.asarray(sum(values)), D, sign, len(self.parts))
 
     def _furthest(self, D: Array) -> Array:
         return np.asarray(sum(part.support_vector(D) for part in self.parts))

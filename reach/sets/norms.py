@@ -61,8 +61,8 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
         return _s_lemma(X)
     if isinstance(X, AffineImage) and isinstance(X.base, Ellipsoid | Zonotope):
         bracket = largest_norm(X.M @ X.base + X.v, most, level)  # but for the rounding of the image
-        booked = gamma(2 * X.terms) * float(np.linalg.norm(X.extent))
-        return NormBracket(bracket.lower - booked, bracket.upper + booked, bracket.point)
+        allowance = gamma(2 * X.terms) * float(np.linalg.norm(X.extent))
+        return NormBracket(bracket.lower - allowance, bracket.upper + allowance, bracket.point)
     bracket = _bracket(X, _climb(X, X.center), float(np.linalg.norm(X.interval_hull().extent)))
     if isinstance(X, MinkowskiSum):
         total = sum(largest_norm(part, most).upper for part in X.parts) * (1 + gamma(len(X.parts)))
@@ -71,8 +71,8 @@ def largest_norm(X: SetOperators, most: int = 20_000, level: float | None = None
 
 
 def _bracket(X: SetOperators, point: Array, upper: float) -> NormBracket:
-    booked = gamma(X.terms) * float(np.linalg.norm(X.extent))
-    return NormBracket(float(np.linalg.norm(point)) - booked, upper + booked, point)
+    allowance = gamma(X.terms) * float(np.linalg.norm(X.extent))
+    return NormBracket(float(np.linalg.norm(point)) - allowance, upper + allowance, point)
 
 
 def _climb(X: SetOperators, start: Array) -> Array:
@@ -90,40 +90,40 @@ def _over_signs(Z: Zonotope, branches: int, level: float | None) -> NormBracket:
     """Branch and bound: signs are fixed from the longest generator to the shortest, level by level."""
     G = Z.G[:, np.argsort(-np.linalg.norm(Z.G, axis=0), kind="stable")]
     G = G[:, np.any(G != 0, axis=0)]
-    best = max((_climb(Z, s) for s in (Z.c, *(Z.c + G.T))), key=np.linalg.norm)
-    least = float(np.linalg.norm(best))
+    furthest = max((_climb(Z, s) for s in (Z.c, *(Z.c + G.T))), key=np.linalg.norm)
+    lower = float(np.linalg.norm(furthest))
     frame = np.linalg.svd(G, full_matrices=True)[0]  # in which the hull bound is tightest
     c, R = frame.T @ Z.c, frame.T @ G
     fixed = c[None] if c.any() or not R.shape[1] else c[None] + R[:, 0]
     upper = 0.0
     for j in range(0 if c.any() or not R.shape[1] else 1, R.shape[1] + 1):
-        rest = R[:, j:]
-        bounds = _bounds(fixed, rest)
-        greedy = fixed + np.where(fixed @ rest < 0, -1.0, 1.0) @ rest.T
+        free = R[:, j:]
+        bounds = _bounds(fixed, free)
+        greedy = fixed + np.where(fixed @ free < 0, -1.0, 1.0) @ free.T
         norms = np.linalg.norm(greedy, axis=1)
-        if norms.max() > least:
-            best = frame @ greedy[np.argmax(norms)]
-            least = float(norms.max())
-        floor = least * (1 + 1e-9)
-        if level is not None and least > level:
-            return _bracket(Z, best, max(float(bounds.max()), upper))
-        keep = bounds > (floor if level is None else max(floor, level))
-        upper = max(upper, float(bounds[~keep].max(initial=floor)))
-        fixed, bounds = fixed[keep], bounds[keep]
+        if norms.max() > lower:
+            furthest = frame @ greedy[np.argmax(norms)]
+            lower = float(norms.max())
+        floor = lower * (1 + 1e-9)
+        if level is not None and lower > level:
+            return _bracket(Z, furthest, max(float(bounds.max()), upper))
+        undecided = bounds > (floor if level is None else max(floor, level))
+        upper = max(upper, float(bounds[~undecided].max(initial=floor)))
+        fixed, bounds = fixed[undecided], bounds[undecided]
         if len(fixed) == 0:
-            return _bracket(Z, best, upper)
+            return _bracket(Z, furthest, upper)
         if len(fixed) > branches or j == R.shape[1]:
-            return _bracket(Z, best, max(upper, float(bounds.max())))
+            return _bracket(Z, furthest, max(upper, float(bounds.max())))
         fixed = np.vstack([fixed + R[:, j], fixed - R[:, j]])
     raise AssertionError("the last level always returns")
 
 
-def _bounds(fixed: Array, rest: Array) -> Array:
+def _bounds(fixed: Array, free: Array) -> Array:
     """Upper bounds on the norm over ``fixed + rest b``, the least of three, shape (k,)."""
-    hull = np.linalg.norm(np.abs(fixed) + np.abs(rest).sum(axis=1), axis=1)
+    hull = np.linalg.norm(np.abs(fixed) + np.abs(free).sum(axis=1), axis=1)
     lengths = np.linalg.norm(fixed, axis=1)
-    total = lengths + np.linalg.norm(rest, axis=0).sum()
-    gram = np.sqrt(lengths**2 + 2 * np.abs(fixed @ rest).sum(axis=1) + np.abs(rest.T @ rest).sum())
+    total = lengths + np.linalg.norm(free, axis=0).sum()
+    gram = np.sqrt(lengths**2 + 2 * np.abs(fixed @ free).sum(axis=1) + np.abs(free.T @ free).sum())
     return np.asarray(np.minimum(np.minimum(hull, total), gram))
 
 
@@ -148,5 +148,5 @@ def _s_lemma(E: Ellipsoid) -> NormBracket:
     # Directions that do not pull but are not cleared by the gap either contribute nothing: pull = 0.
     stuck = bool(np.any((gap <= 0) & (pull != 0)))
     upper = np.inf if stuck else float(np.sqrt(value))
-    least = float(np.linalg.norm(E.c)) + float(s.max(initial=0.0))
-    return _bracket(E, E.c + E.L @ (Vt.T @ v), min(upper * (1 + 1e-12), least))
+    triangle = float(np.linalg.norm(E.c)) + float(s.max(initial=0.0))
+    return _bracket(E, E.c + E.L @ (Vt.T @ v), min(upper * (1 + 1e-12), triangle))

@@ -47,9 +47,9 @@ def _of_zonotope(Z: Zonotope) -> Array:
     if Z.order_count == 0:
         return Z.c[..., None, :]
     x, y = Z.G[..., 0, :], Z.G[..., 1, :]
-    up = np.where((y > 0) | ((y == 0) & (x > 0)), 1.0, -1.0)[..., None, :] * Z.G
-    order = np.argsort(np.arctan2(up[..., 1, :], up[..., 0, :]), axis=-1)
-    edges = 2 * np.swapaxes(np.take_along_axis(up, order[..., None, :], axis=-1), -1, -2)
+    upward = np.where((y > 0) | ((y == 0) & (x > 0)), 1.0, -1.0)[..., None, :] * Z.G
+    order = np.argsort(np.arctan2(upward[..., 1, :], upward[..., 0, :]), axis=-1)
+    edges = 2 * np.swapaxes(np.take_along_axis(upward, order[..., None, :], axis=-1), -1, -2)
     half = np.cumsum(edges, axis=-2) - edges.sum(axis=-2, keepdims=True) / 2
     return np.asarray(Z.c[..., None, :] + np.concatenate([half, -half], axis=-2))
 
@@ -91,7 +91,7 @@ def _round_outline(X: Any) -> Array:
 def polygon(support: ArrayLike, rays: Array) -> Array:
     """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
     h = np.asarray(support, dtype=float)
-    after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
-    cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
-    x = (h * after[:, 1] - h_after * rays[:, 1]) / cross
-    return np.stack([x, (h_after * rays[:, 0] - h * after[:, 0]) / cross], axis=-1)
+    next_rays, next_h = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
+    cross = rays[:, 0] * next_rays[:, 1] - rays[:, 1] * next_rays[:, 0]
+    x = (h * next_rays[:, 1] - next_h * rays[:, 1]) / cross
+    return np.stack([x, (next_h * rays[:, 0] - h * next_rays[:, 0]) / cross], axis=-1)

@@ -169,8 +169,8 @@ class HPolytope(SetOperators):
         """
         m = len(self.b)
         level = multipliers @ self.b + gamma(m) * (multipliers @ np.abs(self.b))
-        left = np.abs(directions - multipliers @ self.A)
-        return level, left + gamma(m) * (multipliers @ np.abs(self.A) + np.abs(directions))
+        residual = np.abs(directions - multipliers @ self.A)
+        return level, residual + gamma(m) * (multipliers @ np.abs(self.A) + np.abs(directions))
 
     def _support(self, D: Array) -> Array:
         """The bound of `support_up` where there is one, else the solver's value (1e-9 relative)."""
@@ -178,14 +178,14 @@ class HPolytope(SetOperators):
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
 
-    def _rounded_support(self, D: Array, way: int) -> Array:
+    def _rounded_support(self, D: Array, sign: int) -> Array:
         """Up: proved by weak duality, inf without proof. Down: at the solver's point, less its tolerance."""
         values, points, multipliers = self._answers(D)
-        if way > 0:
+        if sign > 0:
             return self._proved(D, values, multipliers)
-        known = np.isfinite(values)
-        terms = (np.abs(D) * np.abs(np.where(known[..., None], points, 0.0))).sum(axis=-1)
-        return np.asarray(values - FLATNESS * (terms + np.abs(np.where(known, values, 0.0))))
+        finite = np.isfinite(values)
+        terms = (np.abs(D) * np.abs(np.where(finite[..., None], points, 0.0))).sum(axis=-1)
+        return np.asarray(values - FLATNESS * (terms + np.abs(np.where(finite, values, 0.0))))
 
     @cached_property
     def bases(self) -> Bases:
@@ -222,8 +222,8 @@ class HPolytope(SetOperators):
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
     def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
-        room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
-        return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
+        allowance = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
+        return np.asarray(np.all(x @ self.A.T <= self.b + allowance, axis=-1))
 
     def __rmatmul__(self, M: ArrayLike) -> Any:
         """Linear image: a polytope where its inequalities are free of rounding, else a lazy `AffineImage`.
@@ -269,9 +269,9 @@ class HPolytope(SetOperators):
         if not self._ball[1] > FLATNESS:
             raise ReachError("the vertices of a flat polytope are not supported")
         scale = hull.half_widths
-        rows, room = self.A * scale, self.b - self.A @ self.center
+        rows, slack = self.A * scale, self.b - self.A @ self.center
         norms = np.linalg.norm(rows, axis=1)
-        points = HalfspaceIntersection(np.c_[rows, -room] / norms[:, None], np.zeros(self.dim)).intersections
+        points = HalfspaceIntersection(np.c_[rows, -slack] / norms[:, None], np.zeros(self.dim)).intersections
         points = points[np.all(np.isfinite(points), axis=1)]
         near = np.unique(np.round(points, 9), axis=0, return_index=True)[1]
         return np.asarray(points[near] * scale + self.center)

@@ -62,8 +62,8 @@ def reduce(zonotope: Zonotope, order: float, method: str = "pca") -> Zonotope:
     if method != "auto":
         return Zonotope(zonotope.c, METHODS[method](G, budget) * size)
     candidates = [one(G, budget) for one in METHODS.values()]
-    least = _ranks(np.stack([mean_width(one) for one in candidates]), 0).argmin(axis=0)
-    best = np.take_along_axis(np.stack(candidates), least[None, ..., None, None], axis=0)[0]
+    choice = _ranks(np.stack([mean_width(one) for one in candidates]), 0).argmin(axis=0)
+    best = np.take_along_axis(np.stack(candidates), choice[None, ..., None, None], axis=0)[0]
     return Zonotope(zonotope.c, best * size)
 
 
@@ -104,8 +104,8 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
     for power in (1, 2, 4, 16, 256):
         C = np.sign(cosines) * np.abs(cosines) ** power * lengths[1]
         C = C / np.maximum(np.abs(C).sum(axis=-1, keepdims=True), 1e-300) * (1 - gamma(k))
-        rest = np.abs(A - B @ C) + gamma(g) * (np.abs(A) + np.abs(B) @ np.abs(C))
-        loss = rest.sum(axis=-1)
+        residual = np.abs(A - B @ C) + gamma(g) * (np.abs(A) + np.abs(B) @ np.abs(C))
+        loss = residual.sum(axis=-1)
         # One matrix for all axes: the bounds of two of them do not mix.
         smaller = (loss / size[..., 0]).sum(axis=-1) < (best / size[..., 0]).sum(axis=-1)
         best = np.where(smaller[..., None], loss, best)
@@ -114,18 +114,18 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
 
 def _ranks(keys: Array, axis: int = -1) -> Array:
     """Keys to choose by without their last digits: rounding differs between processors, choices must not."""
-    known = np.isfinite(keys)
-    largest = np.abs(np.where(known, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
-    mantissa, exponent = np.frexp(np.where(known, keys, 0.0) / np.where(largest > 0, largest, 1.0))
+    finite = np.isfinite(keys)
+    largest = np.abs(np.where(finite, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
+    mantissa, exponent = np.frexp(np.where(finite, keys, 0.0) / np.where(largest > 0, largest, 1.0))
     coarse = np.ldexp(np.rint(mantissa * 2.0**24), exponent - 24)
-    return np.asarray(np.where(known, np.where(np.abs(coarse) < 2.0**-40, 0.0, coarse), keys))
+    return np.asarray(np.where(finite, np.where(np.abs(coarse) < 2.0**-40, 0.0, coarse), keys))
 
 
-def _split(G: Array, lengths: Array, kept: int) -> tuple[Array, Array]:
+def _split(G: Array, lengths: Array, count: int) -> tuple[Array, Array]:
     """The longest generators, and the others."""
     order = np.argsort(-_ranks(lengths), axis=-1, kind="stable")[..., None, :]
-    first, rest = (np.take_along_axis(G, part, axis=-1) for part in np.split(order, [kept], axis=-1))
-    return first, rest
+    longest, others = (np.take_along_axis(G, part, axis=-1) for part in np.split(order, [count], axis=-1))
+    return longest, others
 
 
 def _boxed(kept: Array, merged: Array) -> Array:
@@ -179,16 +179,16 @@ def _merged(G: Array, budget: int) -> Array:
         direction = signs * (np.cos(np.arange(len(rows))) @ images) / length  # a number of it, any would do
         order = np.argsort(_ranks(direction), kind="stable")
         G, length, images = (G * signs)[:, order], length[order], images[:, order]
-        unit, every = price[:, None] * G / length, np.arange(len(order))
-        options = [(np.abs(unit).sum(axis=0) * length - np.abs(images).sum(axis=0), every, every)]
-        for ahead in range(1, ALIKE + 1):
-            i, j = every[:-ahead], every[ahead:]
-            apart = np.abs(unit[:, i] - unit[:, j]).sum(axis=0)
-            options.append((2 * apart * length[i] * length[j] / (length[i] + length[j]), i, j))
+        unit, indices = price[:, None] * G / length, np.arange(len(order))
+        options = [(np.abs(unit).sum(axis=0) * length - np.abs(images).sum(axis=0), indices, indices)]
+        for stride in range(1, ALIKE + 1):
+            i, j = indices[:-stride], indices[stride:]
+            distance = np.abs(unit[:, i] - unit[:, j]).sum(axis=0)
+            options.append((2 * distance * length[i] * length[j] / (length[i] + length[j]), i, j))
         costs, first, second = (np.concatenate(part) for part in zip(*options, strict=True))
         pairs = _least(costs, first, second, min(surplus, len(order) // 3 + 1))
-        alone = pairs[0] == pairs[1]
-        (i, j), boxed = pairs[:, ~alone], pairs[0, alone]
+        unpaired = pairs[0] == pairs[1]
+        (i, j), boxed = pairs[:, ~unpaired], pairs[0, unpaired]
         a, u = length[i] / (length[i] + length[j]), G[:, i] + G[:, j]
         box += np.abs(G[:, boxed]).sum(axis=1) + terms * np.abs(G[:, [*i, *j]]).sum(axis=1)
         box += np.abs(G[:, i] - a * u).sum(axis=1) + np.abs(G[:, j] - (1 - a) * u).sum(axis=1)
@@ -198,12 +198,12 @@ def _merged(G: Array, budget: int) -> Array:
 
 def _least(costs: Array, first: Order, second: Order, count: int) -> Order:
     """Choose at most `count` pairs of least cost without a common member, shape (2, pairs)."""
-    chosen, taken = list[tuple[int, int]](), set[int]()
-    for at in np.argsort(_ranks(np.where(costs > 2.0**-40, costs, 0.0)), kind="stable"):
-        i, j = int(first[at]), int(second[at])
-        if i not in taken and j not in taken:
+    chosen, members = list[tuple[int, int]](), set[int]()
+    for index in np.argsort(_ranks(np.where(costs > 2.0**-40, costs, 0.0)), kind="stable"):
+        i, j = int(first[index]), int(second[index])
+        if i not in members and j not in members:
             chosen.append((i, j))
-            taken |= {i, j}
+            members |= {i, j}
             if len(chosen) == count:
                 break
     return np.array(chosen).T

@@ -39,8 +39,8 @@ class SetStack(SetOperators):
     @classmethod
     def stack(cls, parts: Sequence[Self]) -> Self:
         """Stack sets along a new leading axis, padding with zero generators."""
-        good = isinstance(parts, list | tuple) and parts and all(isinstance(part, cls) for part in parts)
-        if not good or len({(part.dim, part.batch) for part in parts}) > 1:
+        valid = isinstance(parts, list | tuple) and parts and all(isinstance(part, cls) for part in parts)
+        if not valid or len({(part.dim, part.batch) for part in parts}) > 1:
             raise ReachError(f"a stack needs a sequence of {cls.__name__} of one dimension and shape")
         width = max(part.arrays[1].shape[-1] for part in parts)
         first, second = zip(*(part._pad(width).arrays for part in parts), strict=True)

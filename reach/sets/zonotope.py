@@ -269,10 +269,10 @@ def least_level(c: Array, G: Array, point: Array) -> float:
     if np.any(np.abs(gap[scale == 0]) > gamma(1) * np.abs(c[scale == 0])):
         return np.inf
     G, gap = G[scale > 0] / scale[scale > 0, None], gap[scale > 0] / scale[scale > 0]
-    least = float(np.abs(gap).max(initial=0.0))
+    lower = float(np.abs(gap).max(initial=0.0))
     g = G.shape[1]
-    if g == 0 or least > 2:  # far outside the interval hull: the bound is answer enough
-        return least if g else 0.0
+    if g == 0 or lower > 2:  # far outside the interval hull: the bound is answer enough
+        return lower if g else 0.0
     bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
     solved = linprog(
         np.r_[np.zeros(g), 1.0],

@@ -71,11 +71,11 @@ class Adjoint:
         self._grown: dict[float, Array] = {}
         self.watch([])
 
-    def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
-        """Weigh rounding by the sizes that states, `moved` by a nominal input, grow to after some lags."""
-        states = self._sizes[:, 0] + moved / self.rows.scale
-        both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
-        self.weights = self.rows.weights(lags, self.rows.weights(lags, both))
+    def watch(self, lags: list[float], driven: Array | float = 0.0) -> None:
+        """Weigh rounding by the sizes that states, `driven` by a nominal input, grow to after some lags."""
+        states = self._sizes[:, 0] + driven / self.rows.scale
+        sizes = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
+        self.weights = self.rows.weights(lags, self.rows.weights(lags, sizes))
 
     def row_products(self, rows: Array) -> Array:
         """``rows A^k [B c]`` for k = 0, 1, 2, shape (3, ..., m+1); rows in balanced coordinates."""
@@ -137,9 +137,9 @@ class Adjoint:
             value = self.supports(i, along[0])
             q2 = _ends(self.magnitudes(i, along[2])) + closing[..., 1 + i]
             q1 = _ends(self.magnitudes(i, along[1])) + h / 2 * q2
-            rest = h**3 / 12 * q2
-            upper[:, i] = h / 2 * (value[:-1] + value[1:]) + rest
-            lower[:, i] = h * self.supports(i, (along[0, :-1] + along[0, 1:]) / 2, attained=True) - rest
+            remainder = h**3 / 12 * q2
+            upper[:, i] = h / 2 * (value[:-1] + value[1:]) + remainder
+            lower[:, i] = h * self.supports(i, (along[0, :-1] + along[0, 1:]) / 2, attained=True) - remainder
             bend[:, i] = h**2 / 8 * q1
         return Block(R, first, attained, upper, lower, h**2 / 8 * p2, bend, size)
 
@@ -219,10 +219,10 @@ def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
     n, m = system.dim, system.inputs
     A = bordered(system.A, drift[:, None], [[1.0 if system.discrete else 0.0]])
     B: Any = sparse.vstack([sparse.csr_matrix(system.B), sparse.csr_matrix((1, m))])
-    around = replace(system, A=A, B=B if system.sparse else B.toarray(), U=inputs or None, c=None)
+    extended = replace(system, A=A, B=B if system.sparse else B.toarray(), U=inputs or None, c=None)
     if isinstance(start, Interval):
-        return around, Interval(np.r_[start.lo, 1.0], np.r_[start.hi, 1.0])
+        return extended, Interval(np.r_[start.lo, 1.0], np.r_[start.hi, 1.0])
     if isinstance(start, Generated):
         c, G = start.arrays
-        return around, type(start)(np.r_[c, 1.0], np.vstack([G, np.zeros((1, G.shape[1]))]))
-    return around, AffineImage(np.eye(n + 1, n), start, np.eye(n + 1)[n])
+        return extended, type(start)(np.r_[c, 1.0], np.vstack([G, np.zeros((1, G.shape[1]))]))
+    return extended, AffineImage(np.eye(n + 1, n), start, np.eye(n + 1)[n])

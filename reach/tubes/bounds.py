@@ -86,7 +86,7 @@ def collect(
     blocks: Iterable[tuple[float, Block]],
     keep: bool,
     parts: int = 1,
-    known: KnownResponse | None = None,
+    response: KnownResponse | None = None,
 ) -> RowBounds:
     """Put blocks together: sums of the steps, shifted for every input set, the known motion, the rounding."""
     pairs = [(h, block if keep else replace(block, rows=block.first)) for h, block in blocks]
@@ -107,21 +107,21 @@ def collect(
     times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
     if not np.ptp(steps):
         times = np.linspace(0, horizon, len(steps) + 1)
-    starts, missed = _piece_starts(adjoint.system, times, parts)
+    starts, misfit = _piece_starts(adjoint.system, times, parts)
     rounding = _rounding(adjoint, D, times, steps, states, rates)
     # The rate of an integral between two nodes exceeds that at a node by its slope times half the step.
     slope = np.vstack([np.zeros((1, len(D))), 4 * bend.sum(axis=1) / steps[:, None]])
-    rounding = rounding + missed * np.maximum.accumulate(rates + slope)
+    rounding = rounding + misfit * np.maximum.accumulate(rates + slope)
     if not (np.all(np.isfinite(rounding)) and np.all(np.isfinite(upper)) and np.all(np.isfinite(first))):
         raise Overflow("the bounds or their rounding are beyond floating point")
     motion, kinks = np.zeros((2, *first.shape))
-    if known is not None:
-        motion, kinks, intersample = known.values, known.kinks, intersample + known.intersample
-    kept = rows / adjoint.rows.scale if keep else None
+    if response is not None:
+        motion, kinks, intersample = response.values, response.kinks, intersample + response.intersample
+    node_rows = rows / adjoint.rows.scale if keep else None
     upper, lower, bend = _totals(upper, starts), _totals(lower, starts), _bends(bend, starts)
     first, attained = first + motion, attained + motion
     return RowBounds(
-        times, first, attained, upper, lower, intersample, bend, rounding, motion, kinks, kept, parts
+        times, first, attained, upper, lower, intersample, bend, rounding, motion, kinks, node_rows, parts
     )
 
 
@@ -129,12 +129,12 @@ def _rounding(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Ar
     """Bound on both parts' rounding at nodes, (K+1, r); a step's error is carried on, and grows."""
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
     excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])
-    grown = []
+    sizes = []
     for size, a, b in zip((states, rates), excess, rate, strict=True):
         with np.errstate(divide="ignore"):
             logs = np.maximum.accumulate(np.log(size) - b * times[:, None]) + b * times[:, None]
-        grown.append(np.exp(np.minimum(logs + a, 700.0)))
-    state, change = grown
+        sizes.append(np.exp(np.minimum(logs + a, 700.0)))
+    state, change = sizes
     work = adjoint.system.dim + np.r_[0.0, np.cumsum(1 + steps * adjoint.rows.work)]
     total = np.vstack([np.zeros((1, len(D))), np.cumsum(steps[:, None] * change[1:], axis=0)])
     return np.asarray(ROUNDING * work[:, None] * (state + total))
@@ -142,34 +142,34 @@ def _rounding(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Ar
 
 def _piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[int], float]:
     """Node at which every input set begins, and by how much all breaks lie off their nodes together."""
-    starts, missed = [0], 0.0
+    starts, misfit = [0], 0.0
     for b in system.breaks:
         if b >= times[-1]:
             starts.append(len(times))
             continue
         k = parts * int(np.argmin(np.abs(times[::parts] - b)))
         starts.append(k)
-        missed += float(abs(times[k] - b))
-    return starts, missed
+        misfit += float(abs(times[k] - b))
+    return starts, misfit
 
 
 def _totals(steps: Array, starts: list[int]) -> Array:
     """Integral of the inputs at every node, (K+1, r): each set acted over the lags ``t - e`` to ``t - b``."""
     K, pieces, r = steps.shape
     sums = np.concatenate([np.zeros((1, pieces, r)), np.cumsum(steps, axis=0)])
-    out, k = np.zeros((K + 1, r)), np.arange(K + 1)
+    totals, k = np.zeros((K + 1, r)), np.arange(K + 1)
     for i in range(pieces):
-        out += sums[np.maximum(k - starts[i], 0), i]
+        totals += sums[np.maximum(k - starts[i], 0), i]
         if i + 1 < pieces:
-            out -= sums[np.maximum(k - starts[i + 1], 0), i]
-    return out
+            totals -= sums[np.maximum(k - starts[i + 1], 0), i]
+    return totals
 
 
 def _bends(bend: Array, starts: list[int]) -> Array:
     """Intersample bound of the integral, shape (K, r): the rates at both ends of every set's lags."""
     K, pieces, r = bend.shape
-    out = np.zeros((K, r))
+    bounds = np.zeros((K, r))
     for i in range(pieces):
         for start in starts[i : i + 2]:
-            out[start:] += bend[: max(K - start, 0), i]
-    return out
+            bounds[start:] += bend[: max(K - start, 0), i]
+    return bounds

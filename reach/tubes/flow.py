@@ -205,11 +205,11 @@ class LinearFlow:
     def _along(self, rows: Array, M: Array, order: int) -> Array:
         """Bound on ``int_0^h norm(row e^{A_x s} M) ds``, for a norm of an order."""
         end = np.asarray(expm(self.A_x * self.h)) @ M
-        left, right = (np.linalg.norm(rows @ part, order, axis=-1) for part in (M, end))
+        at_start, at_end = (np.linalg.norm(rows @ part, order, axis=-1) for part in (M, end))
         # |v'' | <= |row A_x^2| e^{|A_x| h} |M|, elementwise
-        bent = np.abs(rows @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(M)
-        bend = np.linalg.norm(bent, order, axis=-1)
-        return np.asarray(self.h / 2 * (left + right) + self.h**3 / 12 * bend)
+        second = np.abs(rows @ (self.A_x @ self.A_x)) @ self.growth @ np.abs(M)
+        curvature = np.linalg.norm(second, order, axis=-1)
+        return np.asarray(self.h / 2 * (at_start + at_end) + self.h**3 / 12 * curvature)
 
     @cached_property
     def period_zonotope(self) -> Zonotope:
@@ -242,12 +242,12 @@ def merged(blocks: Array, most: int) -> Array:
     """
     if most == 1:
         return np.hstack(list(blocks))
-    sums, rest = [], np.zeros(blocks.shape[1])
+    sums, residual = [], np.zeros(blocks.shape[1])
     for first in range(0, len(blocks), most):
         part = blocks[first : first + most]
         sums.append(part.sum(axis=0))
-        rest = rest + np.abs(part - sums[-1] / len(part)).sum(axis=(0, 2))
-    return np.hstack([*sums, np.diag(rest + 1e-13 * np.abs(blocks).sum(axis=(0, 2)))])
+        residual = residual + np.abs(part - sums[-1] / len(part)).sum(axis=(0, 2))
+    return np.hstack([*sums, np.diag(residual + 1e-13 * np.abs(blocks).sum(axis=(0, 2)))])
 
 
 @checked

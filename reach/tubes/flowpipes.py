@@ -84,9 +84,9 @@ class Propagator:
 
     def __init__(self, system: LinearSystem) -> None:
         self.system, n = system, system.dim
-        around, _ = augmented(system, Zonotope.point(np.zeros(n)))
-        self.dim = around.dim
-        self.adjoint = Adjoint(around, Zonotope.point(np.zeros(self.dim)))
+        extended, _ = augmented(system, Zonotope.point(np.zeros(n)))
+        self.dim = extended.dim
+        self.adjoint = Adjoint(extended, Zonotope.point(np.zeros(self.dim)))
         self.rows = self.adjoint.rows
 
     def lifted(self, start: Zonotope) -> Zonotope:
@@ -118,11 +118,11 @@ def flowpipes(
     stepper = _Stepper(propagator, start, offset, step, horizon)
     limit = None if tolerance is None else per_row("tolerance", tolerance, propagator.system.dim)
     blocks: list[Flowpipes] = []
-    h, done = step, 0.0
-    while done < horizon or not blocks:
-        left = horizon - done
-        length, count = (left, 1) if h >= left * (1 - 1e-12) else (h, int(min(BLOCK, left // h)))
-        block = stepper.block(done, length, count)
+    h, elapsed = step, 0.0
+    while elapsed < horizon or not blocks:
+        duration = horizon - elapsed
+        length, count = (duration, 1) if h >= duration * (1 - 1e-12) else (h, int(min(BLOCK, duration // h)))
+        block = stepper.block(elapsed, length, count)
         error = 0.0 if limit is None else float((block.intersample / limit).max())
         if not np.all(np.isfinite(block.intersample)):
             error = np.inf
@@ -133,7 +133,7 @@ def flowpipes(
             raise ReachError(f"the step {step:g} is too long: the bounds are beyond floating point")
         stepper.accept()
         blocks.append(block)
-        done = horizon if length == left else done + count * length
+        elapsed = horizon if length == duration else elapsed + count * length
         if going is not None and not np.any(going(block)):
             break
         if error < 0.2 and h < step:
@@ -183,16 +183,16 @@ class _Stepper:
         n, M, adjoint, rows = self.n, self.M, self.propagator.adjoint, self.propagator.rows
         A, parts = rows.A, substeps(adjoint, h)
         f = h / parts
-        raw = adjoint.block(self.rows, f, count * parts) if self.forced else None
-        every = rows.carry(self.rows, f, count * parts) if raw is None else raw.rows
-        R = every[:, : M * n].reshape(count * parts + 1, M, n, -1)
+        forcing = adjoint.block(self.rows, f, count * parts) if self.forced else None
+        all_rows = rows.carry(self.rows, f, count * parts) if forcing is None else forcing.rows
+        R = all_rows[:, : M * n].reshape(count * parts + 1, M, n, -1)
         R2 = times(times(R, A), A)
         R4 = np.abs(times(times(R2, A), A)[:-1])
         middle, spread = images(R2, self.x)
         p2 = np.abs(middle) + spread
         curve = np.maximum(p2[1:], p2[:-1])
-        grown = rows.closing(f, self.extent.T).T if f > 0 else self.extent
-        curve = curve + f**2 / 8 * (R4 @ grown[..., None])[..., 0]
+        sizes = rows.closing(f, self.extent.T).T if f > 0 else self.extent
+        curve = curve + f**2 / 8 * (R4 @ sizes[..., None])[..., 0]
         intersample = h**2 / 8 * curve.reshape(count, parts, *curve.shape[1:]).max(axis=1)
         coarse = R[::parts]
         work = self.work + count * (parts + h * rows.norm)
@@ -200,13 +200,13 @@ class _Stepper:
         intersample = intersample + np.maximum(rounding[1:], rounding[:-1])
         low = high = np.zeros((count, n))
         added = self.sum
-        if raw is not None:
-            sums = np.vstack([np.zeros((1, 2 * n)), np.cumsum(raw.upper[:, 0], axis=0)]) + self.sum
-            bend = parts**2 * raw.bend[:, 0].reshape(count, parts, 2 * n).max(axis=1)
+        if forcing is not None:
+            sums = np.vstack([np.zeros((1, 2 * n)), np.cumsum(forcing.upper[:, 0], axis=0)]) + self.sum
+            bend = parts**2 * forcing.bend[:, 0].reshape(count, parts, 2 * n).max(axis=1)
             ends = np.maximum(sums[parts::parts], sums[:-1:parts]) + bend
-            ends = ends + ROUNDING * work * (begin + h * count) * raw.size[1].max(axis=0)
+            ends = ends + ROUNDING * work * (begin + h * count) * forcing.size[1].max(axis=0)
             low, high, added = -ends[:, n:], ends[:, :n], sums[-1]
-        self._next = every[-1], added, work
+        self._next = all_rows[-1], added, work
         nodes = np.asarray(begin + h * np.arange(count + 1), dtype=float)
         maps = np.asarray(coarse / rows.scale, dtype=float)
         return Flowpipes(nodes, self.offset, self.start, maps, intersample, low, high)
@@ -226,10 +226,10 @@ def images(rows: Array, sets: Zonotope) -> tuple[Array, Array]:
     for k in range(0, m, size):
         part = rows[k : k + size]
         if M == 1:
-            out = np.moveaxis((part.reshape(-1, d) @ flat).reshape(-1, r, N, g + 1), 2, 1)
+            products = np.moveaxis((part.reshape(-1, d) @ flat).reshape(-1, r, N, g + 1), 2, 1)
         else:
-            out = part @ columns
-        middle[k : k + size], spread[k : k + size] = out[..., 0], np.abs(out[..., 1:]).sum(axis=-1)
+            products = part @ columns
+        middle[k : k + size], spread[k : k + size] = products[..., 0], np.abs(products[..., 1:]).sum(axis=-1)
     return middle, spread
 
 
@@ -249,11 +249,11 @@ def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
     BU = B @ U.G
     half, whole = expm(A * h / 2), expm(A * h)
     diagonal = np.diag(np.diag(A))
-    grow = expm((np.abs(A) - np.abs(diagonal) + np.maximum(diagonal, 0)) * h)
+    growth = expm((np.abs(A) - np.abs(diagonal) + np.maximum(diagonal, 0)) * h)
     first = np.hstack([h * half @ BU, h**2 / 4 * (A @ half @ BU)])
-    rest = h**3 / 24 * (grow @ (np.abs(A @ A) @ np.abs(BU).sum(axis=1)))
+    remainder = h**3 / 24 * (growth @ (np.abs(A @ A) @ np.abs(BU).sum(axis=1)))
     maps = powers(whole, count - 1)
     G = np.moveaxis(maps @ first, 0, 1).reshape(n, -1)
-    box = np.abs(maps).sum(axis=0) @ rest
+    box = np.abs(maps).sum(axis=0) @ remainder
     box = box + ROUNDING * (n + count) * np.abs(G).sum(axis=1)
     return Zonotope(np.zeros(n), np.hstack([G, np.diag(box)]))

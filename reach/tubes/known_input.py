@@ -65,8 +65,8 @@ class _Substeps:
         points, is_node = points[order], order < len(nodes)
         self.starts = is_node[:-1]
         self.length = np.diff(points)
-        whole = self.starts & is_node[1:]
-        self.length[whole] = steps[np.searchsorted(nodes, points[:-1][whole], side="right") - 1]
+        uncut = self.starts & is_node[1:]
+        self.length[uncut] = steps[np.searchsorted(nodes, points[:-1][uncut], side="right") - 1]
         middle = (points[:-1] + points[1:]) / 2
         self.segment = np.searchsorted(signal.times, middle, side="right")
         self.w = signal.slope(middle)
@@ -82,8 +82,8 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
     D4 = np.abs(times(times(D2, A), A)) * forward.scale
     y, curve = np.zeros((len(substeps.length) + 1, n)), np.empty((len(substeps.length), len(D)))
     chunk = max(ENTRIES // (n + 2 * m), 64)
-    alike = groupby(range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i]))
-    for indices in (list(run) for _, run in alike):
+    runs = groupby(range(len(substeps.length)), key=lambda i: (substeps.length[i], substeps.segment[i]))
+    for indices in (list(run) for _, run in runs):
         for k in range(0, len(indices), chunk):
             i, count = indices[k], len(indices[k : k + chunk])
             h = float(substeps.length[i])
@@ -91,6 +91,6 @@ def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array,
             Z = across.carry(z[None] * across.scale, h, count)[:, 0] / across.scale
             y[i + 1 : i + 1 + count] = Z[1:, :n]
             size = np.abs(Z @ D2.T)
-            grown = forward.closing(h, (np.abs(Z[:-1]) / forward.scale).T)
-            curve[i : i + count] = np.maximum(size[1:], size[:-1]) + h**2 / 8 * (D4 @ grown).T
+            sizes = forward.closing(h, (np.abs(Z[:-1]) / forward.scale).T)
+            curve[i : i + count] = np.maximum(size[1:], size[:-1]) + h**2 / 8 * (D4 @ sizes).T
     return y, curve

@@ -149,8 +149,8 @@ def sample(name: str, M: Any, shape: tuple[int, ...], times: Array) -> SampledMa
         return SampledMatrices(np.tile(value, (count, 1, 1)), zero, zero, zero, zero, zero)
     with np.errstate(all="ignore"):  # what is not finite is refused with its name and time
         values = [M.value(float(t)) for t in times]
-    named = zip(values, times, strict=True)
-    nodes = np.stack([as_array(f"{name}({t:g})", value, *shape).reshape(column) for value, t in named])
+    pairs = zip(values, times, strict=True)
+    nodes = np.stack([as_array(f"{name}({t:g})", value, *shape).reshape(column) for value, t in pairs])
     step = h[:, None, None]
     chord = np.diff(nodes, axis=0) / step
     slope = _bound(f"slope of {name}", M.slope, shape, times).reshape(count - 1, *column)
@@ -182,11 +182,11 @@ def _bound(name: str, bound: Bound, shape: tuple[int, ...], times: Array) -> Arr
     return np.stack(bounds)
 
 
-def _consistent(name: str, seen: Array, bound: Array) -> None:
-    if np.any(seen > bound * (1 + CONSISTENT)):
-        k, i, j = np.unravel_index(np.argmax(seen - bound * (1 + CONSISTENT)), seen.shape)
-        given = f"values change by {seen[k, i, j]:g} in entry ({i}, {j}) of step {k}"
-        raise ReachError(f"the bound on the {name} is too small: {given}, the bound is {bound[k, i, j]:g}")
+def _consistent(name: str, observed: Array, bound: Array) -> None:
+    if np.any(observed > bound * (1 + CONSISTENT)):
+        k, i, j = np.unravel_index(np.argmax(observed - bound * (1 + CONSISTENT)), observed.shape)
+        detail = f"values change by {observed[k, i, j]:g} in entry ({i}, {j}) of step {k}"
+        raise ReachError(f"the bound on the {name} is too small: {detail}, the bound is {bound[k, i, j]:g}")
 
 
 class Sweep:
@@ -220,14 +220,14 @@ class Sweep:
         C3 = np.abs(C2 @ M - M @ C2)
         self.P = half @ half + h**3 / 12 * (half @ C1 @ half)
         D = h / 2 * np.abs(S) + A.off
-        W, Y = (exponential(_growing(M, more), h) for more in (0.0, D))
-        missed = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
+        W, Y = (exponential(_growing(M, radius), h) for radius in (0.0, D))
+        defect = W @ (h**5 / 480 * C3 + A.area + h**2 / 2 * (D @ W @ D)) @ Y
         # Inputs: the trapezoid of V(s) = Phi(t_k+1, s) G(s), G = [B c], whose V'' bounds its rest.
         first, force_most, rate, size = np.abs(G[:-1]) @ u, force("most"), force("rate"), A.most
         curved = A.rate @ force_most + 2 * size @ rate + size @ size @ force_most
         driven = Y @ force_most
-        rest = Y @ (h**3 / 12 * curved + force("area")) + h / 2 * missed @ first[..., None]
-        self.missed, self.rest = missed + ROUNDING * n * W, (rest + ROUNDING * n * h * driven)[..., 0]
+        remainder = Y @ (h**3 / 12 * curved + force("area")) + h / 2 * defect @ first[..., None]
+        self.missed, self.rest = defect + ROUNDING * n * W, (remainder + ROUNDING * n * h * driven)[..., 0]
         self.early, self.late = self.P @ G[:-1], G[1:]
         # Between the nodes: y'' = (A^2 + A') y, and the input's share by its Lipschitz constant.
         self.curve = M @ M + S
@@ -247,7 +247,7 @@ class Sweep:
         maps[0], first[0], size, absolute = np.eye(n), self.initial.support(rows), self.x0, np.abs(rows)
         attained[0] = attained_support(self.initial, rows, first[0])
         upper[0] = ROUNDING * n * (absolute @ size)
-        moved, lower[0] = np.zeros(n), -upper[0]
+        driven, lower[0] = np.zeros(n), -upper[0]
 
         def largest(bounds: Array) -> Array:
             """Elementwise bound on a value with bounds along the axes and against them."""
@@ -258,8 +258,8 @@ class Sweep:
             boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]
-            known = np.maximum(self.initial.support(along), self.initial.support(-along))
-            bend = known + np.abs(curved) @ moved + absolute @ (self.more[k] @ size)
+            free = np.maximum(self.initial.support(along), self.initial.support(-along))
+            bend = free + np.abs(curved) @ driven + absolute @ (self.more[k] @ size)
             intersample[k] = h**2 / 8 * bend + absolute @ self.local[k]
             later[:k] = self.P[k] @ later[:k]
             later[k] = np.eye(n)
@@ -274,17 +274,17 @@ class Sweep:
             error = (np.abs(R) @ boxes[: k + 1, :, None]).sum(axis=0)[:, 0]
             upper[k + 1] = h / 2 * value.sum(axis=0) + error
             lower[k + 1] = h * middle.sum(axis=0) - error
-            moved, size = largest(upper[k + 1]), largest(first[k + 1] + upper[k + 1])
+            driven, size = largest(upper[k + 1]), largest(first[k + 1] + upper[k + 1])
         first, attained, upper, lower, intersample = (
             part[:, :r] for part in (first, attained, upper, lower, intersample)
         )
-        none, straight = np.zeros((K + 1, r)), np.zeros((K, r))
+        zeros, straight = np.zeros((K + 1, r)), np.zeros((K, r))
         return RowBounds(
-            self.times, first, attained, upper, lower, intersample, straight, none, none, none, D @ maps
+            self.times, first, attained, upper, lower, intersample, straight, zeros, zeros, zeros, D @ maps
         )
 
 
-def _growing(M: Array, more: Array | float) -> Array:
-    """Nonnegative matrices whose exponentials bound those of M, and of anything within `more` of it."""
+def _growing(M: Array, radius: Array | float) -> Array:
+    """Nonnegative matrices whose exponentials bound those of M, and of anything within `radius` of it."""
     eye = np.eye(M.shape[-1], dtype=bool)
-    return np.asarray(np.where(eye, np.maximum(M + more, 0.0), np.abs(M) + more))
+    return np.asarray(np.where(eye, np.maximum(M + radius, 0.0), np.abs(M) + radius))

@@ -97,14 +97,14 @@ class ExponentialRows:
             for i in range(count):
                 out[i + 1] = times(out[i], self.A)
             return out
-        have = reach = 1  # rows that are known, and the steps of the longest map that is
-        while have <= count:
-            if reach < have and self.map(2 * reach * h) is not None:
-                reach *= 2
-            more = min(reach, count + 1 - have)
-            known = out[have - reach : have - reach + more]
-            out[have : have + more] = flushed(times(known, self.map(h * reach)))
-            have += more
+        filled = stride = 1  # rows that are known, and the steps of the longest map that is
+        while filled <= count:
+            if stride < filled and self.map(2 * stride * h) is not None:
+                stride *= 2
+            added = min(stride, count + 1 - filled)
+            previous = out[filled - stride : filled - stride + added]
+            out[filled : filled + added] = flushed(times(previous, self.map(h * stride)))
+            filled += added
         return out
 
     def closing(self, h: float, vectors: Array) -> Array:
@@ -115,9 +115,9 @@ class ExponentialRows:
         with np.errstate(over="ignore", invalid="ignore"):
             if h not in self._closings:
                 diagonal = self.A.diagonal()
-                less = np.maximum(diagonal, 0) - np.abs(diagonal)
+                correction = np.maximum(diagonal, 0) - np.abs(diagonal)
                 dense = isinstance(self.A, np.ndarray)
-                M = abs(self.A) + (np.diag(less) if dense else sparse.diags(less, format="csr"))
+                M = abs(self.A) + (np.diag(correction) if dense else sparse.diags(correction, format="csr"))
                 self._closings[h] = Action(M) if self.action is not None else self._exponential(M, h)
             growth = self._closings[h]
             out = growth @ vectors if self.action is None else growth(vectors.T, h, 1)[-1].T
@@ -134,10 +134,10 @@ class ExponentialRows:
         if not lags and self.contracts:  # the largest of all states bounds each of them ever after
             return np.broadcast_to(sizes.max(axis=0), sizes.shape).copy()
         with np.errstate(over="ignore", invalid="ignore"):
-            grown = np.array([sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)])
-            first, last = (np.maximum(g.max(axis=0), 1e-300) for g in (sizes, grown[-1]))
+            lagged = np.array([sizes, *(np.asarray(abs(self.map(t)) @ sizes) for t in lags)])
+            first, last = (np.maximum(g.max(axis=0), 1e-300) for g in (sizes, lagged[-1]))
             rate = np.clip(np.nan_to_num(np.log(last / first)), 0, 600) / max(lags, default=1.0)
-            return np.asarray(np.max(grown * np.exp(-np.outer([0.0, *lags], rate))[:, None], axis=0))
+            return np.asarray(np.max(lagged * np.exp(-np.outer([0.0, *lags], rate))[:, None], axis=0))
 
     def amplification(
         self, rows: Array, lags: list[float], weights: Array, horizon: float
@@ -149,15 +149,15 @@ class ExponentialRows:
         """
         r, q = len(rows), weights.shape[1]
         if not lags:
-            grown = np.log(self._sampled_growth(weights, horizon))
-            return np.repeat(grown[:, None], r, axis=1), np.zeros((q, r))
-        logs, seen = np.empty((len(lags), q, r)), np.abs(rows)
+            growth = np.log(self._sampled_growth(weights, horizon))
+            return np.repeat(growth[:, None], r, axis=1), np.zeros((q, r))
+        logs, peaks = np.empty((len(lags), q, r)), np.abs(rows)
         for t in lags:
-            seen = np.maximum(seen, np.abs(rows) @ abs(self.map(t)))
+            peaks = np.maximum(peaks, np.abs(rows) @ abs(self.map(t)))
         for i, t in enumerate(lags):
-            grown = np.asarray(abs(self.map(t)) @ weights)
-            ratio = np.divide(grown, weights, out=np.where(grown > 0, np.inf, 1.0), where=weights > 0)
-            factors = np.where(seen[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
+            growth = np.asarray(abs(self.map(t)) @ weights)
+            ratio = np.divide(growth, weights, out=np.where(growth > 0, np.inf, 1.0), where=weights > 0)
+            factors = np.where(peaks[None] > 0, ratio.T[:, None], 0.0).max(axis=2)
             logs[i] = np.log(np.maximum(factors, 1e-300))
         # To the end it goes on as between the last two lags.
         slope = np.maximum(logs[-1] - logs[-2], 0) / (lags[-1] - lags[-2]) if len(lags) > 1 else 0.0
@@ -169,8 +169,8 @@ class ExponentialRows:
         # decay, or else the fastest growth: it counts nothing twice of rows that grow by themselves.
         total = excess + np.maximum(rates, 0) * horizon
         speed = np.where(rates < 0, 1e9 - rates, rates)
-        good = np.where(total <= total.min(axis=0) + 1, speed, -np.inf).argmax(axis=0)[None]
-        return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
+        choice = np.where(total <= total.min(axis=0) + 1, speed, -np.inf).argmax(axis=0)[None]
+        return np.take_along_axis(excess, choice, 0)[0], np.take_along_axis(rates, choice, 0)[0]
 
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
         """Factors (q,) by which states grow, from motions of random signs, times 10 for those missed."""

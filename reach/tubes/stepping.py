@@ -59,13 +59,13 @@ def row_bounds(
         if step is None:
             raise ReachError("a system that varies in time needs a step")
         return Sweep(system, initial, horizon, step).run(D, steps.effort)
-    around, start = augmented(system, initial)
-    D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
-    adjoint = Adjoint(around, start)
+    extended, start = augmented(system, initial)
+    D = np.hstack([D, np.zeros((len(D), extended.dim - system.dim))])
+    adjoint = Adjoint(extended, start)
     if system.discrete:
         if horizon != round(horizon) or step not in (None, 1):
-            given = f"got horizon {horizon!r} and step {step!r}"
-            raise ReachError(f"a discrete system takes a whole number of steps of 1, {given}")
+            detail = f"got horizon {horizon!r} and step {step!r}"
+            raise ReachError(f"a discrete system takes a whole number of steps of 1, {detail}")
         step = 1.0
     if step is not None:
         return _regular(adjoint, D, horizon, step, substeps(adjoint, step, horizon, len(D)), steps)
@@ -109,13 +109,13 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
     count = max(int(np.ceil(horizon / step * (1 - 1e-12))), 1) * parts
     size = int(np.clip(ENTRIES // D.size, BLOCK, count))
     h = horizon / count
-    known, sizes = None, np.zeros(adjoint.system.dim)
+    response, sizes = None, np.zeros(adjoint.system.dim)
     if adjoint.system.nominal is not None:
         # The sizes that it brings states to are looked at in many places, however few the nodes are.
-        every = 1 if adjoint.system.discrete else -(-CELLS // count)
-        nodes, lengths = np.linspace(0, horizon, every * count + 1), np.full(every * count, h / every)
+        factor = 1 if adjoint.system.discrete else -(-CELLS // count)
+        nodes, lengths = np.linspace(0, horizon, factor * count + 1), np.full(factor * count, h / factor)
         sizes = np.abs(known_response(adjoint.system, D[:1], nodes, lengths).states).max(axis=0)
-        known = known_response(adjoint.system, D, nodes[::every], np.full(count, h))
+        response = known_response(adjoint.system, D, nodes[::factor], np.full(count, h))
     adjoint.watch(adjoint.rows.lags(h, horizon), sizes)
 
     def blocks() -> Iterator[tuple[float, Block]]:
@@ -126,7 +126,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
             yield h, block
             rows = block.rows[-1]
 
-    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts, known)
+    run = collect(adjoint, D, horizon, blocks(), steps.keep, parts, response)
     if not np.all((run.intersample + run.bend).max(axis=0) <= USELESS / ROUNDING * run.rounding.max(axis=0)):
         raise Unresolved(f"the step {step:g} is too long: its intersample bound is useless; shorten it")
     return run
@@ -138,16 +138,16 @@ def _halved(
     """Steps of one length, halved until nodes and intersample bounds each meet half of the tolerance."""
     system = adjoint.system
     changes = system.breaks if system.nominal is None else np.r_[system.breaks, system.nominal.jumps]
-    near = [Fraction(t / horizon).limit_denominator(GRID) for t in changes if 0 < t < horizon]
-    grid = lcm(*(share.denominator for share in near))
+    fractions = [Fraction(t / horizon).limit_denominator(GRID) for t in changes if 0 < t < horizon]
+    grid = lcm(*(share.denominator for share in fractions))
     count = grid if grid <= GRID else AHEAD
     count *= 2 ** int(np.ceil(np.log2(max(horizon * adjoint.rows.norm / count, 1.0))))
     while True:
         run = _regular(adjoint, D, horizon, horizon / count, 1, steps)
         above = run.above
         allowed = (SHARE * np.abs(above).max(axis=0) if goal is None else goal) / 2
-        room = np.maximum(allowed, ceiling - np.maximum(above[1:], above[:-1]))
-        if np.all(above - run.below <= allowed) and np.all(run.intersample + run.bend <= room):
+        slack = np.maximum(allowed, ceiling - np.maximum(above[1:], above[:-1]))
+        if np.all(above - run.below <= allowed) and np.all(run.intersample + run.bend <= slack):
             return run
         if grid <= GRID and np.any(2 * run.rounding > allowed):
             raise Unresolved(f"the tolerance {2 * allowed} is below the rounding of the bounds")
@@ -166,13 +166,13 @@ def _adaptive(
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
     adjoint.watch(adjoint.rows.lags(horizon * 2.0**-level, horizon))
-    done, patience, steps = 0.0, 0, 0
-    reached, spent, sums, met = np.zeros((4, len(D)))
-    known = _foreseen(adjoint, rows, horizon) if goal is None else met
-    while done < 1:
+    progress, patience, steps = 0.0, 0, 0
+    reached, losses, sums, largest = np.zeros((4, len(D)))
+    foreseen = _foreseen(adjoint, rows, horizon) if goal is None else largest
+    while progress < 1:
         h = 2.0**-level
         # A block ends at a multiple of its full length, so that longer steps may follow.
-        count = BLOCK - int(done / h) % BLOCK if h * BLOCK < 1 else int((1 - done) / h)
+        count = BLOCK - int(progress / h) % BLOCK if h * BLOCK < 1 else int((1 - progress) / h)
         if steps + count > MAX_STEPS:
             raise Unresolved(f"the tolerance needs more than {MAX_STEPS:,} steps")
         effort.spend(count * rows.size)
@@ -184,17 +184,17 @@ def _adaptive(
             level += 3
             continue
         if goal is None:
-            start, gained = adjoint.sizes(block.rows, h * horizon)
-            met = np.maximum(known, start + sums + gained)
-        tolerance = _allowed(adjoint, block, horizon, goal, met)
+            start, increment = adjoint.sizes(block.rows, h * horizon)
+            largest = np.maximum(foreseen, start + sums + increment)
+        tolerance = _allowed(adjoint, block, horizon, goal, largest)
         gain = block.upper.sum(axis=1)
         with np.errstate(invalid="ignore"):
             loss = (block.upper - block.lower).sum(axis=(0, 1))
             bend = block.intersample + block.bend.sum(axis=1)
             node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
-            room = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
-            share = (tolerance / 2 - spent) * np.maximum(count * h / (1 - done), 0.05)
-            error = max(_most(bend, room), _most(loss, share))
+            slack = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
+            share = (tolerance / 2 - losses) * np.maximum(count * h / (1 - progress), 0.05)
+            error = max(_most(bend, slack), _most(loss, share))
         if error > 1 and h > FINEST:
             level += 1 + (error > 16) + (error > 256)
             patience = 4  # blocks before a longer step is tried again
@@ -203,20 +203,20 @@ def _adaptive(
             raise Unresolved(f"no step is short enough for the tolerance {tolerance}")
         yield h * horizon, block
         if goal is None:
-            known, sums = met, sums + gained
-        done, reached, spent = done + count * h, reached + gain.sum(axis=0), spent + loss
+            foreseen, sums = largest, sums + increment
+        progress, reached, losses = progress + count * h, reached + gain.sum(axis=0), losses + loss
         rows, patience, steps = block.rows[-1], patience - 1, steps + count
         easy = error < 0.01 or (error < 0.1 and patience <= 0)
-        if easy and level > 0 and (done * 2.0 ** (level - 1)).is_integer():
+        if easy and level > 0 and (progress * 2.0 ** (level - 1)).is_integer():
             level -= 1
 
 
-def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None, met: Array) -> Array:
+def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None, largest: Array) -> Array:
     """The goal, or else a share of the largest values met, but no finer than the rounding allowance."""
     share = ROUNDING * adjoint.system.dim
     if goal is None:
-        least = share * (block.size[0] + horizon * block.size[1]).max(axis=0)
-        return np.asarray(np.maximum(SHARE * met, least))
+        floor = share * (block.size[0] + horizon * block.size[1]).max(axis=0)
+        return np.asarray(np.maximum(SHARE * largest, floor))
     if np.any(goal < share * block.size[0, 0]):
         raise Unresolved(f"the tolerance {goal} is below the rounding of the bounds")
     return goal
@@ -227,9 +227,9 @@ def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
     early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            some = [adjoint.rows.carry(rows, t, 1)[1] for t in early] if adjoint.rows.action is None else []
-            path = np.array([rows, *some, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
-            times = np.r_[0.0, early if some else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
+            probes = [adjoint.rows.carry(rows, t, 1)[1] for t in early] if adjoint.rows.action is None else []
+            path = np.array([rows, *probes, *adjoint.rows.carry(rows, horizon / AHEAD, AHEAD)[1:]])
+            times = np.r_[0.0, early if probes else [], horizon / AHEAD * np.arange(1, AHEAD + 1)]
             start, rate = adjoint.values(path)
             value = start.max(axis=0) + np.diff(times) @ np.minimum(rate[1:], rate[:-1])
     except Unresolved:

@@ -67,8 +67,8 @@ class Signal:
     @property
     def jumps(self) -> Array:
         """Times at which the value jumps, shape (j,)."""
-        moved = np.any(np.diff(self.values, axis=0), axis=1)
-        return np.asarray(self.times[1:][(np.diff(self.times) == 0) & moved])
+        changed = np.any(np.diff(self.values, axis=0), axis=1)
+        return np.asarray(self.times[1:][(np.diff(self.times) == 0) & changed])
 
     def slope(self, t: ArrayLike) -> Array:
         """Slopes at given times, those to the right at a knot, shape (len(t), m)."""
@@ -148,16 +148,16 @@ class LinearSystem:
         if B.shape[1] and not driven:
             raise ReachError("B is given without U, the set of its input, or a nominal input")
         if self.nominal is not None and self.nominal.dim != B.shape[1]:
-            wanted = f"{B.shape[1]}, the columns of B"
-            raise ReachError(f"nominal must have dimension {wanted}, got {self.nominal.dim}")
+            expected = f"{B.shape[1]}, the columns of B"
+            raise ReachError(f"nominal must have dimension {expected}, got {self.nominal.dim}")
         for U in pieces:
             require_single("U", U, B.shape[1])
         c = np.zeros(n) if self.c is None else as_array("c", self.c, n)
         breaks, count = as_numbers("breaks", self.breaks), max(len(pieces) - 1, 0)
-        later = np.diff(breaks, prepend=0.0) > 0 if breaks.shape == (count,) else np.zeros(1)
-        if not (np.all(later) and np.all(np.isfinite(breaks))):
-            given = f"{len(pieces)} input sets need {count} breaks, positive and increasing"
-            raise ReachError(f"{given}, got {self.breaks!r}")
+        increasing = np.diff(breaks, prepend=0.0) > 0 if breaks.shape == (count,) else np.zeros(1)
+        if not (np.all(increasing) and np.all(np.isfinite(breaks))):
+            rule = f"{len(pieces)} input sets need {count} breaks, positive and increasing"
+            raise ReachError(f"{rule}, got {self.breaks!r}")
         if self.discrete and np.any(breaks != np.round(breaks)):
             raise ReachError(f"the breaks of a discrete system must be whole numbers, got {self.breaks!r}")
         for name, value in (("A", A), ("B", B), ("U", pieces), ("c", c), ("breaks", breaks)):

@@ -85,11 +85,11 @@ def _dense(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
     block = bordered(dense(system.A), np.hstack([dense(system.B), system.c[:, None]]))
     drive, lengths = np.hstack([u, np.ones((len(u), 1))]), np.diff(t)
     # Steps that differ by the rounding of their ends only share the exponential of their mean.
-    alike = np.unique([float(f"{h:.9g}") for h in lengths], return_inverse=True)[1]
-    means = np.bincount(alike, lengths) / np.bincount(alike)
+    groups = np.unique([float(f"{h:.9g}") for h in lengths], return_inverse=True)[1]
+    means = np.bincount(groups, lengths) / np.bincount(groups)
     maps = [expm(block * h)[: system.dim] for h in means]
-    for k, kind in enumerate(alike):
-        states[k + 1] = maps[kind] @ np.concatenate([states[k], drive[k]])
+    for k, group in enumerate(groups):
+        states[k + 1] = maps[group] @ np.concatenate([states[k], drive[k]])
 
 
 def _sparse(system: LinearSystem, states: Array, t: Array, u: Array) -> None:

@@ -190,8 +190,8 @@ class ZonotopeTube:
     @property
     def _widths(self) -> Array:
         """Half-widths along the frame of the part that belongs to the inputs, shape (K+1, n)."""
-        own = self.nodes.G[..., -self.nodes.dim :]
-        return np.asarray(np.linalg.norm(own, axis=-2) / np.linalg.norm(self.frame, axis=0))
+        generators = self.nodes.G[..., -self.nodes.dim :]
+        return np.asarray(np.linalg.norm(generators, axis=-2) / np.linalg.norm(self.frame, axis=0))
 
 
 @checked

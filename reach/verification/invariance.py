@@ -50,15 +50,15 @@ class Motions:
             bounds = self._support_tube(axes).most
         return np.asarray(np.maximum(bounds[:n], bounds[n:]).clip(min=0))
 
-    def _support_tube(self, C: Array, **how: Any) -> SupportTube:
-        return tube_of(self.system, self.initial, self.window[1], C, Steps(effort=self.effort, **how))
+    def _support_tube(self, C: Array, **options: Any) -> SupportTube:
+        return tube_of(self.system, self.initial, self.window[1], C, Steps(effort=self.effort, **options))
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
         """A tube as sharp as a tolerance asks; between nodes a bound below its limit is sharp enough."""
         end = self.window[1]
         if end == 0:
-            start, none = self.initial.support(C)[None], np.zeros((0, len(C)))
-            return SupportTube(np.zeros(1), C, start, start, none, none)
+            start, empty = self.initial.support(C)[None], np.zeros((0, len(C)))
+            return SupportTube(np.zeros(1), C, start, start, empty, empty)
         limits = limits if self.window[0] < end else np.full(len(C), np.inf)
         return self._support_tube(C, tolerance=tolerance, limit=limits)
 
@@ -86,8 +86,8 @@ class Motions:
         if len(inside) == 0:
             nowhere = np.full(len(bounds), -np.inf)
             return bounds, nowhere, nowhere
-        best = inside[np.argmax(tube.attained[inside], axis=0)]
-        return bounds, tube.times[best], tube.attained[best, np.arange(len(bounds))]
+        peak = inside[np.argmax(tube.attained[inside], axis=0)]
+        return bounds, tube.times[peak], tube.attained[peak, np.arange(len(bounds))]
 
 
 def verify_always(motions: Motions, region: HPolytope) -> Verdict:

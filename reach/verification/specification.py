@@ -27,8 +27,8 @@ class Specification:
 
     def __post_init__(self) -> None:
         if not isinstance(self.region, HPolytope):
-            given = type(self.region).__name__
-            raise ReachError(f"its region must be an HPolytope, got {given}; use its to_polytope()")
+            kind = type(self.region).__name__
+            raise ReachError(f"its region must be an HPolytope, got {kind}; use its to_polytope()")
         if self.during is not None and as_numbers("during", self.during).shape != (2,):
             raise ReachError(f"`during` must be two times, got {self.during!r}")
 

@@ -69,7 +69,7 @@ def verify(
     """
     window = _window(system, spec, horizon)
     require_single("the initial set", initial)
-    begun, region = perf_counter(), spec.region
+    started, region = perf_counter(), spec.region
     motions = Motions(system, initial, window, EffortBudget(max_effort))
     if len(region.b) == 0:
         verdict = _without_limits(motions, spec)
@@ -79,7 +79,7 @@ def verify(
         verdict = verify_always(motions, HPolytope(-region.A, np.nextafter(-region.b, -np.inf)))
     else:
         verdict = verify_never(motions, region)
-    return replace(verdict, seconds=perf_counter() - begun)
+    return replace(verdict, seconds=perf_counter() - started)
 
 
 def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, float]:
@@ -103,11 +103,11 @@ def _window(system: LinearSystem, spec: Any, horizon: float) -> tuple[float, flo
 
 def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
     """Decide a specification whose region is the whole space, without any bounds."""
-    none, system = np.zeros(0), motions.system
+    empty, system = np.zeros(0), motions.system
     if isinstance(spec, Always):
-        return Verdict("proven", np.inf, none, none, None, 0, "the region has no limits")
+        return Verdict("proven", np.inf, empty, empty, None, 0, "the region has no limits")
     path = worst_case(system, motions.initial, motions.window[0], np.ones(system.dim))
-    return Verdict("violated", -np.inf, none, none, path, 0, "the region to avoid has no limits")
+    return Verdict("violated", -np.inf, empty, empty, path, 0, "the region to avoid has no limits")
 
 
 @dataclass
@@ -157,7 +157,7 @@ class Reached:
 
 def verify_never(motions: Motions, region: HPolytope) -> Verdict:
     """`verify` for a region to stay out of."""
-    D, least = -region.A, -region.b
+    D, levels = -region.A, -region.b
     bounds, steps, share = np.full((1, len(D)), np.nan), 0, FIRST
 
     def verdict(status: str, margin: float, reason: str, path: Trajectory | None = None) -> Verdict:
@@ -167,25 +167,25 @@ def verify_never(motions: Motions, region: HPolytope) -> Verdict:
         if region.is_empty and region.is_empty_within(motions.visited):
             return verdict("proven", np.inf, "the region is empty")
         while share >= LAST:
-            tube = motions.tube(D, share * motions.sizes(D, least), least)
+            tube = motions.tube(D, share * motions.sizes(D, levels), levels)
             t, bounds = motions.seen(tube)
             steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
-            best = ((least - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
-            worst = int(np.argmin(best))
-            if best[worst] > 0:
-                reason = f"some direction keeps {best[worst]:.6g} from the region at every time"
-                return verdict("proven", float(best[worst]), reason)
+            separation = ((levels - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
+            worst = int(np.argmin(separation))
+            if separation[worst] > 0:
+                reason = f"some direction keeps {separation[worst]:.6g} from the region at every time"
+                return verdict("proven", float(separation[worst]), reason)
             path, mix = _try(motions, region, float(t[worst]), step)
             if path is not None:
-                room = region.b - region.A @ path.states[-1]
-                depth = float(np.min(room / np.linalg.norm(region.A, axis=1)))
+                slack = region.b - region.A @ path.states[-1]
+                depth = float(np.min(slack / np.linalg.norm(region.A, axis=1)))
                 reason = f"a trajectory is in the region at t = {path.times[-1]:.6g}, {depth:.6g} deep"
                 return verdict("violated", -depth, reason, path)
             if mix is not None and len(D) < MOST_DIRECTIONS and _is_new(-mix @ region.A, D):
                 # In the region -mix A x >= -mix b, but for the rounding of the products.
                 level, residual = region.weak_duality((mix @ region.A)[None], mix[None])
                 bound = level + (1 + gamma(motions.system.dim)) * residual @ motions.visited
-                D, least = np.vstack([D, -mix @ region.A]), np.r_[least, -bound]
+                D, levels = np.vstack([D, -mix @ region.A]), np.r_[levels, -bound]
             else:
                 share /= SHARPER
     except Unresolved as exc:
@@ -204,10 +204,10 @@ def _try(
     motions: Motions, region: HPolytope, time: float, step: float
 ) -> tuple[Trajectory | None, Array | None]:
     """A trajectory into the region at about a time, or else the mixture of rows of A that separates there."""
-    held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
+    hold_time = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
     if motions.system.discrete:
-        time, held = float(np.clip(round(time), *motions.window)), None
-    body = Reached(motions, region.A, time, held)
+        time, hold_time = float(np.clip(round(time), *motions.window)), None
+    body = Reached(motions, region.A, time, hold_time)
     for d in np.vstack([np.eye(len(region.b)), -np.eye(len(region.b))]):
         body.support_vector(d)
     lo = body.answers.min(axis=0)
@@ -216,12 +216,12 @@ def _try(
         return None, None  # a row separates: only the bounds were not sharp enough
     floor = np.minimum(lo, region.b) - size
     for share in SHRINK:
-        aim = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - lo), floor))
-        answer = nearest(body, aim, size)
+        target = Interval(floor, np.maximum(region.b - share * np.minimum(size, region.b - lo), floor))
+        answer = nearest(body, target, size)
         if answer.gap <= TOUCHING:
             path = body.leading_to(answer.x)
-            deep = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
-            if np.all(region.A @ path.states[-1] <= region.b - deep):
+            depth = REPLAY * (np.abs(region.A) @ np.abs(path.states[-1]) + np.abs(region.b))
+            if np.all(region.A @ path.states[-1] <= region.b - depth):
                 return path, None
     mix = np.maximum(-answer.direction, 0.0)
     d, terms = -mix @ region.A, mix @ np.abs(region.A)

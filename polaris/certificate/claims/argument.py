@@ -78,18 +78,18 @@ class Argument:
     def flights(self, path: Path, merging: Merging) -> None:
         """Check everything that rests on the sets which the schedule reaches."""
         doc = self.document
-        sets, flown = self.tubes(path, merging)
-        within = [z for step in flown for z in step.nodes]
-        tracker = Tracker.from_sets(doc, self.craft, self.upsets, [*sets, *within])
+        sets, steps = self.tubes(path, merging)
+        node_sets = [z for step in steps for z in step.nodes]
+        tracker = Tracker.from_sets(doc, self.craft, self.upsets, [*sets, *node_sets])
         flight = Continuation(doc, path, tracker)
-        self.recoverability(flight, sets, flown)
+        self.recoverability(flight, sets, steps)
         if self.code is not None:
-            check_plausible(flight, [z.size() for z in [*sets, *within]])
+            check_plausible(flight, [z.size() for z in [*sets, *node_sets]])
         if self.stated.goal is not None:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
-            held = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
-            taken = spent(flown, self.K * doc.q, doc.weights[: self.K]) / doc.mass
-            arrival = Arrival(flight, held, taken, self.controllers[0], merging, flown)
+            hand_overs = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
+            delta_v = spent(steps, self.K * doc.q, doc.weights[: self.K]) / doc.mass
+            arrival = Arrival(flight, hand_overs, delta_v, self.controllers[0], merging, steps)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.joint is not None:
                 self.record.holds("joint", check_joint(arrival, self.stated.joint))
@@ -98,9 +98,9 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
             if self.stated.estimate is not None:
-                self.record.holds("estimate", check_estimate(arrival, self.stated, flown))
+                self.record.holds("estimate", check_estimate(arrival, self.stated, steps))
         if doc.powered is not None:
-            self.record.holds("powered_abort", check_aborts(tracker, sets, flown, self.stated))
+            self.record.holds("powered_abort", check_aborts(tracker, sets, steps, self.stated))
 
     def reference(self) -> Path:
         """Check that the reference is the exact motion under the stored inputs, which are within limits."""
@@ -110,13 +110,13 @@ class Argument:
         size = [x + 1e-6 * max(size) for x in size]  # a state that rests is zero up to rounding
         for k, (state, exact) in enumerate(zip(doc.states, path.starts, strict=True)):
             for i in range(self.n):
-                off = abs(exact[i, 0] - state[i])
+                gap = abs(exact[i, 0] - state[i])
                 slack = arb(PATH_SLACK) * (size[i] if k else 0.0)
-                require("reference", slack - off, f"state {i} at the start of step {k} is {plain(off)} off")
+                require("reference", slack - gap, f"state {i} at the start of step {k} is {plain(gap)} off")
         jump = magnitude(path.jump).entries()
-        for i, off in enumerate(jump):
+        for i, gap in enumerate(jump):
             limit = JUMP_SLACK * max(1.0, *size)
-            require("reference", limit - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
+            require("reference", limit - gap, f"the tail starts {float(gap):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
         self.record.holds("thrust", "the reference keeps the limits; those of S are part of recoverable")
         self.record.holds(
@@ -128,22 +128,22 @@ class Argument:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
         doc = self.document
         start = self.craft.start(Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose()))
-        sets, flown, known = [start], [], dict[Any, Directions]()
+        sets, steps, directions = [start], [], dict[Any, Directions]()
         for k, mode in enumerate(doc.modes):
-            barrier = Barrier.for_cell(doc, self.plant.C, k, doc.facets[k], known) if mode else None
+            barrier = Barrier.for_cell(doc, self.plant.C, k, doc.facets[k], directions) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.state_offset)
-            flown.append(
+            steps.append(
                 enclose_step(
                     self.controllers[mode], sets[-1], k, path, barrier, merging, departures, self.upsets
                 )
             )
-            sets.append(flown[-1].end)
+            sets.append(steps[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them U's, stay clear")
-        return sets, flown
+        return sets, steps
 
-    def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[FlownStep]) -> None:
+    def recoverability(self, flight: Continuation, sets: list[Zonotope], steps: list[FlownStep]) -> None:
         """Check that S keeps all limits to the end if it takes over before or after any experimental step."""
         doc = self.document
         margins = self.stated.margins or [0.0] * self.K
@@ -153,34 +153,34 @@ class Argument:
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), margins[k])
         reached = {node: sets[node // doc.q] for node in claimed if node < flight.recovery.nodes}
         for k, mode in enumerate(doc.modes):  # a fault is isolated, or a command of U is missing, at any node
-            within = flown[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
-            reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
+            node_sets = steps[k].nodes if mode > 0 and (doc.transients or self.code is not None) else []
+            reached |= {k * doc.q + i: z for i, z in enumerate(node_sets, 1)}
         flight.keeps(reached, claimed)
-        ahead = f"{flight.tracker.settling.periods} periods ahead and beyond"
-        self.record.holds("recoverable", f"S can take over at {len(reached)} instants, {ahead}")
+        horizon = f"{flight.tracker.settling.periods} periods ahead and beyond"
+        self.record.holds("recoverable", f"S can take over at {len(reached)} instants, {horizon}")
         claims = [margin for margin in claimed.values() if margin > 0]
-        least = f", at least {min(claims):.3g} of the clearance" if claims else ""
-        self.record.holds("margins", f"derived at {len(claims)} instants next to steps under U{least}")
+        bound = f", at least {min(claims):.3g} of the clearance" if claims else ""
+        self.record.holds("margins", f"derived at {len(claims)} instants next to steps under U{bound}")
         if self.code is not None:
             _, tables, precision, _ = read_code(self.code)
             if tables.rows:
                 self.record.holds("monitor", check_online(flight, tables, precision))
 
 
-def check_statement(said: dict[str, Any]) -> str:
+def check_statement(claim: dict[str, Any]) -> str:
     """Confirm the bound on the probability of leaving the bands, from the numbers of flights.
 
     Were it higher, so few flights outside would have at most the attempt's share of the doubt: a half of it
     for the first, a quarter for the second (Clopper and Pearson 1934). It trusts that they were flown.
     """
-    flights, outside, attempts = said["flights"], said["outside"], said["attempts"]
-    if not (0 < said["confidence"] < 1 and 0 < said["probability"] < 1 and 1 <= attempts <= 64):
+    flights, outside, attempts = claim["flights"], claim["outside"], claim["attempts"]
+    if not (0 < claim["confidence"] < 1 and 0 < claim["probability"] < 1 and 1 <= attempts <= 64):
         raise Rejected("samples", "probability and confidence must be between 0 and 1, attempts from 1 to 64")
-    p, doubt = arb(said["probability"]) * (1 + SAMPLES_SLACK), (1 - arb(said["confidence"])) / 2**attempts
+    p, risk = arb(claim["probability"]) * (1 + SAMPLES_SLACK), (1 - arb(claim["confidence"])) / 2**attempts
     chance = term = (1 - p) ** flights
     for j in range(outside):
         term = term * (flights - j) / (j + 1) * p / (1 - p)
         chance += term
     text = f"{outside} of {flights} flights outside have probability {float(chance):.4g} at that bound"
-    require("samples", doubt * (1 + SAMPLES_SLACK) - chance, text)
-    return f"{outside} of {flights} flights outside: at most {said['probability']:.4g}, attempt {attempts}"
+    require("samples", risk * (1 + SAMPLES_SLACK) - chance, text)
+    return f"{outside} of {flights} flights outside: at most {claim['probability']:.4g}, attempt {attempts}"

@@ -79,9 +79,9 @@ class Arrival:
         if (seconds is None) != (rows.seconds is None):
             raise Rejected("goal", "velocity_time_s belongs to goals with velocity conditions")
         if rows.seconds is not None:
-            off = rows.seconds * SAME - abs(rows.seconds - seconds)
+            slack = rows.seconds * SAME - abs(rows.seconds - seconds)
             reason = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
-            require("goal", off, reason)
+            require("goal", slack, reason)
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, tightenings, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -89,11 +89,11 @@ class Arrival:
                 distance = self.distance(rows, tightenings, node)
                 self.require_bound("distance from the goal", claim["distance_m"], distance)
                 if reached:
-                    spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
-                    require("goal", spare, f"{plain(distance)} m off, more than is tolerated")
+                    margin = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
+                    require("goal", margin, f"{plain(distance)} m off, more than is tolerated")
                 self._drift(claim["drift_m_per_orbit"], node)
-                spent = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
-                self.require_bound("velocity change", claim["delta_v_max_m_s"], spent)
+                delta_v = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
+                self.require_bound("velocity change", claim["delta_v_max_m_s"], delta_v)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
@@ -104,11 +104,11 @@ class Arrival:
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
         """Refuse a schedule that may spend more than the scenario allows; return the confirmed facts."""
         if claim["reached"] is True:
-            spent, until = self.delta_v_until(self.node_at(claim["by_s"])), "the goal"
+            delta_v, event = self.delta_v_until(self.node_at(claim["by_s"])), "the goal"
         else:
-            spent, until = self.spent, "T: the goal is not claimed to be reached"
-        text = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
-        require("schedule", budget - spent, text)
+            delta_v, event = self.spent, "T: the goal is not claimed to be reached"
+        text = f"{plain(delta_v)} m/s until {event}; the scenario allows {budget:g} m/s"
+        require("schedule", budget - delta_v, text)
         return f"at most {text}"
 
     @property
@@ -118,8 +118,8 @@ class Arrival:
 
     def holding(self, tightenings: Tightening) -> arb:
         """Return S's tightening along rows for ever, without the jump into the tail, with a fault if any."""
-        off = (magnitude(tightenings.rows) * column(self.document.at_nodes)).entries()
-        tightening = sums(tightenings.settled_tightening, off, *tightenings.upset[-1:])
+        offsets = (magnitude(tightenings.rows) * column(self.document.at_nodes)).entries()
+        tightening = sums(tightenings.settled_tightening, offsets, *tightenings.upset[-1:])
         return largest(
             sums(tightening, self.flight.from_thrust(tightenings, self._first + self._last))
             if self.flight.scheduled
@@ -128,8 +128,8 @@ class Arrival:
 
     def tolerated(self, tolerance: float, spec: dict[str, Any], scale: float, settled: arb) -> None:
         """Refuse a tolerance of more than the scenario gives; or more than its default may be."""
-        given = spec.get("tolerance_m")
-        allowed = largest((arb(SHARE) * scale * (1 + SAME), settled * HELD)) if given is None else arb(given)
+        limit = spec.get("tolerance_m")
+        allowed = largest((arb(SHARE) * scale * (1 + SAME), settled * HELD)) if limit is None else arb(limit)
         require("goal", allowed - tolerance, "the tolerance is more than the scenario's")
 
     def node_at(self, by: float) -> int:
@@ -154,22 +154,22 @@ class Arrival:
 
     def _likely(self, rows: WeightedRows, tightenings: Tightening, claim: dict[str, Any]) -> list[int]:
         """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
-        limit, far = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
-        while far < self._last and not self.spent + self.correcting(far) > limit:
-            far *= 2
-        every = range(min(far, self._last) + 1)
-        late = bisect_right(every, limit, key=lambda node: self.spent + self.correcting(node))
+        limit, horizon = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
+        while horizon < self._last and not self.spent + self.correcting(horizon) > limit:
+            horizon *= 2
+        nodes = range(min(horizon, self._last) + 1)
+        count = bisect_right(nodes, limit, key=lambda node: self.spent + self.correcting(node))
 
         def near(node: int) -> float:
             tightening = self.flight.tightening(tightenings, self.held, self._first + node)
             return float(rows.distance(sums(rows.over(self.state(node)), tightening)).mid())
 
-        return sorted(every[: max(late, 1)], key=near)[:MOST]
+        return sorted(nodes[: max(count, 1)], key=near)[:MOST]
 
-    def require_bound(self, what: str, claimed: float, derived: arb) -> None:
+    def require_bound(self, quantity: str, claimed: float, derived: arb) -> None:
         """Refuse a stated bound below the derived one by more than figures are exact to."""
-        spare = arb(claimed) * (1 + TOLD_SLACK) - derived
-        require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
+        slack = arb(claimed) * (1 + TOLD_SLACK) - derived
+        require("goal", slack, f"{quantity}: {claimed:.6g} claimed, {plain(derived)} derived")
 
     def fly_tail(self, nodes: int) -> list[FlownStep]:
         """S from T on, for at least so many periods."""
@@ -184,10 +184,10 @@ class Arrival:
 
     def error_bounds(self, tightenings: Tightening, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
-        least = self.flight.tightening(tightenings, self.held, self._first + node)
+        bounds = self.flight.tightening(tightenings, self.held, self._first + node)
         if self.controller is None or not self.document.feedback_bound or node == self._last:
-            return least
-        pairs = zip(least, self._flown_at(tightenings.rows, node), strict=True)
+            return bounds
+        pairs = zip(bounds, self._flown_at(tightenings.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
 
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
@@ -213,8 +213,8 @@ class Arrival:
             return
         if self.document.system_kind != "clohessy_wiltshire":
             raise Rejected("goal", "a drift per orbit needs Hill's frame")
-        both = self._drifting.rows
-        bound = largest(sums((both * self.state(node)).entries(), self.error_bounds(self._drifting, node)))
+        rows = self._drifting.rows
+        bound = largest(sums((rows * self.state(node)).entries(), self.error_bounds(self._drifting, node)))
         self.require_bound("drift per orbit", claimed, 6 * arb.pi() * bound)
 
     @cached_property
@@ -226,25 +226,25 @@ class Arrival:
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T, each for itself [m/s]."""
         for node in range(len(self._summed) - 1, nodes):
-            more = self.flight.spent(self._commands, self.held, self._first + node)
-            self._summed.append(self._summed[-1] + more)
-        flown = self.fly_tail(nodes)
+            impulse = self.flight.spent(self._commands, self.held, self._first + node)
+            self._summed.append(self._summed[-1] + impulse)
+        steps = self.fly_tail(nodes)
         for node in range(len(self._apart) - 1, nodes):
             step, place = divmod(node, self.document.q)
-            self._apart.append(self._apart[-1] + flown[step].spells[place].spent)
+            self._apart.append(self._apart[-1] + steps[step].spells[place].spent)
         return smallest([self._summed[nodes], self._apart[nodes]]) / self.document.mass
 
     def delta_v_until(self, node: int) -> arb:
         """Bound on the velocity change until a node after T [m/s]."""
         if node not in self._until:
-            flown, jump = (
+            steps, jump = (
                 [*self.before, *self.fly_tail(node)],
                 self.flight.tracker.craft.lifted(self.flight.jump),
             )
-            given = self._first + node, self.document.weights, (self.document.steps, jump)
-            apart = self.spent + self.correcting(node)
-            whole = spent(flown, *given) / self.document.mass if self.document.weights else apart
-            self._until[node] = smallest([apart, whole])
+            arguments = self._first + node, self.document.weights, (self.document.steps, jump)
+            summed = self.spent + self.correcting(node)
+            combined = spent(steps, *arguments) / self.document.mass if self.document.weights else summed
+            self._until[node] = smallest([summed, combined])
         return self._until[node]
 
     def max_commands(self, node: int) -> list[arb]:

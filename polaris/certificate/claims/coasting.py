@@ -33,23 +33,23 @@ def prolonged(document: Document, path: Path, settling: Settling) -> tuple[Path,
     Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
     facet will do, and the one with most clearance is taken.
     """
-    doc, chosen, arcs = document, list(document.facets), list(path.arcs)
+    doc, facets, arcs = document, list(document.facets), list(path.arcs)
     missing = doc.steps * doc.q + settling.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
     for _ in range(-(-missing // doc.q)):
         arcs.append(Arc.from_state(path.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
-        chosen.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])
+        facets.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])
     last = arcs[-1].nodes[-1]
     if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
         raise Imprecise("recoverable", "precision is lost before errors at T have decayed")
-    return replace(path, arcs=arcs), chosen
+    return replace(path, arcs=arcs), facets
 
 
 def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
     """Return the facet of a set at rest that leaves an arc most clearance."""
     rows, offsets = -item.rows(arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
     clearance = arc.clearance(rows, offsets)
-    least = [min(float(node[f].mid()) for node in clearance) for f in range(len(offsets))]
-    return least.index(max(least))
+    minima = [min(float(node[f].mid()) for node in clearance) for f in range(len(offsets))]
+    return minima.index(max(minima))
 
 
 def check_end(document: Document, path: Path) -> str:

@@ -39,16 +39,16 @@ class Tracker:
         settling = Settling.for_craft(craft, widest([*sets], upsets), document.q, document.feedback_bound)
         return cls(document, craft, settling, upsets)
 
-    def tightenings(self, of: Any, rows: arb_mat) -> Tightening:
-        """Return the tightening of rows by errors and a transient fault; `of` names the rows."""
-        if of not in self._known:
+    def tightenings(self, key: Any, rows: arb_mat) -> Tightening:
+        """Return the tightening of rows by errors and a transient fault; `key` names the rows."""
+        if key not in self._known:
             doc, tightenings = self.document, Tightening(self.craft, self.settling, rows)
             if doc.transients:
                 tightenings = replace(
                     tightenings, upset=transient_tightening(tightenings, [*self.upsets], self.outages)
                 )
-            self._known[of] = tightenings
-        return self._known[of]
+            self._known[key] = tightenings
+        return self._known[key]
 
     @cached_property
     def outages(self) -> list[Differences]:
@@ -89,8 +89,8 @@ class HandOver:
                 intersamples = self._intersamples.setdefault(
                     tightenings, SetIntersample(tightenings, self.errors)
                 )
-                more = [intersamples.next_to(lag)] if around else []
-                self._since[key] = sums(self.errors.support(tightenings.carried[lag]), *more)
+                extra = [intersamples.next_to(lag)] if around else []
+                self._since[key] = sums(self.errors.support(tightenings.carried[lag]), *extra)
         return self._since[key]
 
 
@@ -106,20 +106,20 @@ class Continuation:
     _caused: dict[tuple[Tightening, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
 
     def tightening(
-        self, tightenings: Tightening, handed: tuple[HandOver, ...], node: int, around: bool = False
+        self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], node: int, around: bool = False
     ) -> list[arb]:
         """Bound errors along rows at a node and, if `around`, in the periods on both sides of it.
 
         Each of the sets holds all errors that S may have taken over.
         """
-        key = tightenings, handed, node, around
+        key = tightenings, hand_overs, node, around
         if key not in self._known:
             last, bounds = tightenings.settling.periods + 1, []
-            pushed = tightenings.disturbed if around else tightenings.at_nodes
-            for each in handed:
+            disturbance = tightenings.disturbed if around else tightenings.at_nodes
+            for each in hand_overs:
                 lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
-                known = [sums(each.tightening(tightenings, lag, around), pushed[lag]) for lag in lags]
-                bounds.append([x.upper() for x in maxima(*known)])
+                totals = [sums(each.tightening(tightenings, lag, around), disturbance[lag]) for lag in lags]
+                bounds.append([x.upper() for x in maxima(*totals)])
             parts = [[smallest(x) for x in zip(*bounds, strict=True)]]
             if self.scheduled:
                 parts.append(self.from_thrust(tightenings, node, around))
@@ -141,21 +141,21 @@ class Continuation:
             self._caused[key] = nodes
         return self._caused[key][min(node, len(self._caused[key]) - 1)]
 
-    def commanded(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> list[arb]:
+    def commanded(self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], period: int) -> list[arb]:
         """Bound S's commands in a period [N]; `tightenings` are those of `Tracker.commands`."""
         doc, m = self.document, len(self.document.u_max)
         cell, ends = (
             period // doc.q,
-            [self.tightening(tightenings, handed, period + i, around=True) for i in (0, 1)],
+            [self.tightening(tightenings, hand_overs, period + i, around=True) for i in (0, 1)],
         )
-        known = zip(doc.inputs[min(cell, doc.cells - 1)], self.tracker.craft.noise_in(doc, cell), strict=True)
+        pairs = zip(doc.inputs[min(cell, doc.cells - 1)], self.tracker.craft.noise_in(doc, cell), strict=True)
         tops = [largest([end[i] for end in ends for i in (axis, m + axis)]) for axis in range(m)]
-        return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, known, strict=True)]
+        return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, pairs, strict=True)]
 
-    def spent(self, tightenings: Tightening, handed: tuple[HandOver, ...], period: int) -> arb:
+    def spent(self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], period: int) -> arb:
         """Bound on S's spending in a period [N s]."""
         plant = self.tracker.craft.plant
-        pairs = zip(plant.u_max, self.commanded(tightenings, handed, period), strict=True)
+        pairs = zip(plant.u_max, self.commanded(tightenings, hand_overs, period), strict=True)
         return plant.spent([smallest(pair) for pair in pairs])
 
     @cached_property
@@ -179,11 +179,11 @@ class Continuation:
     @cached_property
     def recovery(self) -> Recovery:
         """Return the limits of the path against the tightening of their rows by errors."""
-        path, chosen = self.further
-        chosen = [*chosen, *self.facets]
-        limits = Limits.for_path(self.document, path, self.tracker.craft, chosen)
-        asked = frozenset(pair for row in chosen for pair in enumerate(row))
-        tightenings = self.tracker.tightenings(asked, limits.rows)
+        path, facets = self.further
+        facets = [*facets, *self.facets]
+        limits = Limits.for_path(self.document, path, self.tracker.craft, facets)
+        key = frozenset(pair for row in facets for pair in enumerate(row))
+        tightenings = self.tracker.tightenings(key, limits.rows)
         return Recovery.from_limits(self.document, path, limits, tightenings, self.scheduled)
 
     def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> None:

@@ -50,17 +50,17 @@ class Corrections:
         """Values that enter in every period of any step, under any commands."""
         doc, craft = self.tracker.document, self.tracker.craft
         steps = (craft.extra(doc, k) for k in range(doc.steps + 1))
-        off = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
-        seen = craft.gain * craft.carry * diagonal(craft.missed(off))
-        return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), seen)
+        errors = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
+        noise = craft.gain * craft.carry * diagonal(craft.missed(errors))
+        return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), noise)
 
     @cached_property
     def mean(self) -> arb | None:
         """Bound on the thrust that answers to them on average [N], None if there is no bound."""
-        plant, lasting = self.tracker.craft.plant, self._loop.lasting()
-        if lasting is None or self._amplified is None:
+        plant, storage = self.tracker.craft.plant, self._loop.lasting()
+        if storage is None or self._amplified is None:
             return None
-        return lasting.cost + plant.weighted(
+        return storage.cost + plant.weighted(
             list(map(arb, plant.without_delay.bits or [0.0] * len(plant.u_max)))
         )
 
@@ -87,10 +87,10 @@ class Corrections:
     @cached_property
     def _amplified(self) -> arb_mat | None:
         """Sum of commands by a sum of commands, errors of thrusters that they cause included, (m, m)."""
-        fed = self._by_error * self.tracker.craft.plant.every_table
-        if not largest(row_sums(fed)) < 1:
+        loop_gain = self._by_error * self.tracker.craft.plant.every_table
+        if not largest(row_sums(loop_gain)) < 1:
             return None
-        return (identity(fed.nrows()) - fed).inv()
+        return (identity(loop_gain.nrows()) - loop_gain).inv()
 
     def _spent(self, answers: Sequence[arb]) -> arb:
         """Thrust by sums of answers (m,) from which errors of thrusters are left out."""
@@ -100,8 +100,8 @@ class Corrections:
 
     def _later(self, size: arb_mat, count: int) -> list[arb]:
         """Sums of the rest, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
-        more = max(count - self.tracker.settling.periods, 0)
-        return [x * more for x in self._tightenings.tightening_after_settling(size)]
+        remaining = max(count - self.tracker.settling.periods, 0)
+        return [x * remaining for x in self._tightenings.tightening_after_settling(size)]
 
     def planned(self, inputs: Sequence[Sequence[float]], q: int) -> arb:
         """Bound the thrust of inputs of a path, and of corrections of their errors [N].
@@ -111,10 +111,10 @@ class Corrections:
         plant, m = self.tracker.craft.plant, len(self.tracker.craft.plant.u_max)
         sizes = [[abs(arb(x)) for x in u] for u in inputs]
         total = sums([arb(0)] * m, *sizes)
-        made = (plant.thruster_part(u) for u in sizes if any(x > 0 for x in u))
-        errors = sums([arb(0)] * plant.entering.ncols(), *made)
-        own = sum((s * x for s, x in zip(self._loop.spends, total, strict=True)), arb(0))
-        return (own + self._spent((self._by_error * column(errors)).entries())) * q
+        parts = (plant.thruster_part(u) for u in sizes if any(x > 0 for x in u))
+        errors = sums([arb(0)] * plant.entering.ncols(), *parts)
+        thrust = sum((s * x for s, x in zip(self._loop.spends, total, strict=True)), arb(0))
+        return (thrust + self._spent((self._by_error * column(errors)).entries())) * q
 
     @cached_property
     def _near(self) -> tuple[arb_mat, arb_mat]:
@@ -129,15 +129,15 @@ class Corrections:
     def once(self, sets: Sequence[Zonotope], count: int) -> arb:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
         near, far = self._near
-        m, spent = far.nrows(), list[arb]()
+        m, thrusts = far.nrows(), list[arb]()
         for z in sets:
-            each = [abs(x).upper() for x in (near * z.c).entries()]
+            answers = [abs(x).upper() for x in (near * z.c).entries()]
             for part in z.parts:
-                each = sums(each, widths(times(near, part)))
+                answers = sums(answers, widths(times(near, part)))
             size = z.size()
-            answered = [sum(each[i::m], arb(0)) for i in range(m)]
-            spent.append(self._spent(sums(answered, (far * size).entries(), self._later(size, count))))
-        return largest(spent)
+            totals = [sum(answers[i::m], arb(0)) for i in range(m)]
+            thrusts.append(self._spent(sums(totals, (far * size).entries(), self._later(size, count))))
+        return largest(thrusts)
 
     def answer_bound(self, size: arb_mat, count: int) -> arb:
         """Bound the thrust that answers to errors up to some size, shape (n, 1) [N]."""
@@ -150,31 +150,31 @@ class Corrections:
         Until then every command answers to no more than what it has moved by then. What an observer that
         misses periods has not learned in an outage may add to every later command.
         """
-        tightenings, plant, spent = self._tightenings, self.tracker.craft.plant, [arb(0)]
+        tightenings, plant, thrusts = self._tightenings, self.tracker.craft.plant, [arb(0)]
         carried = tightenings.carried[: self.tracker.settling.periods]
         for fault, flights, wrong in self._faults():
-            each = [difference_along(rows, flights) for rows in carried]
+            commands = [difference_along(rows, flights) for rows in carried]
             size = column(difference_along(identity(carried[0].ncols()), flights))
-            meanwhile, doc = self._until(fault), self.tracker.document
+            periods, doc = self._until(fault), self.tracker.document
             if not fault.get("pushes") and not remembers(doc):
-                meanwhile = 0 if doc.observer is None else max(count, meanwhile)
-            answers = sums(*each, self._later(magnitude(size), count), [x * meanwhile for x in each[0]])
-            spent.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
-        return largest(spent)
+                periods = 0 if doc.observer is None else max(count, periods)
+            answers = sums(*commands, self._later(magnitude(size), count), [x * periods for x in commands[0]])
+            thrusts.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
+        return largest(thrusts)
 
     def _until(self, fault: dict[str, Any]) -> int:
         """Number of periods in which commands may answer to a fault before it is isolated."""
         timing, h = self.tracker.document.timing, self.tracker.craft.plant.h
-        until = fault["lasts"] + timing.get("delay", 0.0) + h * (2 * timing.get("missed", 0) + 1)
-        return ceil(float((until / h).mid()) * (1 - WHOLE))
+        duration = fault["lasts"] + timing.get("delay", 0.0) + h * (2 * timing.get("missed", 0) + 1)
+        return ceil(float((duration / h).mid()) * (1 - WHOLE))
 
     def _faults(self) -> Iterator[tuple[dict[str, Any], Differences, arb]]:
         """Return faults, the change of the loop state by each kind of wrong thrust, and its sum [N]."""
         tracker = self.tracker
-        plant, boxes, lost = tracker.craft.plant, iter(tracker.upsets), iter(tracker.outages)
+        plant, boxes, outages = tracker.craft.plant, iter(tracker.upsets), iter(tracker.outages)
         for fault in tracker.document.transients:
             if not fault.get("pushes"):
-                yield fault, next(lost), arb(0)
+                yield fault, next(outages), arb(0)
             for push in fault.get("pushes") or []:
                 box, size = tracker.craft.lifted(next(boxes)), list(map(arb, push))
                 wrong = sum(sums(size, plant.without_delay.thruster_part(size)), arb(0))

@@ -72,11 +72,11 @@ class Departures:
         return magnitude(exponential_over(-self.plant.A, self.plant.h))
 
     def check(
-        self, i: int, base: Arc, d: Zonotope, moved: Zonotope, end: Zonotope, intersample: list[arb]
+        self, i: int, base: Arc, d: Zonotope, change: Zonotope, end: Zonotope, intersample: list[arb]
     ) -> None:
         """Check that states in which thrust may stop in period i lead back into the group's parallelotope.
 
-        `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the
+        `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `change` the
         second less the first, point by point; `intersample` bounds the distance from the chords
         (Proposition 15 (a)).
         """
@@ -85,18 +85,18 @@ class Departures:
         inverse, centre = self._inverses[self._group[i]], column(group.center)
         ends = d.translate(first), end.translate(last)
         size = column(maxima(*(z.size().entries() for z in ends)))
-        apart = moved.translate(last - first).size()
-        bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
-        beyond = (
+        length = change.translate(last - first).size()
+        deviation = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * length * (h / 4)
+        excess = (
             magnitude(inverse * self._back[i])
-            * (self._over * (column(intersample) + column(self.state_offset) + bent))
+            * (self._over * (column(intersample) + column(self.state_offset) + deviation))
         ).entries()
         for z, back in zip(ends, self._back[i : i + 2], strict=True):
             M = inverse * back
             middle = (M * z.c - inverse * centre).entries()
-            for axis, (at, spread, more) in enumerate(zip(middle, z.spread(M), beyond, strict=True)):
+            for axis, (at, spread, extra) in enumerate(zip(middle, z.spread(M), excess, strict=True)):
                 text = f"axis {axis} of where thrust may stop, step {self.k}, part {i}"
-                require("passive", 1 - abs(at) - spread - more, text)
+                require("passive", 1 - abs(at) - spread - extra, text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +125,8 @@ class Drifts:
         if parts > MOST_PARTS:
             raise Undecided("passive", f"the drift has more than {MOST_PARTS} parts of steps")
         if runs:
-            spare = (cells - 1) * arb(doc.delta) - arb(drift.horizon) * (1 - SLACK)
-            require("passive", spare, f"the drift is followed for {cells} steps")
+            slack = (cells - 1) * arb(doc.delta) - arb(drift.horizon) * (1 - SLACK)
+            require("passive", slack, f"the drift is followed for {cells} steps")
             if any(len(item.start) < doc.steps + cells for item in doc.unsafe):
                 raise Rejected("passive", "unsafe sets are not known for as long as the drift is followed")
         return cells
@@ -150,11 +150,11 @@ class Drifts:
             motion = self._motion
             row = -self.document.unsafe[item].rows(self.plant.C, [facet])
             rows = matrix([(row * M).entries() for M in self._powers[:-1]])
-            gained = motion.push_gain(rows, self.plant.disturbance)
-            pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
+            gains = motion.push_gain(rows, self.plant.disturbance)
+            disturbance = list(accumulate(gains, lambda a, b: (a + b).upper()))
             constants = (motion.constant_gain(rows, push, self._claim.parts) for push in self.plant.bias)
-            pushed = sums(pushed, *constants)
-            self._known[key] = row, motion.curvature(row * self.plant.A), pushed
+            disturbance = sums(disturbance, *constants)
+            self._known[key] = row, motion.curvature(row * self.plant.A), disturbance
         return self._known[key]
 
     def check(self, least: float | None) -> str:
@@ -174,37 +174,37 @@ class Drifts:
 
     def _clear(self, k: int, group: Departure) -> list[arb]:
         """Least clearance of the drift from one group of periods of step k to every unsafe set."""
-        count, least = len(self._powers) - 1, []
+        count, clearances = len(self._powers) - 1, []
         sets = beside(column(group.center), matrix(group.axes).transpose())
         states = [power * sets for power in self._powers]
         sizes = [column(row_sums(state)) for state in states]
-        asked = [o for o, item in enumerate(self.document.unsafe) if self._claim.keep_in or not item.keep_in]
-        if len(asked) != len(group.facets):
-            text = f"step {k} has facets of {len(group.facets)} unsafe sets, not {len(asked)}"
+        unsafe = [o for o, item in enumerate(self.document.unsafe) if self._claim.keep_in or not item.keep_in]
+        if len(unsafe) != len(group.facets):
+            text = f"step {k} has facets of {len(group.facets)} unsafe sets, not {len(unsafe)}"
             raise Rejected("passive", text)
-        for o, runs in zip(asked, group.facets, strict=True):
-            known = range(len(self.document.unsafe[o].normals))
-            if sum(length for length, _ in runs) != count or any(f not in known for _, f in runs):
+        for o, runs in zip(unsafe, group.facets, strict=True):
+            valid = range(len(self.document.unsafe[o].normals))
+            if sum(length for length, _ in runs) != count or any(f not in valid for _, f in runs):
                 raise Rejected("passive", f"step {k} must name a facet in {count} parts")
-            chosen = [facet for length, facet in runs for _ in range(length)]
-            least.append(smallest(self._clearances(k, o, chosen, states, sizes)))
-        return least
+            facets = [facet for length, facet in runs for _ in range(length)]
+            clearances.append(smallest(self._clearances(k, o, facets, states, sizes)))
+        return clearances
 
     def _clearances(
-        self, k: int, o: int, chosen: list[int], states: list[arb_mat], sizes: list[arb_mat]
+        self, k: int, o: int, facets: list[int], states: list[arb_mat], sizes: list[arb_mat]
     ) -> list[arb]:
         """Clearance beyond one facet of one unsafe set in every part."""
         p, item, clearances = self._claim.parts, self.document.unsafe[o], []
-        for j, facet in enumerate(chosen):
-            row, curvature, pushed = self._bookings(o, facet)
+        for j, facet in enumerate(facets):
+            row, curvature, disturbance = self._bookings(o, facet)
             cell, place = divmod(j, p)
             first, last = arb(item.start[k + cell][facet]), arb(item.end[k + cell][facet])
-            more = (curvature * sizes[j])[0, 0] + pushed[j]
+            extra = (curvature * sizes[j])[0, 0] + disturbance[j]
             for at in (0, 1):
                 middle, *spread = (row * states[j + at]).entries()
                 offset = first + (last - first) * arb(place + at) / p
-                clearance = -offset - middle - sum(map(abs, spread), more)
-                where = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(clearance)} m"
-                require("passive", clearance, where)
+                clearance = -offset - middle - sum(map(abs, spread), extra)
+                text = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(clearance)} m"
+                require("passive", clearance, text)
                 clearances.append(clearance)
         return clearances

@@ -105,21 +105,21 @@ class ControllerModel:
         `before` bounds the commands of the periods of this step before it. Errors that grow with commands are
         those of the commands of the period itself, which were made at its start.
         """
-        craft, plant, more = self.craft, self.plant, self.estimate_bounds(k, before)
-        answer = self.answer(z, base, k, i, more)
+        craft, plant, excess = self.craft, self.plant, self.estimate_bounds(k, before)
+        answer = self.answer(z, base, k, i, excess)
         g = plant.B * answer.c
         v, error = answer.v, plant.thruster_error(answer.bounds)
-        held = [] if self.law.kind == "any_thrust" else v  # that need not be held
-        free = [] if held else v
+        held_inputs = [] if self.law.kind == "any_thrust" else v  # that need not be held
+        free_inputs = [] if held_inputs else v
         period = Period(
             craft.free + craft.held_map * answer.K,
             craft.lifted(craft.motion.gamma * g),
             Directions(craft.drifts + plant.B * answer.K),
             g,
-            [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in held],
-            [*(craft.lifted(craft.motion.pushed(push)) for push in free), *craft.added(error)],
-            held,
-            [*free, *plant.push(error)],
+            [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in held_inputs],
+            [*(craft.lifted(craft.motion.pushed(push)) for push in free_inputs), *craft.added(error)],
+            held_inputs,
+            [*free_inputs, *plant.push(error)],
             answer.bounds,
         )
         middle, bands = base.u + answer.c + answer.K * z.c, [arb(0)] * plant.B.ncols()
@@ -127,44 +127,44 @@ class ControllerModel:
             bands = sums(bands, push.along(identity(len(bands))))
         return period, Spell(plant.spent(answer.bounds), middle, answer.bounds, answer.K, bands)
 
-    def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> PeriodCommand:
-        """Enclose the command from a set; errors of estimates exceed those of the loop by `more` (n)."""
+    def answer(self, z: Zonotope, base: Arc, k: int, i: int, excess: list[arb]) -> PeriodCommand:
+        """Enclose the command from a set; errors of estimates exceed those of the loop by `excess` (n)."""
         craft, plant, u, kind = self.craft, self.plant, base.u, self.law.kind
         n, states, tops = plant.A.nrows(), craft.free.nrows(), plant.u_max
         if kind == "any_thrust":
             return PeriodCommand(arb_mat(len(tops), states), 0 * u, [InputSet.in_box(plant.B, tops)], tops)
-        missed = craft.missed(more)
+        missed = craft.missed(excess)
         spread = craft.carry * diagonal(missed) if any(x > 0 for x in missed) else arb_mat(n, 0)
         if kind == "neural":
-            read, rest = self.policy.reference_input(base, k, i)
-            command = self.policy.command(z.image(craft.sees), read, beside(rest, self.policy.reads * spread))
+            read, G = self.policy.reference_input(base, k, i)
+            command = self.policy.command(z.image(craft.sees), read, beside(G, self.policy.reads * spread))
             bounds = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
-            held = [InputSet.in_zonotope(plant.B, command.V)]
-            return PeriodCommand(command.K * craft.sees, command.c - u, held, bounds)
+            inputs = [InputSet.in_zonotope(plant.B, command.V)]
+            return PeriodCommand(command.K * craft.sees, command.c - u, inputs, bounds)
         fit = self.document.fits[k] if kind == "black_box" else None
         if fit is not None:
             K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
             bands = [arb(row[n + 1]) for row in fit[i]]
-            met = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
-            bounds = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
+            axes = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
+            bounds = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in axes]
             return PeriodCommand(K, c - u, [InputSet.in_box(plant.B, bands)], bounds)
-        ranges, noise = command_ranges(u, self.feedback_rows, z), craft.noise(more)
+        ranges, noise = command_ranges(u, self.feedback_rows, z), craft.noise(excess)
         sizes = list(zip(ranges, tops, noise, strict=True))
-        bounds = [smallest((top, (largest((-lo, hi)) + off).upper())) for (lo, hi), top, off in sizes]
-        inside = kind == "safety" or all(max(-lo, hi) <= top - off for (lo, hi), top, off in sizes)
+        bounds = [smallest((top, (largest((-lo, hi)) + error).upper())) for (lo, hi), top, error in sizes]
+        inside = kind == "safety" or all(max(-lo, hi) <= top - error for (lo, hi), top, error in sizes)
         # What errors of estimates add to a command comes after the clip, which lets less of it through. The
         # safety controller keeps to the limits, as is shown of it elsewhere.
         if inside or (kind != "affine" and all(max(-lo, hi) <= top for (lo, hi), top, _ in sizes)):
-            seen = -(craft.gain * spread)
-            v = [InputSet.in_zonotope(plant.B, seen) if inside else InputSet.in_box(plant.B, noise)]
+            noise_map = -(craft.gain * spread)
+            v = [InputSet.in_zonotope(plant.B, noise_map) if inside else InputSet.in_box(plant.B, noise)]
             return PeriodCommand(-craft.commands, 0 * u, v if spread.ncols() else [], bounds)
         if kind == "affine":
             text = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             raise Rejected("controllers", text)
         step = self.document.slopes[k]
-        slopes, known, bands = _clipped(ranges, tops, u, None if step is None else step[i])
+        slopes, offset, bands = _clipped(ranges, tops, u, None if step is None else step[i])
         v = [InputSet.in_box(plant.B, sums(bands, noise))]
-        return PeriodCommand(-scaled(slopes, craft.commands), known, v, bounds)
+        return PeriodCommand(-scaled(slopes, craft.commands), offset, v, bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,50 +202,50 @@ def enclose_step(
         weights = magnitude(craft.whole(rows))
         tightenings = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
         clearance = [
-            [there - taken for there, taken in zip(node, tightenings, strict=True)] for node in clearance
+            [limit - upset for limit, upset in zip(node, tightenings, strict=True)] for node in clearance
         ]
     z = start.translate(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
         z = merging.at_start(z, controller.period(z, base, k, 0)[0].columns * controller.plant.q)
-    spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
+    spells, nodes, commands = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(controller.plant.q):
-        period, spell = controller.period(z, base, k, i, since)
-        since.append(period.bounds)
+        period, spell = controller.period(z, base, k, i, commands)
+        commands.append(period.bounds)
         spells.append(spell)
         end = period.ends(z)
         if departures is not None:
-            moved = z.image(whole.M * period.F - whole.M).translate(whole.M * period.moved)
+            change = z.image(whole.M * period.F - whole.M).translate(whole.M * period.moved)
             extra = zip(*period.extra(unit, z, held=False), intersamples, strict=True)
-            held = [whole.M * each for each in period.held]
-            ends = z.through(whole), moved.plus(*held), end.through(whole).plus(*held)
+            held_inputs = [whole.M * each for each in period.held]
+            ends = z.through(whole), change.plus(*held_inputs), end.through(whole).plus(*held_inputs)
             departures.check(
                 i, base, *ends, [largest((a, b)) + intersample[i] for a, b, intersample in extra]
             )
         if barrier is not None:
-            where = f"step {k}, part {i}, under {controller.law.name}"
+            context = f"step {k}, part {i}, under {controller.law.name}"
             along, rows_of = craft.intersample(barrier.rows)
-            for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
-                _separate(barrier, rows_of, x, more, clearance[place], where)
+            for place, x, bounds in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
+                _separate(barrier, rows_of, x, bounds, clearance[place], context)
         z = merging.within(period.next_set(end))
         nodes.append(z.translate(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
-    leave = z.translate(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
-    return FlownStep(controller, start, leave, spells, nodes[:-1])
+    exit_set = z.translate(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
+    return FlownStep(controller, start, exit_set, spells, nodes[:-1])
 
 
 def _separate(
-    barrier: Barrier, rows: Directions, z: Zonotope, more: list[arb], clearance: list[arb], where: str
+    barrier: Barrier, rows: Directions, z: Zonotope, bounds: list[arb], clearance: list[arb], context: str
 ) -> None:
     """Check that a set, and more along each facet, is within the clearance there."""
     along = z.through(rows)
-    tightenings = sums(along.c.entries(), along.widths, more)
-    if not all(tightening <= there for tightening, there in zip(tightenings, clearance, strict=True)):
-        tightenings = sums(along.c.entries(), z.spread(rows.M), more)  # to the last digits
-    for name, tightening, there in zip(barrier.names, tightenings, clearance, strict=True):
-        if not tightening <= there:
+    tightenings = sums(along.c.entries(), along.widths, bounds)
+    if not all(tightening <= limit for tightening, limit in zip(tightenings, clearance, strict=True)):
+        tightenings = sums(along.c.entries(), z.spread(rows.M), bounds)  # to the last digits
+    for name, tightening, limit in zip(barrier.names, tightenings, clearance, strict=True):
+        if not tightening <= limit:
             require(
                 "separation",
-                there - tightening,
-                f"{where}: {name}, needs {plain(tightening)} of {plain(there)} m",
+                limit - tightening,
+                f"{context}: {name}, needs {plain(tightening)} of {plain(limit)} m",
             )
 
 
@@ -258,12 +258,12 @@ def _clipped(
     the one found there. With other slopes neither need contain the other.
     """
     slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, tops, strict=True)]
-    known, bands = [], []
+    offsets, bands = [], []
     for slope, (lo, hi), top, x in zip(slopes, ranges, tops, u.entries(), strict=True):
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
         places = [lo, hi, *(y for y in (-top, top) if lo < y < hi)]
-        rests = [clip(y, top) - slope * y for y in places]
-        middle_rest, band = around(smallest(rests), largest(rests))
-        known.append(slope * x + middle_rest - x)
+        residuals = [clip(y, top) - slope * y for y in places]
+        middle_rest, band = around(smallest(residuals), largest(residuals))
+        offsets.append(slope * x + middle_rest - x)
         bands.append(band)
-    return slopes, column(known), bands
+    return slopes, column(offsets), bands

@@ -124,27 +124,27 @@ class WeightedRows:
     @classmethod
     def from_goal(cls, spec: dict[str, Any], soon: arb, document: Document) -> "WeightedRows":
         """Weigh the rows of the scenario's goal."""
-        goal, own = GOALS[spec["kind"]](document, spec), spec.get("velocity_tolerance_m_s")
-        if own is not None and "tolerance_m" not in spec:
+        goal, tolerance = GOALS[spec["kind"]](document, spec), spec.get("velocity_tolerance_m_s")
+        if tolerance is not None and "tolerance_m" not in spec:
             raise Rejected("goal", "a tolerance of velocities is given, but none of lengths")
-        every = [*goal.rows, *(row for group in goal.groups for row in group)]
-        every = every or [_row(len(document.A), {}, 0)]  # any state will do
+        all_rows = [*goal.rows, *(row for group in goal.groups for row in group)]
+        all_rows = all_rows or [_row(len(document.A), {}, 0)]  # any state will do
         weights, times, speed = [], list[arb](), speeds(document)
-        for i, (row, _) in enumerate(every):
+        for i, (row, _) in enumerate(all_rows):
             alone = all(x == 0 for x, s in zip(row, speed, strict=True) if s == 0)
-            moving = [[x / s for x, s in zip(row, speed, strict=True) if s != 0]]
-            weight, time = arb(1), norms(matrix(moving))[0] if moving[0] else arb(0)
-            if time > 0 and (alone or (own is not None and i < goal.equal)):
-                counts = smallest((time, soon)) if own is None else arb(spec["tolerance_m"]) / own
-                weight = counts / time
-                times.append(counts)
+            ratios = [[x / s for x, s in zip(row, speed, strict=True) if s != 0]]
+            weight, time = arb(1), norms(matrix(ratios))[0] if ratios[0] else arb(0)
+            if time > 0 and (alone or (tolerance is not None and i < goal.equal)):
+                span = smallest((time, soon)) if tolerance is None else arb(spec["tolerance_m"]) / tolerance
+                weight = span / time
+                times.append(span)
             weights.append(weight)
         moves = [any(x != 0 for x in row) for row in velocities(document).tolist()]
-        if own is not None and not (times and all(moves)):
+        if tolerance is not None and not (times and all(moves)):
             rule = "needs a velocity among the states for every coordinate, and a goal that bounds one"
-            raise Rejected("goal", f"velocity_tolerance_m_s {own:g} {rule}")
-        rows, groups = matrix([row for row, _ in every]), [len(group) for group in goal.groups]
-        sides = [side * weight for (_, side), weight in zip(every, weights, strict=True)]
+            raise Rejected("goal", f"velocity_tolerance_m_s {tolerance:g} {rule}")
+        rows, groups = matrix([row for row, _ in all_rows]), [len(group) for group in goal.groups]
+        sides = [side * weight for (_, side), weight in zip(all_rows, weights, strict=True)]
         return cls(diagonal(weights) * rows, sides, groups, goal.scale, largest(times) if times else None)
 
     def over(self, x: arb_mat) -> list[arb]:

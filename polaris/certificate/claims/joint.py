@@ -45,10 +45,10 @@ class _Check:
     def off(self) -> list[arb]:
         """Bounds on estimate errors at a node after T, twice, as the rows are."""
         doc = self.arrival.document
-        known = doc.known_to(doc.steps) or [0.0] * len(doc.A)
-        return [arb(x) + y for x, y in zip(known, doc.at_nodes, strict=True)] * 2
+        errors = doc.known_to(doc.steps) or [0.0] * len(doc.A)
+        return [arb(x) + y for x, y in zip(errors, doc.at_nodes, strict=True)] * 2
 
-    def inside(self, node: int, tightening: list[arb], where: str) -> None:
+    def inside(self, node: int, tightening: list[arb], context: str) -> None:
         """Refuse a node at which states need more along a row than the start set leaves."""
         n, spec = len(self.joint.center), self.joint
         along = (self.tightenings.rows * self.arrival.state(node)).entries()
@@ -61,7 +61,7 @@ class _Check:
             require(
                 "joint",
                 clearance - needed,
-                f"{subject} {where}, coordinate {i % n}: beyond the next leg's start set",
+                f"{subject} {context}, coordinate {i % n}: beyond the next leg's start set",
             )
 
     def run(self) -> str:
@@ -96,10 +96,10 @@ class _Check:
         """Bound how far the reference may leave its chord within a period of the tail, by state."""
         plant = self.arrival.flight.tracker.craft.plant
         A, n = plant.A, len(self.joint.center)
-        grown = exponential(absolute(A), plant.h)[0]
-        curved = [magnitude(A * A * self.arrival.state(node)).entries() for node in range(self.last + 1)]
-        curvature = column([largest(x) for x in zip(*curved, strict=True)]) if curved else arb_mat(n, 1)
-        return [x * plant.h * plant.h / 8 for x in (grown * curvature).entries()]
+        growth = exponential(absolute(A), plant.h)[0]
+        by_node = [magnitude(A * A * self.arrival.state(node)).entries() for node in range(self.last + 1)]
+        curvature = column([largest(x) for x in zip(*by_node, strict=True)]) if by_node else arb_mat(n, 1)
+        return [x * plant.h * plant.h / 8 for x in (growth * curvature).entries()]
 
 
 def check_joint(arrival: Arrival, joint: Joint) -> str:

@@ -35,15 +35,15 @@ class LastingStorage:
 class MeanCommands:
     """Commands of a loop about their middle, of which every period spends what it costs at most.
 
-    Errors of thrusters are up to `error` (k). Columns of `seen` (m, k), each times at most one, are what
+    Errors of thrusters are up to `error` (k). Columns of `noise` (m, k), each times at most one, are what
     errors of estimates add to commands. These answer the loop state by `K` (m, N), if not as in the loop.
     """
 
-    def __init__(self, craft: Craft, error: Sequence[arb], seen: arb_mat, K: arb_mat | None = None) -> None:
+    def __init__(self, craft: Craft, error: Sequence[arb], noise: arb_mat, K: arb_mat | None = None) -> None:
         plant, spans, m = craft.plant, craft.spans, craft.plant.B.ncols()
         leads = [] if plant.lead is None else [InputSet.in_box(plant.A * plant.B, list(error[m:]))]
         steady = [*craft.steady, *leads]
-        enter, groups = [craft.held_map * seen], [[i] for i in range(seen.ncols())]
+        enter, groups = [craft.held_map * noise], [[i] for i in range(noise.ncols())]
         for each in craft.samples:
             enter.append(each.adds * diagonal(each.size))
             groups += [[len(groups) + i] for i in range(len(each.size))]
@@ -53,18 +53,18 @@ class MeanCommands:
                 radius = push.radius
                 cover = push.cover if radius is None else diagonal([radius] * push.V.ncols())
                 enter.append(enters * motion.gamma * push.V * cover)
-                held = list(range(place, place + cover.ncols()))
-                groups += [[i] for i in held] if radius is None else [held]
+                indices = list(range(place, place + cover.ncols()))
+                groups += [[i] for i in indices] if radius is None else [indices]
                 place += cover.ncols()
             box = motion.uneven(*steady, InputSet.in_box(plant.B, list(error[:m])))
             enter.append(enters * diagonal(box.entries()))
             groups += [[place + i] for i in range(box.nrows())]
             place += box.nrows()
         self.held, self.groups, self.m, self.plant = place, groups, m, plant
-        made = [enters * motion.gamma * plant.B for enters, motion in spans]
-        self.enter, self.parts = beside(*enter, *made, *made), len(spans)
-        rest = self.enter.ncols() - seen.ncols()
-        self.own = beside(seen, arb_mat(self.m, rest))
+        thrust_maps = [enters * motion.gamma * plant.B for enters, motion in spans]
+        self.enter, self.parts = beside(*enter, *thrust_maps, *thrust_maps), len(spans)
+        width = self.enter.ncols() - noise.ncols()
+        self.own = beside(noise, arb_mat(self.m, width))
         self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held_map * K, -K)
 
     @cached_property
@@ -98,14 +98,14 @@ class MeanCommands:
         spends = [float(x.mid()) for x in self.spends]
         b = [_dot(spends, column_of) for column_of in zip(*peaks, strict=True)]
         b = [max(x, FLOOR * max(b)) for x in b]
-        usual = [
+        levels = [
             max(x, STEADY * max(pair)) + FLOOR * y
             for part in size
             for x, pair, y in zip(part, zip(*size, strict=True), r, strict=True)
         ]
-        made = [usual[k * self.m + a] for k in range(2) for _ in range(self.parts) for a in range(self.m)]
-        known = [b[k] for k, group in enumerate(self.groups) for _ in group]
-        return r, [*known, *(x / y for x, y in zip(b[number:], made, strict=True))]
+        scales = [levels[k * self.m + a] for k in range(2) for _ in range(self.parts) for a in range(self.m)]
+        weights = [b[k] for k, group in enumerate(self.groups) for _ in group]
+        return r, [*weights, *(x / y for x, y in zip(b[number:], scales, strict=True))]
 
     def _gains(self, frequency: float) -> list[list[float]]:
         """Sizes of commands that answer to a sine, by input: to each group, then to errors of thrusters."""
@@ -122,17 +122,17 @@ class MeanCommands:
         """Return a storage that lasts, if one is there."""
         r, b = self.sine
         for attempt in range(ATTEMPTS):
-            more = LOOSER**attempt
-            scaled_b = [x * more if i < self.held else x for i, x in enumerate(b)]
-            period = WeightedPeriod(self, [x * more for x in r], scaled_b)
+            factor = LOOSER**attempt
+            scaled_b = [x * factor if i < self.held else x for i, x in enumerate(b)]
+            period = WeightedPeriod(self, [x * factor for x in r], scaled_b)
             P = period.storage()
             if P is None or pivots(period.spare(P)) is None:
                 continue
             try:
-                less, rows = P - period.before(P), pivots(P)
+                drop, rows = P - period.before(P), pivots(P)
             except ZeroDivisionError:
                 continue
-            if rows is not None and pivots((less + less.transpose()) * 0.5) is not None:
+            if rows is not None and pivots((drop + drop.transpose()) * 0.5) is not None:
                 return LastingStorage(matrix(rows), period.cost)
         return None
 
@@ -146,27 +146,27 @@ class TurnedCommands(MeanCommands):
 
     def __init__(self, craft: Craft, loop: MeanCommands, middle: arb_mat) -> None:
         plant, m, N, q = craft.plant, loop.m, loop.F.nrows(), len(craft.plant.matrix)
-        turned, applied = arb_mat(m, q), arb_mat(m, q)
+        deviation, applied = arb_mat(m, q), arb_mat(m, q)
         for place, (i, j, _) in enumerate(plant.matrix):
-            turned[i, place] = middle[j, 0]
+            deviation[i, place] = middle[j, 0]
             applied[i, place] = middle[j, 0] * (i == j or not plant.carried)
-        late, (known, grown) = carried_across(craft), (_split(M, loop.held) for M in (loop.enter, loop.own))
+        late, (enters, owns) = carried_across(craft), (_split(M, loop.held) for M in (loop.enter, loop.own))
         self.loop, self.plant, self.m, self.held = loop, plant, m, loop.held + late.ncols()
         self.groups = [*loop.groups, *([i] for i in range(loop.held, self.held))]
-        self.F = above(beside(loop.F, unknown_inputs(craft) * turned), beside(arb_mat(q, N), identity(q)))
+        self.F = above(beside(loop.F, unknown_inputs(craft) * deviation), beside(arb_mat(q, N), identity(q)))
         self.K = above(beside(loop.K, -applied), beside(loop.K, arb_mat(m, q)))
-        enter = beside(known[0], late - loop.F * late, known[1])
-        own = beside(grown[0], loop.K * late, grown[1])
-        self.enter, self.own = above(enter, arb_mat(q, enter.ncols())), above(own, own)
+        enter = beside(enters[0], late - loop.F * late, enters[1])
+        direct = beside(owns[0], loop.K * late, owns[1])
+        self.enter, self.own = above(enter, arb_mat(q, enter.ncols())), above(direct, direct)
 
     @cached_property
     def spends(self) -> list[arb]:
         """Return the thrust that a unit of each command spends."""
-        both, own = [x - 1 for x in self.loop.spends], arb(self.plant.along)
+        shares, along = [x - 1 for x in self.loop.spends], arb(self.plant.along)
         if self.plant.carried:  # thrust across is made in other periods than what it is a share of
-            applied = [1 + (x - own) / (1 - own) for x in both]
-            return [*applied, *(own * x for x in applied)]
-        return [*[arb(1)] * self.m, *both]
+            applied = [1 + (x - along) / (1 - along) for x in shares]
+            return [*applied, *(along * x for x in applied)]
+        return [*[arb(1)] * self.m, *shares]
 
     @cached_property
     def squares(self) -> arb_mat:
@@ -198,21 +198,21 @@ class WeightedPeriod:
     """One period under weights of commands and values: storage before it by storage after it."""
 
     def __init__(self, loop: MeanCommands, r: list[float], b: list[float]) -> None:
-        steady, made = (
+        steady, growing = (
             [sum(map(arb, part[a :: loop.m]), arb(0)) for a in range(loop.m)]
             for part in (b[loop.held : (loop.held + len(b)) // 2], b[(loop.held + len(b)) // 2 :])
         )
-        more = (matrix([made]) * loop.squares).entries()
-        C = [s / x + y for s, x, y in zip(loop.spends, r, more, strict=True)]
+        extra = (matrix([growing]) * loop.squares).entries()
+        C = [s / x + y for s, x, y in zip(loop.spends, r, extra, strict=True)]
         self.F, self.enter, self.b, self.C = loop.F, loop.enter, diagonal(b), C
         self.own, self.K = loop.own, loop.K
         self.known, self.turned = loop.own.transpose() * scaled(C, loop.own), loop.K.transpose()
         self.met = loop.own.transpose() * scaled(C, loop.K)
         self.fed = self.turned * scaled(C, loop.K)
         bits = [x * arb(bit) ** 2 for x, bit in zip(steady, loop.plant.bits or [0.0] * loop.m, strict=True)]
-        paid = [arb(b[group[0]]) for group in loop.groups]
-        spent = [s * x for s, x in zip(loop.spends, r, strict=True)]
-        self.cost = sum([*bits, *paid, *spent], arb(0)) / 2
+        weights = [arb(b[group[0]]) for group in loop.groups]
+        costs = [s * x for s, x in zip(loop.spends, r, strict=True)]
+        self.cost = sum([*bits, *weights, *costs], arb(0)) / 2
 
     def spare(self, P: arb_mat) -> arb_mat:
         """Return the matrix of weights of values, less the matrix by which values raise storage and cost."""
@@ -236,15 +236,15 @@ class WeightedPeriod:
                 return None
             size = [float(later[i, i].mid()) for i in range(N)]
             last = [float(P[i, i].mid()) for i in range(N)]
-            least = [y - 2 * STRICT * (y + LEAST * max(last)) for y in last]
-            if not all(y <= x < LARGEST for x, y in zip(size, least, strict=True)):
+            floors = [y - 2 * STRICT * (y + LEAST * max(last)) for y in last]
+            if not all(y <= x < LARGEST for x, y in zip(size, floors, strict=True)):
                 return None
-            grown = (later + later.transpose()) * 0.5
-            grown = (grown + diagonal([STRICT * (x + LEAST * max(size)) for x in size])).mid()
-            change, size = (grown - P).tolist(), [float(grown[i, i]) ** 0.5 for i in range(N)]
+            candidate = (later + later.transpose()) * 0.5
+            candidate = (candidate + diagonal([STRICT * (x + LEAST * max(size)) for x in size])).mid()
+            change, size = (candidate - P).tolist(), [float(candidate[i, i]) ** 0.5 for i in range(N)]
             if all(abs(change[i][j]) <= SETTLED * size[i] * size[j] for i in range(N) for j in range(N)):
                 return P
-            P = grown
+            P = candidate
         return None
 
 
@@ -264,5 +264,5 @@ def pivots(M: arb_mat) -> list[list[arb]] | None:
     return rows
 
 
-def _dot(a: Sequence[float], b: Sequence[float], more: float = 0.0) -> float:
-    return sum((x * y for x, y in zip(a, b, strict=True)), more)
+def _dot(a: Sequence[float], b: Sequence[float], start: float = 0.0) -> float:
+    return sum((x * y for x, y in zip(a, b, strict=True)), start)

@@ -31,7 +31,7 @@ from .recovery import TOLD_SLACK
 CLAIM = "powered_abort"
 
 
-def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[FlownStep], stated: FileClaims) -> str:
+def check_aborts(tracker: Tracker, sets: list[Zonotope], steps: list[FlownStep], claims: FileClaims) -> str:
     """Check that S keeps all limits in every claimed abort, and reaches the orbit, if known, as is claimed.
 
     It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
@@ -40,26 +40,26 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[FlownStep],
     assert powered is not None
     takeovers, since = list[Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
-        reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
-        step = sum((spell.spent for spell in flown[k].spells), arb(0)) / document.mass
+        reached = [sets[k], *steps[k].nodes, sets[k + 1]] if mode else [sets[since]]
+        step = sum((spell.spent for spell in steps[k].spells), arb(0)) / document.mass
         if mode or k == since:  # in later steps S has taken over already
-            handed = HandOver.within(widest(reached), k * document.q, k * document.q + len(reached) - 1)
+            hand_over = HandOver.within(widest(reached), k * document.q, k * document.q + len(reached) - 1)
         if way is not None:
-            takeovers.append(Takeover(way, k, reached, handed, before + step if mode else before))
+            takeovers.append(Takeover(way, k, reached, hand_over, before + step if mode else before))
         before += step
         since = k + 1 if mode else since
     facets = [row for branch in powered.branches for row in branch.facets]
     corrections = Corrections(tracker)
     for place, branch in enumerate(powered.branches):
-        served = [taken for taken in takeovers if taken.way.branch == place]
+        served = [abort for abort in takeovers if abort.way.branch == place]
         if served:
-            along = BranchMotion.for_branch(branched(document, branch), branch, corrections, facets, stated)
-            along.flight.keeps(
-                {taken.handed.first + i: z for taken in served for i, z in enumerate(taken.sets)}
+            motion = BranchMotion.for_branch(branched(document, branch), branch, corrections, facets, claims)
+            motion.flight.keeps(
+                {abort.handed.first + i: z for abort in served for i, z in enumerate(abort.sets)}
             )
-            for taken in served:
-                along.arrives(taken)
-                along.affords(taken, powered.budget, stated)
+            for abort in served:
+                motion.arrives(abort)
+                motion.affords(abort, powered.budget, claims)
     return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
 
@@ -90,17 +90,17 @@ class BranchMotion:
         branch: AbortBranch,
         corrections: Corrections,
         facets: list[list[int]],
-        stated: FileClaims,
+        claims: FileClaims,
     ) -> "BranchMotion":
         """Build the exact motion under the inputs; check that these are within limits, and it may coast."""
         tracker = corrections.tracker
         path = flown_path(doc, tracker.craft.plant, branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
-        off = largest(magnitude(path.jump).entries())
-        require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
+        jump = largest(magnitude(path.jump).entries())
+        require(CLAIM, JUMP_SLACK * max(1.0, *size) - jump, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
         check_end(doc, path)
-        return cls(Continuation(doc, path, tracker, facets), branch, corrections, stated.orbit)
+        return cls(Continuation(doc, path, tracker, facets), branch, corrections, claims.orbit)
 
     @cached_property
     def _orbit(self) -> tuple[WeightedRows, Tightening]:
@@ -113,62 +113,62 @@ class BranchMotion:
         arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(tightenings))
         return rows, tightenings
 
-    def arrives(self, taken: Takeover) -> None:
+    def arrives(self, abort: Takeover) -> None:
         """Check that the orbit, if it is known, is reached when it is claimed to be."""
         if self.orbit is not None:
-            off, where = self.distance(taken, taken.way.cell), f"abort in step {taken.k}"
-            require(CLAIM, self.branch.tolerance - off, f"{where}: {plain(off)} m off the orbit")
+            distance, context = self.distance(abort, abort.way.cell), f"abort in step {abort.k}"
+            require(CLAIM, self.branch.tolerance - distance, f"{context}: {plain(distance)} m off the orbit")
 
-    def affords(self, taken: Takeover, budget: float | None, stated: FileClaims) -> None:
+    def affords(self, abort: Takeover, budget: float | None, claims: FileClaims) -> None:
         """Check S's spending against the budget, the tank, and the stated figure."""
-        spent, claimed = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
-        limits = {"claimed": claimed, "the budget of": budget, "the tank of": stated.tank}
+        delta_v, claim = self.spent(abort, abort.way.cell), claims.aborts[abort.k] if claims.aborts else None
+        limits = {"claimed": claim, "the budget of": budget, "the tank of": claims.tank}
         for limit, top in limits.items():
             if top is not None:
-                left = arb(top) * (1 + TOLD_SLACK) if limit == "claimed" else arb(top)
-                left -= spent + taken.before if limit == "the tank of" else spent
-                short = f"abort in step {taken.k}: {plain(spent)} m/s, {limit} {top:.6g} m/s"
-                require(CLAIM, left, short)
+                slack = arb(top) * (1 + TOLD_SLACK) if limit == "claimed" else arb(top)
+                slack -= delta_v + abort.before if limit == "the tank of" else delta_v
+                text = f"abort in step {abort.k}: {plain(delta_v)} m/s, {limit} {top:.6g} m/s"
+                require(CLAIM, slack, text)
 
-    def distance(self, taken: Takeover, cell: int) -> arb:
+    def distance(self, abort: Takeover, cell: int) -> arb:
         """Bound the distance from the orbit of flights aborted in a step, at the start of a cell."""
         doc = self.flight.document
         if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        return Arrival(self.flight, (taken.handed,), arb(0)).distance(
+        return Arrival(self.flight, (abort.handed,), arb(0)).distance(
             *self._orbit, (cell - doc.steps) * doc.q
         )
 
-    def spent(self, taken: Takeover, cell: int) -> arb:
+    def spent(self, abort: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s].
 
         The lesser of the sum of its periods' bounds and of that of all periods at once.
         """
         doc, tracker = self.flight.document, self.flight.tracker
         plant, tightenings = tracker.craft.plant, tracker.tightenings("commands", tracker.commands)
-        together, unasked = self._together(taken, cell), [arb(0)]
-        periods = range(taken.k * doc.q, cell * doc.q)
-        total = sum((self.flight.spent(tightenings, (taken.handed,), i) for i in periods), arb(0))
+        combined, by_faults = self._together(abort, cell), [arb(0)]
+        periods = range(abort.k * doc.q, cell * doc.q)
+        total = sum((self.flight.spent(tightenings, (abort.handed,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [
                 sum(push, arb(0)) + sum(plant.without_delay.thruster_part(push), arb(0)) for push in pushes
             ]
-            unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
-        total += largest(unasked)
-        total = total if together is None else smallest([total, together])
+            by_faults.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
+        total += largest(by_faults)
+        total = total if combined is None else smallest([total, combined])
         return (total + carried_impulse(plant)) / doc.mass
 
-    def _together(self, taken: Takeover, cell: int) -> arb | None:
+    def _together(self, abort: Takeover, cell: int) -> arb | None:
         """Bound the spending in all periods at once since S may have taken over, dues apart [N s]."""
         corrections, doc = self.corrections, self.flight.document
         if corrections.mean is None:
             return None
-        plant, first = corrections.tracker.craft.plant, min(taken.handed.first, taken.k * doc.q)
+        plant, first = corrections.tracker.craft.plant, min(abort.handed.first, abort.k * doc.q)
         count, inputs = cell * doc.q - first, doc.inputs[first // doc.q : cell]
         parts = (
             count * corrections.mean,
-            corrections.once(taken.sets, count),
+            corrections.once(abort.sets, count),
             corrections.planned(inputs, doc.q),
             corrections.answer_bound(self.flight.jump, count),
             corrections.late_fault_thrust(count),
@@ -179,7 +179,7 @@ class BranchMotion:
 
 def branched(document: Document, branch: AbortBranch) -> Document:
     """Return the certificate with a branch in the place of the reference from its first step on."""
-    least, doc = document.calmest, copy.copy(document)
+    calmest, doc = document.calmest, copy.copy(document)
     doc.steps, doc.cells = branch.step + len(branch.inputs), len(branch.facets)
     coast = [[0.0] * len(doc.u_max)] * (doc.cells - doc.steps)
     doc.inputs = [*document.inputs[: branch.step], *branch.inputs, *coast]
@@ -187,7 +187,7 @@ def branched(document: Document, branch: AbortBranch) -> Document:
     doc.drift = doc.powered = None
     if document.error_by_step:  # in the tail the largest of all that are met from then on
         later = document.error_by_step[min(doc.steps, document.steps) :]
-        known = [document.known_to(k) for k in range(doc.steps)]
-        doc.calmest = least
-        doc.error_by_step = [*known, [max(each) for each in zip(*later, strict=True)]]
+        errors = [document.known_to(k) for k in range(doc.steps)]
+        doc.calmest = calmest
+        doc.error_by_step = [*errors, [max(each) for each in zip(*later, strict=True)]]
     return doc

@@ -64,11 +64,11 @@ class Recovery:
         """Return for each cell the limits of least clearance, by row, in that cell and all later ones."""
         by_cell: list[dict[int, NodeLimit]] = [{}]
         for nodes in reversed(self.limits.targets[: self.document.cells]):
-            least = dict(by_cell[-1])
-            for target in (target for met in nodes for target in met):
-                if target.row not in least or not least[target.row].clearance <= target.clearance:
-                    least[target.row] = target
-            by_cell.append(least)
+            tightest = dict(by_cell[-1])
+            for target in (target for targets in nodes for target in targets):
+                if target.row not in tightest or not tightest[target.row].clearance <= target.clearance:
+                    tightest[target.row] = target
+            by_cell.append(tightest)
         return by_cell[::-1]
 
     def _far_cell(self, node: int) -> int:
@@ -86,17 +86,17 @@ class Recovery:
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         first, which = self.tightenings.alike
         pairs = zip(self.tightenings.carried, self.tightenings.curvature, strict=True)
-        both = ((rows_of(rows, *first), rows_of(curvature, *first)) for rows, curvature in pairs)
-        each = (spans(rows, sizes) + curvature * sizes for rows, curvature in both)
-        coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in each]
+        blocks = ((rows_of(rows, *first), rows_of(curvature, *first)) for rows, curvature in pairs)
+        extents = (spans(rows, sizes) + curvature * sizes for rows, curvature in blocks)
+        coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in extents]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[NodeLimit]] = {}
             for lag in range(self.lags(k) + 1):
-                of, needed, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
+                fraction, needed, extra = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, clearance, whole = target.least
-                    if not needed[which[row]][place] + more[row] <= clearance - of * whole:
+                    if not needed[which[row]][place] + extra[row] <= clearance - fraction * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 self._check_close(k, reached[k], close, share)
@@ -109,8 +109,8 @@ class Recovery:
 
     def _all(self, node: int, lag: int) -> list[NodeLimit]:
         """Limits that a set at a node must keep to some periods later."""
-        booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
-        return self.limits.at_node(node + lag, first=lag == 0) + booked
+        levels = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
+        return self.limits.at_node(node + lag, first=lag == 0) + levels
 
     def _of(self, share: float, node: int, lag: int) -> float:
         """Return the share claimed of limits some periods after a node: none of those flown on to."""
@@ -118,20 +118,20 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """Check that the share claimed at a set is left of all limits beyond the settling horizon, too."""
-        late = self.tightenings.tightening_after_settling(z.size())
+        settled = self.tightenings.tightening_after_settling(z.size())
         for row, target in self._least[self._far_cell(k)].items():
-            tightening = late[row] + self.tightenings.disturbed[-1][row]
-            where = f"the set at {self.time(k)}, {target.name} beyond the settling horizon"
-            self._leaves(share, target, tightening, where)
+            tightening = settled[row] + self.tightenings.disturbed[-1][row]
+            context = f"the set at {self.time(k)}, {target.name} beyond the settling horizon"
+            self._leaves(share, target, tightening, context)
 
-    def _leaves(self, share: float, target: NodeLimit, tightening: arb, where: str) -> None:
+    def _leaves(self, share: float, target: NodeLimit, tightening: arb, context: str) -> None:
         """Check that a tightening, that of a jump included, leaves a share of the clearance as it is told."""
         clearance, whole = target.clearance, target.whole
         if not clearance - tightening >= (share - TOLD_SLACK) * whole:
-            left = float(((clearance - tightening) / whole).mid()) if clearance > 0 else 0.0
-            text = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
+            slack = float(((clearance - tightening) / whole).mid()) if clearance > 0 else 0.0
+            text = f"share {slack:.6g} left, {share:.6g} claimed, for {context}"
             raise Rejected(
-                "margins", f"{text}: needs {plain(tightening)}, available {plain(clearance)}", share - left
+                "margins", f"{text}: needs {plain(tightening)}, available {plain(clearance)}", share - slack
             )
 
     def _check_close(
@@ -139,33 +139,33 @@ class Recovery:
     ) -> None:
         tightenings, intersamples = self.tightenings, SetIntersample(self.tightenings, z)
         support = z.support(above(*(rows_of(tightenings.carried[lag], row) for lag, row in close)))
-        booked = above(*(rows_of(tightenings.curvature[lag], row) for lag, row in close)) * z.size()
-        for ((lag, row), targets), reach, extra in zip(close.items(), support, booked.entries(), strict=True):
-            disturbance, of = tightenings.disturbed[lag][row], self._of(share, k, lag)
+        bounds = above(*(rows_of(tightenings.curvature[lag], row) for lag, row in close)) * z.size()
+        for ((lag, row), targets), reach, extra in zip(close.items(), support, bounds.entries(), strict=True):
+            disturbance, fraction = tightenings.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 tightening, clearance = reach + extra + disturbance, target.clearance
-                if not clearance - tightening >= of * target.whole:  # all of it can be had more exactly
-                    at = rows_of(tightenings.carried[lag], row)
-                    reach = sums((at * z.c).entries(), z.spread(at))[0]
+                if not clearance - tightening >= fraction * target.whole:  # all of it can be had more exactly
+                    rows = rows_of(tightenings.carried[lag], row)
+                    reach = sums((rows * z.c).entries(), z.spread(rows))[0]
                     tightening = reach + intersamples.next_to(lag)[row] + disturbance
-                where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
-                where += " under the safety controller"
+                context = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
+                context += " under the safety controller"
                 require(
                     "recoverable",
                     clearance - tightening,
-                    f"{where}: needs {plain(tightening)}, available {plain(clearance)}",
+                    f"{context}: needs {plain(tightening)}, available {plain(clearance)}",
                 )
-                self._leaves(of, target, tightening, where)
+                self._leaves(fraction, target, tightening, context)
 
     def check_far(self) -> None:
         """Check the limits beyond the settling horizon for every set."""
         tightening = sums(self.tightenings.forgotten, self.tightenings.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
-            for i, met in enumerate(self.limits.targets[cell]):
-                for t in (*met, *(self.levels[-1] if self.levels else ())):
+            for i, targets in enumerate(self.limits.targets[cell]):
+                for t in (*targets, *(self.levels[-1] if self.levels else ())):
                     if tightening[t.row] <= t.clearance:
                         continue
                     at = self.time(cell * self.document.q + i)
-                    where = f"errors forgotten by the loop, {t.name} at t = {at}"
-                    text = f"{where}: needs {plain(tightening[t.row])}, available {plain(t.clearance)}"
+                    context = f"errors forgotten by the loop, {t.name} at t = {at}"
+                    text = f"{context}: needs {plain(tightening[t.row])}, available {plain(t.clearance)}"
                     require("recoverable", t.clearance - tightening[t.row], text)

@@ -24,15 +24,15 @@ def spent(
     Steps on end with weights are looked at together (Proposition 14 (c)), all others one by one, (b). At the
     start of the step that `jump` names the loop state moves by up to a box.
     """
-    total, known = arb(0), [*weights, *[None] * (len(flights) - len(weights))][: len(flights)]
-    for joint, group in groupby(range(len(flights)), lambda k: known[k] is not None):
+    total, padded = arb(0), [*weights, *[None] * (len(flights) - len(weights))][: len(flights)]
+    for joint, group in groupby(range(len(flights)), lambda k: padded[k] is not None):
         run = list(group)
         count = max(periods - run[0] * len(flights[0].spells), 0)
         spells = [spell for k in run for spell in flights[k].spells][:count]
-        apart = sum((spell.spent for spell in spells), arb(0))
+        bound = sum((spell.spent for spell in spells), arb(0))
         if joint and spells:
-            given = [each for k in run if (each := known[k]) is not None]
-            moved = None if jump is None else (jump[0] - run[0], jump[1])
-            apart = smallest([apart, together([flights[k] for k in run], given, len(spells), moved)])
-        total += apart
+            run_weights = [each for k in run if (each := padded[k]) is not None]
+            run_jump = None if jump is None else (jump[0] - run[0], jump[1])
+            bound = smallest([bound, together([flights[k] for k in run], run_weights, len(spells), run_jump)])
+        total += bound
     return total

@@ -37,13 +37,13 @@ class Storage:
         """Bound the storage, its cost included, over a set about its centre."""
         within, along = start.G.transpose() * self.P * start.G, start.G.transpose() * self.p
         within = (within + within.transpose()) * 0.5
-        apart = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
-        bounds, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
+        coarse = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
+        bounds, sizes = [coarse], _sizes(within, along) if 0 < start.count <= FEW else []
         for i in range(1, TURNS) if sizes else ():
             weights = diagonal([x * arb(LOOSER) ** i for x in sizes])
             if pivots(weights - within) is not None:
-                paid = (along.transpose() * (weights - within).solve(along))[0, 0]
-                bounds.append((sum(map(arb, sizes), arb(0)) * arb(LOOSER) ** i + paid) / 2)
+                added = (along.transpose() * (weights - within).solve(along))[0, 0]
+                bounds.append((sum(map(arb, sizes), arb(0)) * arb(LOOSER) ** i + added) / 2)
         return self.cost + smallest(bounds)
 
     def before(self, period: WeightedPeriod, middle: arb_mat) -> Storage:
@@ -51,22 +51,22 @@ class Storage:
         spare, N = period.spare(self.P), self.P.nrows()
         if pivots(spare) is None:
             raise Undecided("goal", "weights are too small to bound the delta-v")
-        held = scaled(period.C, middle)
+        weighted = scaled(period.C, middle)
         crossed = period.enter.transpose() * self.P * period.F - period.met
-        entered = period.enter.transpose() * self.p + period.own.transpose() * held
+        entered = period.enter.transpose() * self.p + period.own.transpose() * weighted
         solved = spare.solve(beside(crossed, entered))
-        both = beside(crossed, entered).transpose() * solved
-        P = period.F.transpose() * self.P * period.F + period.fed + _part(both, 0, N, 0, N)
-        p = period.F.transpose() * self.p - period.turned * held + _part(both, 0, N, N, N + 1)
-        paid = (middle.transpose() * held)[0, 0] + both[N, N]
-        return _rounded(P, p, self.cost + period.cost + paid / 2)
+        product = beside(crossed, entered).transpose() * solved
+        P = period.F.transpose() * self.P * period.F + period.fed + _part(product, 0, N, 0, N)
+        p = period.F.transpose() * self.p - period.turned * weighted + _part(product, 0, N, N, N + 1)
+        added = (middle.transpose() * weighted)[0, 0] + product[N, N]
+        return _rounded(P, p, self.cost + period.cost + added / 2)
 
     def jumped(self, jump: arb_mat) -> Storage:
         """Return the storage before the loop state moves by up to a box (N, 1)."""
-        moved = magnitude(self.P) * jump
-        more = sum((x * y for x, y in zip(moved.entries(), jump.entries(), strict=True)), arb(0))
-        along = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
-        cost = self.cost + along + more * (1 + 1 / arb(APART)) / 2
+        product = magnitude(self.P) * jump
+        quadratic = sum((x * y for x, y in zip(product.entries(), jump.entries(), strict=True)), arb(0))
+        linear = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
+        cost = self.cost + linear + quadratic * (1 + 1 / arb(APART)) / 2
         return _rounded(self.P * (1 + arb(APART)), self.p, cost)
 
 
@@ -92,13 +92,13 @@ def _part(M: arb_mat, top: int, bottom: int, left: int, right: int) -> arb_mat:
 def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     """Return a storage of exact numbers that is at least as large."""
     P = (P + P.transpose()) * 0.5
-    unsure = [4 * sum(float(x.rad()) for x in row) for row in P.tolist()]
-    more = [GROWN * float(P[i, i].mid()) + x or TINY for i, x in enumerate(unsure)]  # of no storage too
-    exact, middle = (P + diagonal(more)).mid(), p.mid()
-    if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
+    radii = [4 * sum(float(x.rad()) for x in row) for row in P.tolist()]
+    growth = [GROWN * float(P[i, i].mid()) + x or TINY for i, x in enumerate(radii)]  # of no storage too
+    exact, middle = (P + diagonal(growth)).mid(), p.mid()
+    if pivots(exact - P - diagonal([x / 2 for x in growth])) is None:
         raise Undecided("goal", "the storage function is not bounded at this rounding")
-    off = zip((p - middle).entries(), more, strict=True)
-    return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in off), arb(0)))
+    pairs = zip((p - middle).entries(), growth, strict=True)
+    return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in pairs), arb(0)))
 
 
 def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[WeightedPeriod, arb_mat]]:
@@ -107,12 +107,12 @@ def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[Weighte
         raise Rejected("goal", "weights must be left out in steps without an affine law")
     craft, m = step.controller.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    periods, known = list[tuple[WeightedPeriod, arb_mat]](), dict[Any, MeanCommands]()
+    periods, loops = list[tuple[WeightedPeriod, arb_mat]](), dict[Any, MeanCommands]()
     for spell in step.spells[:count]:
         key = tuple(part.man_exp() for x in (*spell.bands, *spell.K.entries()) for part in (x.mid(), x.rad()))
-        if key not in known:
-            known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
-        loop, middle = known[key], spell.middle
+        if key not in loops:
+            loops[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
+        loop, middle = loops[key], spell.middle
         if craft.plant.matrix:
             loop, middle = TurnedCommands(craft, loop, middle), above(middle, arb_mat(m, 1))
         sizes = list(map(float, map(abs, middle.mid().entries())))
@@ -123,13 +123,13 @@ def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[Weighte
 
 def _columns(loop: MeanCommands, weights: Vector) -> list[float]:
     """Return the weight of every value from those of groups of values."""
-    made = loop.enter.ncols() - loop.held
-    if len(weights) != len(loop.groups) + made:
+    n_errors = loop.enter.ncols() - loop.held
+    if len(weights) != len(loop.groups) + n_errors:
         raise Rejected(
-            "goal", f"{len(weights)} weights are given for {len(loop.groups) + made} inputs of the loop"
+            "goal", f"{len(weights)} weights are given for {len(loop.groups) + n_errors} inputs of the loop"
         )
-    known = [weights[g] for g, group in enumerate(loop.groups) for _ in group]
-    return [*known, *weights[len(loop.groups) :]]
+    expanded = [weights[g] for g, group in enumerate(loop.groups) for _ in group]
+    return [*expanded, *weights[len(loop.groups) :]]
 
 
 def together(
@@ -151,13 +151,13 @@ def together(
         )
         start, jump = Zonotope(above(start.c, fixed), G), jump and (jump[0], above(jump[1], fixed))
     N = start.c.nrows()
-    after = Storage(arb_mat(N, N), arb_mat(N, 1), arb(0))
+    storage = Storage(arb_mat(N, N), arb_mat(N, 1), arb(0))
     lengths = [min(max(count - i * plant.q, 0), plant.q) for i in range(len(flights))]
     for i in range(len(flights) - 1, -1, -1):
         periods = _periods(flights[i], weights[i], lengths[i])
         for j in range(lengths[i] - 1, -1, -1):
-            after = after.before(*periods[j])
+            storage = storage.before(*periods[j])
         if jump is not None and jump[0] == i > 0:
-            after = after.jumped(jump[1])
+            storage = storage.jumped(jump[1])
     bits = plant.weighted(list(map(arb, plant.without_delay.bits or [0.0] * len(plant.u_max))))
-    return (after.largest(start) + count * bits) * (plant.h + 2 * arb(plant.jitter))
+    return (storage.largest(start) + count * bits) * (plant.h + 2 * arb(plant.jitter))

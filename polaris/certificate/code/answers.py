@@ -83,8 +83,8 @@ class FlightStep:
         if period >= 0 and period == self.last:
             return replace(self.answer, fault=self.answer.fault | REPEATED)
         tables = self.tables
-        given = state, command, measured
-        state, command, measured = ([rounded(float(x), self.precision) for x in each] for each in given)
+        inputs = state, command, measured
+        state, command, measured = ([rounded(float(x), self.precision) for x in each] for each in inputs)
         fault = self.estimate(state, measured)
         if period < 0 or period < self.last:
             fault |= CLOCK
@@ -130,14 +130,14 @@ class FlightStep:
 
     def corrected(self, state: list[float], measured: list[float]) -> list[float]:
         """Return a predicted state after the update by a measurement."""
-        tables, precision, off = self.tables, self.precision, list[float]()
+        tables, precision, innovation = self.tables, self.precision, list[float]()
         for o, y in enumerate(measured):
             y = summed(y, [-x for x in tables.seen[o]], state, precision)
             for rows, command in zip(tables.later, self.sent, strict=True):
                 y = summed(y, rows[o], command, precision)
-            off.append(y)
+            innovation.append(y)
         pairs = zip(state, tables.updates[self.unseen], strict=True)
-        return [summed(x, row, off, precision) for x, row in pairs]
+        return [summed(x, row, innovation, precision) for x, row in pairs]
 
     def finite(self, command: Sequence[float]) -> bool:
         """Return True if every entry is a number of the precision."""
@@ -149,9 +149,9 @@ class FlightStep:
         tables, precision = self.tables, self.precision
         feed, gap = tables.feed[cell] if cell < len(tables.modes) else [], []
         for j, x in enumerate(state):
-            known = (tables.moved[part][j], tables.waypoints[cell]), (tables.pushed[part][j], feed)
+            terms = (tables.moved[part][j], tables.waypoints[cell]), (tables.pushed[part][j], feed)
             reference = 0.0
-            for row, values in known:
+            for row, values in terms:
                 reference = summed(reference, row, values, precision)
             gap.append(rounded(reference - x, precision))
         return gap
@@ -164,13 +164,13 @@ class FlightStep:
 
     def clipped(self, command: Sequence[float], mode: int, fault: int) -> FlightAnswer:
         """Return the answer with a command clipped to the limits."""
-        margin, kept = inf, list[float]()
+        margin, thrusts = inf, list[float]()
         for value, limit in zip(command, self.tables.limit, strict=True):
-            kept.append(min(max(value, -limit), limit))
-            fault |= CLIPPED * (kept[-1] != value)
-            share = rounded(abs(kept[-1]) / limit, self.precision)
+            thrusts.append(min(max(value, -limit), limit))
+            fault |= CLIPPED * (thrusts[-1] != value)
+            share = rounded(abs(thrusts[-1]) / limit, self.precision)
             margin = min(margin, rounded(1.0 - share, self.precision))
-        return FlightAnswer(mode, fault, tuple(kept), min(margin, 1.0))
+        return FlightAnswer(mode, fault, tuple(thrusts), min(margin, 1.0))
 
 
 class OnlineStep:
@@ -204,8 +204,8 @@ class OnlineStep:
             planned = node < len(tables.modes) * len(tables.moved)
             if planned and self.recoverable(node, self.safe.state, share):
                 self.flown, fault = controller, 0
-                given = [rounded(float(u), self.precision) for u in command]
-                answer = self.safe.clipped(given, controller, fault)
+                thrusts = [rounded(float(u), self.precision) for u in command]
+                answer = self.safe.clipped(thrusts, controller, fault)
                 fault = answer.fault
             else:
                 fault |= REFUSED
@@ -224,14 +224,14 @@ class OnlineStep:
         if size > 1.0:
             return False
         for lag, rows in enumerate(zip(tables.booked, tables.sized, strict=True)):
-            booked = [summed(a, [b], [size], precision) for a, b in zip(*rows, strict=True)]
+            tightenings = [summed(a, [b], [size], precision) for a, b in zip(*rows, strict=True)]
             cell, part = divmod(node + lag, q)
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
-            if not self._kept(tables.clearance[cell], part, booked, values, share):
+            if not self._kept(tables.clearance[cell], part, tightenings, values, share):
                 return False
             if part == 0 and cell > 0:
-                ended = tables.clearance[cell - 1][: tables.facets]
-                if not self._kept(ended, q, booked, values, share):
+                previous = tables.clearance[cell - 1][: tables.facets]
+                if not self._kept(previous, q, tightenings, values, share):
                     return False
             if lag == 0:
                 gap = [summed(0.0, row, gap, precision) for row in tables.held]
@@ -242,13 +242,13 @@ class OnlineStep:
         return True
 
     def _kept(
-        self, clearance: Table, part: int, booked: Sequence[float], values: Sequence[float], share: float
+        self, clearance: Table, part: int, tightenings: Sequence[float], values: Sequence[float], share: float
     ) -> bool:
         precision = self.precision
-        for sides, more, value in zip(clearance, booked, values, strict=False):
-            for at, by, sign in ((0, 1, 1.0), (2, 3, -1.0)):
-                limit = summed(sides[at], [sides[by]], [part], precision)
-                tightening = rounded(more + sign * value, precision)
+        for sides, base, value in zip(clearance, tightenings, values, strict=False):
+            for offset, slope, sign in ((0, 1, 1.0), (2, 3, -1.0)):
+                limit = summed(sides[offset], [sides[slope]], [part], precision)
+                tightening = rounded(base + sign * value, precision)
                 if not (tightening <= limit and tightening <= rounded(share * limit, precision)):
                     return False
         return True

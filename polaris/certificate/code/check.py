@@ -41,13 +41,13 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
     online = [
         "where the online monitor decides, claims of the goal, spending, drifts and aborts are not made"
     ]
-    handed = "measurement" if tables.seen else "estimate"
+    input_name = "measurement" if tables.seen else "estimate"
     first = ", its first estimate and the commands before the flight" if tables.seen else ""
     predicted = not tables.seen and (document.observer is not None or bool(document.timing.get("delay")))
     estimator = "what predicts the estimate is told S's commands as the exact law has them: what rounded ones"
     estimator += " change of it is bounded in code with the observer alone"
     return [
-        f"the flight code is called once at the start of every control period, with the {handed} that the"
+        f"the flight code is called once at the start of every control period, with the {input_name} that the"
         f" scenario declares{first}; its compiler and processor keep to C99 and IEEE 754",
         assumed,
         *(online if tables.rows else []),
@@ -60,14 +60,14 @@ def precisions(document: Document) -> str:
     plant, n, m = plant_of(document), len(document.A), len(document.u_max)
     path = flown_path(document, plant, document.states[document.steps])
     parts = zip(*[(identity(n), arb_mat(n, m)), *plant.steps][: document.q], strict=True)
-    moved, pushed = ([[list(map(float, row)) for row in M.tolist()] for M in part] for part in parts)
-    tables, words = Tables(**_known(document), moved=moved, pushed=pushed), list[str]()
+    transitions, gains = ([[list(map(float, row)) for row in M.tolist()] for M in part] for part in parts)
+    tables, words = Tables(**_known(document), moved=transitions, pushed=gains), list[str]()
     for precision in PRECISIONS:
         error = command_error(document, tables.rounded(precision), precision, path)
-        taken = disturbance_taken(document, plant, error)
+        disturbance = disturbance_taken(document, plant, error)
         words.append(f"{precision} within {float(error.upper()):.3g} N")
-        if taken is not None and document.w_max > 0:
-            share = float((taken / document.w_max).upper())
+        if disturbance is not None and document.w_max > 0:
+            share = float((disturbance / document.w_max).upper())
             words[-1] += f", {share:.3g} of the disturbance bound{', too much to fly' * (share >= 1)}"
     return f"commands of flight code, tables rounded once: {'; '.join(words)}"
 
@@ -94,12 +94,12 @@ def read_code(folder: Path) -> tuple[str, Tables, str, str]:
 def _texts(folder: Path) -> tuple[str, dict[str, str]]:
     """Return the prefix of the code in a folder, and the texts of its files."""
     files = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
-    there = sorted(path.relative_to(folder).as_posix() for path in files)
-    prefix = next((name[:-2] for name in there if name.endswith(".h") and "/" not in name), "")
+    names = sorted(path.relative_to(folder).as_posix() for path in files)
+    prefix = next((name[:-2] for name in names if name.endswith(".h") and "/" not in name), "")
     needed = f"{prefix}.h", f"{prefix}.c", f"{prefix}_selftest.c"
-    if not PREFIX.fullmatch(prefix) or not {*needed} <= {*there}:
-        raise Rejected("code", f"the folder must hold a header, a source and a self-test, not {there}")
-    if other := [name for name in there if name not in needed and not BESIDE.fullmatch(name)]:
+    if not PREFIX.fullmatch(prefix) or not {*needed} <= {*names}:
+        raise Rejected("code", f"the folder must hold a header, a source and a self-test, not {names}")
+    if other := [name for name in names if name not in needed and not BESIDE.fullmatch(name)]:
         raise Rejected("code", f"the folder holds {other[0]!a}, which `polaris export c` does not write")
     try:
         return prefix, {name: contents(folder / name).decode("ascii") for name in needed}
@@ -113,57 +113,57 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
     The error does what a disturbance does: the environment must leave as much of the declared bound.
     """
     path = flown_path(document, plant, document.states[document.steps])
-    error, stated = command_error(document, tables, precision, path), arb(tables.rounding)
+    error, bound = command_error(document, tables, precision, path), arb(tables.rounding)
     if tables.seen:
         error = OnBoard(document, plant, tables, precision).command_error(error)
     require(
-        "rounding", stated - error, f"commands may be {float(error):.4g} N off, {float(stated):.4g} is stated"
+        "rounding", bound - error, f"commands may be {float(error):.4g} N off, {float(bound):.4g} is stated"
     )
-    require("rounding", error * 2 - stated, f"{float(stated):.4g} N is stated, twice the bound or more")
-    taken, statement = (
-        disturbance_taken(document, plant, stated),
-        f"commands in {precision} are within {float(stated):.3g} N",
+    require("rounding", error * 2 - bound, f"{float(bound):.4g} N is stated, twice the bound or more")
+    disturbance, statement = (
+        disturbance_taken(document, plant, bound),
+        f"commands in {precision} are within {float(bound):.3g} N",
     )
-    if taken is None or not document.w_max > 0:
+    if disturbance is None or not document.w_max > 0:
         return f"{statement} of the exact ones: no disturbance bound covers that", statement
-    share = float((taken / document.w_max).upper())
-    require("rounding", document.w_max - taken, f"rounding takes {share:.3g} of the disturbance bound")
+    share = float((disturbance / document.w_max).upper())
+    require("rounding", document.w_max - disturbance, f"rounding takes {share:.3g} of the disturbance bound")
     statement += f" of the exact ones, {share:.3g} of the disturbance bound"
-    left = f"the disturbance is at most 1 - {share:.3g} of its bound: rounding on board takes the rest"
+    assumption = f"the disturbance is at most 1 - {share:.3g} of its bound: rounding on board takes the rest"
     ranges = "states and measurements have been" if tables.seen else "states are"
-    return f"{left}, while {ranges} within the range of the code", statement
+    return f"{assumption}, while {ranges} within the range of the code", statement
 
 
 def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
     """Check that all numbers are the certificate's, rounded once; transitions are off by few roundings."""
     n, m, q = len(document.A), len(document.u_max), document.q
-    sizes, wanted = tuple(tables.sizes.values())[:5], (n, m, q, document.steps, document.cells)
-    if sizes != wanted:
-        raise Rejected("code", f"the tables are for sizes {sizes}, not {wanted}")
-    known = _known(document)
-    for name, value in known.items():
+    sizes, true_sizes = tuple(tables.sizes.values())[:5], (n, m, q, document.steps, document.cells)
+    if sizes != true_sizes:
+        raise Rejected("code", f"the tables are for sizes {sizes}, not {true_sizes}")
+    expected = _known(document)
+    for name, value in expected.items():
         _same(name, getattr(tables, name), value, precision)
     exact = [(identity(n), arb_mat(n, m)), *plant.steps][:q]
-    _near("moved", tables.moved, [moved for moved, _ in exact], precision)
-    _near("pushed", tables.pushed, [pushed for _, pushed in exact], precision)
+    _near("moved", tables.moved, [transition for transition, _ in exact], precision)
+    _near("pushed", tables.pushed, [gain for _, gain in exact], precision)
     if tables.seen:
         on_board = OnBoard(document, plant, tables, precision)
         for name, matrices in on_board.exact().items():
-            given = getattr(tables, name)
-            _near(name, given if name in ("later", "updates") else [given], matrices, precision)
-        _same("heard", tables.heard, on_board.heard(known["range"]), precision)
+            table = getattr(tables, name)
+            _near(name, table if name in ("later", "updates") else [table], matrices, precision)
+        _same("heard", tables.heard, on_board.heard(expected["range"]), precision)
 
 
-def _near(name: str, given: Table, exact: list[arb_mat], precision: str) -> None:
+def _near(name: str, stored: Table, exact: list[arb_mat], precision: str) -> None:
     """Check that matrices are off by few roundings."""
-    if [[len(row) for row in rows] for rows in given] != [[M.ncols()] * M.nrows() for M in exact]:
+    if [[len(row) for row in rows] for rows in stored] != [[M.ncols()] * M.nrows() for M in exact]:
         raise Rejected("code", f"{name} is not of the size of the certificate's")
-    for node, (rows, M) in enumerate(zip(given, exact, strict=True)):
-        for i, (row, true) in enumerate(zip(rows, M.tolist(), strict=True)):
+    for node, (rows, M) in enumerate(zip(stored, exact, strict=True)):
+        for i, (row, exact_row) in enumerate(zip(rows, M.tolist(), strict=True)):
             slack = MATRICES * UNIT[precision] * max(1.0, *map(abs, row))
-            for x, y in zip(row, true, strict=True):
-                where = f"{name}, node {node}, row {i}"
-                require("code", slack - abs(y - x), f"{where}: {x!r} is not {plain(y)}")
+            for x, y in zip(row, exact_row, strict=True):
+                place = f"{name}, node {node}, row {i}"
+                require("code", slack - abs(y - x), f"{place}: {x!r} is not {plain(y)}")
 
 
 def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
@@ -176,11 +176,11 @@ def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
         sums(tightenings.tightening_at_any_time(row_maxima(sizes)), maxima(*tightenings.disturbed))
     )
     reference = row_maxima([node for arc in flight.path.arcs for node in arc.nodes])
-    states, seen = reference + errors, flight.document.observer or {"measures": [], "noise": []}
-    measured = magnitude(matrix(seen["measures"], states.nrows())) * states + column(seen["noise"])
+    states, observer = reference + errors, flight.document.observer or {"measures": [], "noise": []}
+    measured = magnitude(matrix(observer["measures"], states.nrows())) * states + column(observer["noise"])
     for i, size in enumerate((*states.entries(), *measured.entries())):
-        what = f"number {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
-        require("code", FARTHEST / 2 - size, what)
+        text = f"number {i} may be as large as {plain(size)}, the code believes none beyond {FARTHEST:g}"
+        require("code", FARTHEST / 2 - size, text)
 
 
 def _known(document: Document) -> dict[str, Table]:
@@ -198,14 +198,14 @@ def _known(document: Document) -> dict[str, Table]:
     }
 
 
-def _same(name: str, given: Table, value: Table, precision: str) -> None:
+def _same(name: str, stored: Table, value: Table, precision: str) -> None:
     if isinstance(value, list):
-        if not isinstance(given, list) or len(given) != len(value):
+        if not isinstance(stored, list) or len(stored) != len(value):
             raise Rejected("code", f"{name} is not of the size of the certificate's")
-        for i, (one, other) in enumerate(zip(given, value, strict=True)):
+        for i, (one, other) in enumerate(zip(stored, value, strict=True)):
             _same(f"{name}[{i}]", one, other, precision)
-    elif given != (value if isinstance(value, int) else rounded(value, precision)):
-        raise Rejected("code", f"{name} is {given!r}, the certificate's is {value!r}")
+    elif stored != (value if isinstance(value, int) else rounded(value, precision)):
+        raise Rejected("code", f"{name} is {stored!r}, the certificate's is {value!r}")
 
 
 def _range(document: Document, gain: Table) -> list[float]:

@@ -63,17 +63,17 @@ class OnBoard:
         h, parts = self.plant.h, list[arb_mat]()
         count = ceil(float((self.delay / h).mid()) * (1 - WHOLE))
         for age in range(max(count, 1)):
-            left = self.delay - age * h  # may exceed the last period, by a share of `WHOLE`
-            pushed = exponential(self.plant.A, h if left > h else left)[1] * self.plant.B
-            parts.append(self.seen * exponential(self.plant.A, age * h)[0] * pushed)
+            duration = self.delay - age * h  # may exceed the last period, by a share of `WHOLE`
+            gain = exponential(self.plant.A, h if duration > h else duration)[1] * self.plant.B
+            parts.append(self.seen * exponential(self.plant.A, age * h)[0] * gain)
         return parts
 
     @cached_property
     def updates(self) -> list[arb_mat]:
         """Return the gain on the difference from the prediction, after 0, 1, ... missed periods."""
-        stated = self.document.observer or {}
-        ahead = exponential(self.plant.A, self.delay)[0]
-        return [ahead * matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
+        observer = self.document.observer or {}
+        transition = exponential(self.plant.A, self.delay)[0]
+        return [transition * matrix(gain) for gain in (observer["gain"], *observer.get("after", ()))]
 
     def exact(self) -> dict[str, list[arb_mat]]:
         """Return the tables as matrices that hold the exact numbers, by name."""
@@ -81,9 +81,9 @@ class OnBoard:
             raise Rejected("code", "the certificate states no observer")
         if self.tables.rows or any(not fault.get("pushes") for fault in self.document.transients):
             raise Rejected("code", "an observer flies without a monitor and where navigation is not lost")
-        held, whole = exponential(self.plant.A, self.plant.h)
-        known = {"held": [held], "force": [whole * self.plant.B], "seen": [self.seen]}
-        return known | {"later": self.later, "updates": self.updates}
+        transition, integral = exponential(self.plant.A, self.plant.h)
+        tables = {"held": [transition], "force": [integral * self.plant.B], "seen": [self.seen]}
+        return tables | {"later": self.later, "updates": self.updates}
 
     def heard(self, reach: list[float]) -> list[float]:
         """Return the largest measurements, of states within `reach`, for which rounding is bounded."""
@@ -94,26 +94,26 @@ class OnBoard:
     def _rounded(self) -> tuple[arb_mat, list[arb_mat]]:
         """Bounds on the rounding of a prediction (n, 1), and of an update, by its kind."""
         tables, precision = self.tables, self.precision
-        reach, limit, heard = (column(x) for x in (tables.range, tables.limit, tables.heard))
+        reach, limit, measured = (column(x) for x in (tables.range, tables.limit, tables.heard))
         (n, m), o, sent = (len(tables.range), len(tables.limit)), len(tables.heard), len(tables.later)
-        held, whole = exponential(self.plant.A, self.plant.h)
-        known, pushed, seen = (matrix(x) for x in (tables.held, tables.force, tables.seen))
-        size = magnitude(known) * reach + magnitude(pushed) * limit
-        wrong = magnitude(known - held) * reach + magnitude(pushed - whole * self.plant.B) * limit
+        exact, integral = exponential(self.plant.A, self.plant.h)
+        transition, force, output_map = (matrix(x) for x in (tables.held, tables.force, tables.seen))
+        size = magnitude(transition) * reach + magnitude(force) * limit
+        wrong = magnitude(transition - exact) * reach + magnitude(force - integral * self.plant.B) * limit
         predicted = wrong + _lost(size, 0, precision, tables.held, tables.force) + least(n, n + m, precision)
         size = size + predicted
-        off, wrong = heard + magnitude(seen) * size, magnitude(seen - self.seen) * size
-        for given, true in zip(map(matrix, tables.later), self.later, strict=True):
-            off += magnitude(given) * limit
-            wrong += magnitude(given - true) * limit
-        wrong += heard * arb(UNIT[precision] * (precision == "float"))
-        wrong += _lost(off, 1, precision, tables.seen, *tables.later) + least(o, n + sent * m, precision)
-        off, updated = off + wrong, list[arb_mat]()
+        total, wrong = measured + magnitude(output_map) * size, magnitude(output_map - self.seen) * size
+        for stored, true in zip(map(matrix, tables.later), self.later, strict=True):
+            total += magnitude(stored) * limit
+            wrong += magnitude(stored - true) * limit
+        wrong += measured * arb(UNIT[precision] * (precision == "float"))
+        wrong += _lost(total, 1, precision, tables.seen, *tables.later) + least(o, n + sent * m, precision)
+        total, updated = total + wrong, list[arb_mat]()
         for rows, true in zip(tables.updates, self.updates, strict=True):
-            given = matrix(rows)
-            made = magnitude(true) * wrong + magnitude(given - true) * off
-            made += _lost(size + magnitude(given) * off, 1, precision, rows) + least(n, o, precision)
-            updated.append(made)
+            stored = matrix(rows)
+            error = magnitude(true) * wrong + magnitude(stored - true) * total
+            error += _lost(size + magnitude(stored) * total, 1, precision, rows) + least(n, o, precision)
+            updated.append(error)
         return predicted, updated
 
     @cached_property
@@ -123,42 +123,42 @@ class OnBoard:
         The second is what commands add that are off besides.
         """
         n, m, sent = len(self.tables.range), len(self.tables.limit), len(self.later)
-        kept, gain = (sent - 1) * m, matrix(self.document.laws[0].gain or [])
-        held, whole = exponential(self.plant.A, self.plant.h)
-        force = above(whole * self.plant.B, identity(m), arb_mat(kept, m))
-        known = above(held, arb_mat(sent * m, n)) - force * gain * arb(CENTRE)
-        moved = beside(known, above(arb_mat(n + m, kept), identity(kept)), arb_mat(n + sent * m, m))
+        count, gain = (sent - 1) * m, matrix(self.document.laws[0].gain or [])
+        transition, integral = exponential(self.plant.A, self.plant.h)
+        force = above(integral * self.plant.B, identity(m), arb_mat(count, m))
+        state_map = above(transition, arb_mat(sent * m, n)) - force * gain * arb(CENTRE)
+        loop = beside(state_map, above(arb_mat(n + m, count), identity(count)), arb_mat(n + sent * m, m))
         updates = []
         for update in self.updates:
             rows = beside(identity(n) - update * self.seen, *(update * part for part in self.later))
             updates.append(above(rows, beside(arb_mat(sent * m, n), identity(sent * m))))
-        return moved, force, updates
+        return loop, force, updates
 
-    def command_error(self, rest: arb) -> arb:
-        """Bound errors of commands [N] by the stated bound: `rest` is that of all but the estimate.
+    def command_error(self, other_error: arb) -> arb:
+        """Bound errors of commands [N] by the stated bound: `other_error` is that of all but the estimate.
 
         By every pattern of missed periods, as errors of an observer are bounded (docs/theory.md, Proposition
         7). `Rejected` if rounding is not forgotten.
         """
-        n, (moved, force, updates) = len(self.tables.range), self._maps
-        differing = column([(arb(self.tables.rounding) + rest) * (1 - CENTRE)] * force.ncols())
-        state = above(identity(n), arb_mat(moved.nrows() - n, n))
+        n, (loop, force, updates) = len(self.tables.range), self._maps
+        differing = column([(arb(self.tables.rounding) + other_error) * (1 - CENTRE)] * force.ncols())
+        state = above(identity(n), arb_mat(loop.nrows() - n, n))
         (predicted, updated), ways = self._rounded, beside(state, force)
-        steps, sizes = [moved**age for age in range(len(updates) + 1)], above(predicted, differing)
-        added, turned = list[tuple[arb_mat, arb_mat]](), list[arb_mat]()
-        for kind, (Q, made) in enumerate(zip(updates, updated, strict=True), 1):
-            each = beside(state, *(Q * M * ways for M in steps[:kind]))
-            added.append((each, above(made, *[sizes] * kind)))
-            turned.append(Q * steps[kind])
-        handed = column(self.tables.range) * arb(UNIT[self.precision] * (self.precision == "float"))
-        left, apart, known = _settled(turned, added, state * handed)
+        steps, sizes = [loop**age for age in range(len(updates) + 1)], above(predicted, differing)
+        added, loops = list[tuple[arb_mat, arb_mat]](), list[arb_mat]()
+        for kind, (Q, error) in enumerate(zip(updates, updated, strict=True), 1):
+            columns = beside(state, *(Q * M * ways for M in steps[:kind]))
+            added.append((columns, above(error, *[sizes] * kind)))
+            loops.append(Q * steps[kind])
+        input_error = column(self.tables.range) * arb(UNIT[self.precision] * (self.precision == "float"))
+        powers, differences, bound = _settled(loops, added, state * input_error)
         rows = matrix(self.document.laws[0].gain or []) * state.transpose()
-        pushed, worst = rows * known * 0, list[arb]()
+        growth, worst = rows * bound * 0, list[arb]()
         for M in steps[:-1]:  # of periods without a measurement
-            maps = [rows * M * power for power in left]
-            worst += (_worst(maps, apart, added, state * handed, known) + pushed).entries()
-            pushed += magnitude(rows * M * ways) * sizes
-        return rest + largest(worst)
+            maps = [rows * M * power for power in powers]
+            worst += (_worst(maps, differences, added, state * input_error, bound) + growth).entries()
+            growth += magnitude(rows * M * ways) * sizes
+        return other_error + largest(worst)
 
 
 def _lost(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat:
@@ -178,48 +178,48 @@ Added = list[tuple[arb_mat, arb_mat]]
 
 
 def _settled(
-    turned: list[arb_mat], added: Added, first: arb_mat
+    loops: list[arb_mat], added: Added, first: arb_mat
 ) -> tuple[list[arb_mat], list[arb_mat], arb_mat]:
     """Bound errors just after updates, the first within `first`; each kind turns them and adds to them.
 
     Before the bounds are maps of an error over so many periods, and what kinds change of it.
     """
-    loop, kinds, count = turned[0], len(turned), FEWEST
-    apart = [M - loop ** (j + 1) for j, M in enumerate(turned)]
-    left = [identity(loop.nrows())]
+    loop, kinds, count = loops[0], len(loops), FEWEST
+    differences = [M - loop ** (j + 1) for j, M in enumerate(loops)]
+    powers = [identity(loop.nrows())]
     while True:
-        while len(left) < count + kinds:
-            left.append(left[-1] * loop)
-        known = _worst(left, apart, added, first, 0 * first)
-        rest = maxima(*((magnitude(M) * known).entries() for M in left[count:]))
-        if all(x <= LEFT * y for x, y in zip(rest, known.entries(), strict=True)):
+        while len(powers) < count + kinds:
+            powers.append(powers[-1] * loop)
+        bound = _worst(powers, differences, added, first, 0 * first)
+        remaining = maxima(*((magnitude(M) * bound).entries() for M in powers[count:]))
+        if all(x <= LEFT * y for x, y in zip(remaining, bound.entries(), strict=True)):
             break
         if count >= LONGEST:
             raise Rejected("rounding", f"the observer remembers errors for more than {count} periods")
         count *= 2
     for _ in range(ROUNDS):
-        more = _worst(left, apart, added, first, known).entries()
-        if all(x <= y for x, y in zip(more, known.entries(), strict=True)):
+        after = _worst(powers, differences, added, first, bound).entries()
+        if all(x <= y for x, y in zip(after, bound.entries(), strict=True)):
             break
-        known = column([x * STEP for x in maxima(more, known.entries())])
+        bound = column([x * STEP for x in maxima(after, bound.entries())])
     else:
         raise Rejected("rounding", "errors of the observer grow by missed periods")
     for _ in range(LOWER if kinds > 1 else 1):
-        known = _worst(left, apart, added, first, known)
-    return left, apart, known
+        bound = _worst(powers, differences, added, first, bound)
+    return powers, differences, bound
 
 
 def _worst(
-    left: list[arb_mat], apart: list[arb_mat], added: Added, first: arb_mat, known: arb_mat
+    powers: list[arb_mat], differences: list[arb_mat], added: Added, first: arb_mat, bound: arb_mat
 ) -> arb_mat:
-    """Bound rows of errors just after updates by every pattern, if those before were within `known`."""
-    kinds, count = len(added), len(left) - len(added)
-    come, total = [[arb(0)] * M.nrows() for M in left], list[list[arb]]()
-    for age, M in enumerate(left):
-        start = first if age < count else known
-        total.append([x.upper() for x in sums(come[age], (magnitude(M) * start).entries())])
+    """Bound rows of errors just after updates by every pattern, if those before were within `bound`."""
+    kinds, count = len(added), len(powers) - len(added)
+    by_age, total = [[arb(0)] * M.nrows() for M in powers], list[list[arb]]()
+    for age, M in enumerate(powers):
+        start = first if age < count else bound
+        total.append([x.upper() for x in sums(by_age[age], (magnitude(M) * start).entries())])
         for j in range(kinds if age < count else 0):
-            more = magnitude(M * added[j][0]) * added[j][1] + magnitude(M * apart[j]) * known
-            later = [x.upper() for x in sums(come[age], more.entries())]
-            come[age + j + 1] = maxima(come[age + j + 1], later)
+            increment = magnitude(M * added[j][0]) * added[j][1] + magnitude(M * differences[j]) * bound
+            later = [x.upper() for x in sums(by_age[age], increment.entries())]
+            by_age[age + j + 1] = maxima(by_age[age + j + 1], later)
     return column([x.upper() for x in maxima(*total)])

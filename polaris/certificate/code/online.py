@@ -73,11 +73,11 @@ class DecisionBound:
         craft = self.flight.tracker.craft
         n = craft.plant.A.nrows()
         missed = craft.carry * diagonal(craft.missed(craft.lagged(craft.plant.u_max)))
-        off = craft.lifted(missed)
+        error = craft.lifted(missed)
         if craft.free.nrows() == n:
-            return off
-        seen, rest = rest_of(craft.sees, n), remembered(craft.free, n, widths(self.added)[n:], craft.box)
-        return beside(off, above(-seen, identity(len(rest))) * diagonal(rest))
+            return error
+        columns, sizes = rest_of(craft.sees, n), remembered(craft.free, n, widths(self.added)[n:], craft.box)
+        return beside(error, above(-columns, identity(len(sizes))) * diagonal(sizes))
 
     def start(self, share: int) -> arb_mat:
         """Size of the loop state where a decision may be for U, a share of the largest on board, (N, 1)."""
@@ -105,10 +105,10 @@ class DecisionBound:
     def end(self, share: int) -> arb_mat:
         """Size of the loop state at the next node, affine in the share, (N, 1)."""
         craft = self.flight.tracker.craft
-        moved = (
+        size = (
             magnitude(craft.free) * self.start(share) + magnitude(craft.held_map) * self.max_reference_input
         )
-        return magnitude(moved + column(widths(self.added)))
+        return magnitude(size + column(widths(self.added)))
 
     @cached_property
     def within(self) -> list[tuple[list[arb], list[arb]]]:
@@ -124,22 +124,22 @@ class DecisionBound:
         along, whole = craft.intersample(Directions(rows))
         intersamples = []
         for share in (0, 1):
-            rates, turned = (
+            rates, accelerations = (
                 magnitude(M * craft.drifts) * self.start(share)
                 + magnitude(M * plant.B) * self.max_reference_input
                 for M in (identity(plant.A.nrows()), plant.A)
             )
             intersamples.append(
-                ((along.curvatures[0] * rates).entries(), (along.curvatures[1] * turned).entries())
+                ((along.curvatures[0] * rates).entries(), (along.curvatures[1] * accelerations).entries())
             )
         which = [0 if a <= b else 1 for a, b in zip(*intersamples[1], strict=True)]
         curvature, last = along.disturbance
         for push in self.pushes:
             curvature = sums(curvature, along.motion.push_curvature(rows, push))
             last = sums(last, along.motion.push_gain(rows, push))
-        known = [widths(each * self.hidden) for each in (whole.M, whole.M * craft.free)]
+        hidden = [widths(each * self.hidden) for each in (whole.M, whole.M * craft.free)]
         firsts = [sums([both[i][row] for row, i in enumerate(which)], curvature) for both in intersamples]
-        return [(sums(first, known[0]), sums(first, last, known[1])) for first in firsts]
+        return [(sums(first, hidden[0]), sums(first, last, hidden[1])) for first in firsts]
 
     def tightening(self, lag: int, share: int) -> list[arb]:
         """Need of every row at a node so many after the decision, beside the estimate's error."""
@@ -147,11 +147,11 @@ class DecisionBound:
         if lag == 0:
             return self.within[share][0]
         carried = tightenings.carried[lag - 1]
-        known = (
+        terms = (
             widths(carried * craft.free * self.hidden),
             (tightenings.curvature[lag - 1] * self.end(share)).entries(),
         )
-        total = sums(row_sums(carried * self.added), *known, tightenings.disturbed[lag - 1])
+        total = sums(row_sums(carried * self.added), *terms, tightenings.disturbed[lag - 1])
         if lag == 1:
             facets = self.within[share][1]
             total = [*maxima(total[: len(facets)], facets), *total[len(facets) :]]
@@ -160,19 +160,19 @@ class DecisionBound:
     @cached_property
     def stored(self) -> list[tuple[int, int, arb_mat]]:
         """Stored row of every limit's row, the side on which it limits, and by how much it is off (1, n)."""
-        given, facets = self.flight.recovery.tightenings.given, len(self.within[0][0])
+        limit_rows, facets = self.flight.recovery.tightenings.given, len(self.within[0][0])
         rows = [matrix([row]) for row in self.tables.rows]
         nearest = list[tuple[int, int, arb_mat]]()
-        for i in range(given.nrows()):
-            exact = part(rows_of(given, i), len(self.tables.apart))
+        for i in range(limit_rows.nrows()):
+            exact = part(rows_of(limit_rows, i), len(self.tables.apart))
             first, last = (0, self.tables.facets) if i < facets else (self.tables.facets, len(rows))
             sides = ((k, side, sign) for k in range(first, last) for side, sign in ((0, 1), (2, -1)))
-            near = [(k, side, magnitude(exact + sign * rows[k])) for k, side, sign in sides]
-            best = min(near, key=lambda one: float(largest(one[2].entries())), default=None)
+            candidates = [(k, side, magnitude(exact + sign * rows[k])) for k, side, sign in sides]
+            closest = min(candidates, key=lambda one: float(largest(one[2].entries())), default=None)
             allowed = NEAR * UNIT[self.precision] * float(largest(absolute(exact).entries()))
-            if best is None or not float(largest(best[2].entries())) <= allowed:
+            if closest is None or not float(largest(closest[2].entries())) <= allowed:
                 raise Rejected(CLAIM, f"the tables have no row for limit {i}")
-            nearest.append(best)
+            nearest.append(closest)
         return nearest
 
     @cached_property
@@ -180,46 +180,46 @@ class DecisionBound:
         """Bound on the rounding error of the value along every row, node by node."""
         craft, tightenings, tables = self.flight.tracker.craft, self.flight.recovery.tightenings, self.tables
         n, m, precision = len(tables.apart), len(tables.limit), self.precision
-        held, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
+        transition, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
         free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held_map, craft.F))
         free, F = part(free, n), part(F, n)
-        apart, fed = self.apart, row_maxima([column(u) for u in tables.feed])
+        reach, feed = self.apart, row_maxima([column(u) for u in tables.feed])
         inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
         wrong = row_maxima([column(u) - column(v) for u, v in inputs])
-        first = magnitude(held) * apart + magnitude(force) * fed
+        first = magnitude(transition) * reach + magnitude(force) * feed
         rounded = first * rounding_factor(n + m, precision) + least(n, n + m, precision)
-        off = magnitude(free) * self.off + magnitude(held - free) * apart
-        off += magnitude(force - push) * fed + magnitude(push) * wrong + rounded
-        known = tightenings.settling.powers[: len(tables.booked)]
-        powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in known]
+        next_error = magnitude(free) * self.off + magnitude(transition - free) * reach
+        next_error += magnitude(force - push) * feed + magnitude(push) * wrong + rounded
+        loop_powers = tightenings.settling.powers[: len(tables.booked)]
+        powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in loop_powers]
         spread = [magnitude(part(carried, n)) for carried in tightenings.carried[: len(tables.booked)]]
-        each = magnitude(loop) * rounding_factor(n, precision) + magnitude(loop - F)
+        rounding = magnitude(loop) * rounding_factor(n, precision) + magnitude(loop - F)
         stored = [rows_of(matrix(tables.rows), kind) for kind, _, _ in self.stored]
         along = above(*(magnitude(row) for row in stored)) * (
             rounding_factor(n, precision) + 4 * UNIT[precision]
         )
         along += above(*(off_row for *_, off_row in self.stored))
-        under = least(len(stored), n, precision)
-        lost, added = [spread[0] * self.off + along * apart + under], list[arb_mat]()
+        underflow = least(len(stored), n, precision)
+        losses, added = [spread[0] * self.off + along * reach + underflow], list[arb_mat]()
         for lag in range(len(tables.booked) - 1):
-            size, total = powers[lag] * (first + rounded), spread[lag] * off + under
-            for age, more in enumerate(reversed(added)):  # rounded so many periods before
-                size, total = size + powers[age] * more, total + spread[age] * more
-            lost.append(total + along * size)
-            added.append(each * size + least(n, n, precision))
-        return [one.entries() for one in lost]
+            size, total = powers[lag] * (first + rounded), spread[lag] * next_error + underflow
+            for age, error in enumerate(reversed(added)):  # rounded so many periods before
+                size, total = size + powers[age] * error, total + spread[age] * error
+            losses.append(total + along * size)
+            added.append(rounding * size + least(n, n, precision))
+        return [loss.entries() for loss in losses]
 
     def check(self) -> str:
         """Confirm every tightening and clearance, and all limits beyond; return the confirmation."""
         tables, u = self.tables, UNIT[self.precision]
-        for lag, (booked, sized) in enumerate(zip(tables.booked, tables.sized, strict=True)):
+        for lag, (bases, slopes) in enumerate(zip(tables.booked, tables.sized, strict=True)):
             for share in (0, 1):
                 for row, tightening in enumerate(self.tightening(lag, share)):
-                    base, more = (arb(table[self.stored[row][0]]) for table in (booked, sized))
-                    stated = base + more * share - (abs(base) + abs(more)) * (8 * u)
-                    where = f"row {row}, {lag} nodes on, errors of share {share}"
-                    spare = stated - tightening - self.rounding_loss[lag][row]
-                    require(CLAIM, spare, f"{where}: needs {plain(tightening)}, {plain(stated)} is booked")
+                    base, slope = (arb(table[self.stored[row][0]]) for table in (bases, slopes))
+                    stored = base + slope * share - (abs(base) + abs(slope)) * (8 * u)
+                    context = f"row {row}, {lag} nodes on, errors of share {share}"
+                    slack = stored - tightening - self.rounding_loss[lag][row]
+                    require(CLAIM, slack, f"{context}: needs {plain(tightening)}, {plain(stored)} is booked")
         return f"S can take over wherever U may fly, {len(tables.booked)} nodes ahead and beyond"
 
 
@@ -276,11 +276,11 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     doc, tracker = copy(flight.document), flight.tracker
     craft, plant = tracker.craft, tracker.craft.plant
     extra = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
-    off = craft.missed(sums(extra, craft.lagged(plant.u_max)))
+    missed = craft.missed(sums(extra, craft.lagged(plant.u_max)))
     error = [nextafter(float(x.upper()), inf) for x in plant.thruster_error(plant.u_max)]
     doc.feedback_bound, doc.error_by_step = [], []
     plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
-    craft = replace(craft, plant=plant, off=off, base=None, _along={})
+    craft = replace(craft, plant=plant, off=missed, base=None, _along={})
     settling = replace(tracker.settling, feedback_bound=[], rates=[])
     tracker = Tracker(doc, craft, settling, tracker.upsets)
     return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
@@ -290,16 +290,16 @@ def _check_clearances(decision: DecisionBound) -> None:
     """Check that each clearance, as it is computed, is at most that of the limit."""
     tables, u = decision.tables, UNIT[decision.precision]
     for cell, nodes in enumerate(decision.flight.recovery.limits.targets[: len(tables.clearance)]):
-        for place, met in enumerate(nodes):
-            for target in met:
+        for place, targets in enumerate(nodes):
+            for target in targets:
                 kind, side, _ = decision.stored[target.row]
                 first, slope = (arb(x) for x in tables.clearance[cell][kind][side : side + 2])
                 clearance = first + slope * place + (abs(first) + abs(slope) * place) * (4 * u)
-                where = f"{target.name} in step {cell}, period {place}"
+                context = f"{target.name} in step {cell}, period {place}"
                 require(
                     CLAIM,
                     target.clearance - clearance,
-                    f"{where}: clearance {plain(clearance)} of {plain(target.clearance)}",
+                    f"{context}: clearance {plain(clearance)} of {plain(target.clearance)}",
                 )
 
 
@@ -310,18 +310,18 @@ def _check_later(decision: DecisionBound) -> None:
     least_of = [dict[int, NodeLimit]()]
     for nodes in reversed(recovery.limits.targets):
         clearances = dict(least_of[-1])
-        for target in (target for met in nodes for target in met):
+        for target in (target for targets in nodes for target in targets):
             if target.row not in clearances or not clearances[target.row].clearance <= target.clearance:
                 clearances[target.row] = target
         least_of.append(clearances)
     least_of.reverse()
     periods, end = flight.tracker.settling.periods, decision.end(1)
-    for at in range(len(decision.tables.booked) - 1, periods + 2):
-        beyond = at > periods
-        grown = tightenings.tightening_after_settling(end) if beyond else tightenings.boxed(end, at)
-        tightening = sums(grown, tightenings.disturbed[at])
-        cell = periods // doc.q if beyond else at // doc.q
+    for lag in range(len(decision.tables.booked) - 1, periods + 2):
+        beyond = lag > periods
+        by_error = tightenings.tightening_after_settling(end) if beyond else tightenings.boxed(end, lag)
+        tightening = sums(by_error, tightenings.disturbed[lag])
+        cell = periods // doc.q if beyond else lag // doc.q
         cell = min(cell, doc.steps if doc.horizon == "infinite" and beyond else len(least_of) - 1)
         for row, target in least_of[cell].items():
-            where = f"{target.name}, {at} periods after a hand-over: needs {plain(tightening[row])}"
-            require(CLAIM, target.clearance - tightening[row], f"{where} of {plain(target.clearance)}")
+            context = f"{target.name}, {lag} periods after a hand-over: needs {plain(tightening[row])}"
+            require(CLAIM, target.clearance - tightening[row], f"{context} of {plain(target.clearance)}")

@@ -27,16 +27,16 @@ def command_error(document: Document, tables: Tables, precision: str, path: Path
     The exact one is that of S along the exact reference `path`, or a command of U, both clipped.
     """
     n, m = len(document.A), len(document.u_max)
-    exact = arb(0) if precision == "double" else arb(UNIT[precision])  # of numbers that are handed over
+    unit = arb(0) if precision == "double" else arb(UNIT[precision])  # of numbers that are handed over
     gain, limit, feed = (
         matrix(tables.gain),
         column(tables.limit),
         row_maxima([column(u) for u in tables.feed]),
     )
     worst = [arb(0)] * m
-    for error, apart in _gaps(document, tables, precision, path):
-        spread = magnitude(gain) * (apart + error) + feed + limit
-        total = magnitude(gain) * error + spread * (rounding_factor(n + 1, precision) + 2 * exact)
+    for error, size in _gaps(document, tables, precision, path):
+        spread = magnitude(gain) * (size + error) + feed + limit
+        total = magnitude(gain) * error + spread * (rounding_factor(n + 1, precision) + 2 * unit)
         total += least(m, n + 1, precision)
         worst = [largest(pair) for pair in zip(worst, total.entries(), strict=True)]
     return largest(worst)
@@ -52,21 +52,21 @@ def _gaps(
 ) -> Iterator[tuple[arb_mat, arb_mat]]:
     """Rounding of the error at the nodes of a step, and the size of the error, (n, 1) each, part by part."""
     n, m = len(document.A), len(document.u_max)
-    exact = arb(0) if precision == "double" else arb(UNIT[precision])
-    handed = exact * (not tables.seen)  # the observer's estimate is apart
+    unit = arb(0) if precision == "double" else arb(UNIT[precision])
+    input_unit = unit * (not tables.seen)  # the observer's estimate is apart
     reach, starts = column(tables.range), [column(x) for x in tables.waypoints]
     feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(starts) - len(tables.feed))
     top = row_maxima(starts), row_maxima(feeds)
     for part, rows in enumerate(zip(tables.moved, tables.pushed, strict=True)):
-        moved, pushed = map(matrix, rows)
-        sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
-        off = [
-            arc.nodes[part] - moved * x - pushed * u
+        transition, gain = map(matrix, rows)
+        reference = magnitude(transition) * top[0] + magnitude(gain) * top[1]
+        gaps = [
+            arc.nodes[part] - transition * x - gain * u
             for arc, x, u in zip(path.arcs[: len(starts)], starts, feeds, strict=True)
         ]
-        error = row_maxima(off) + sizes * rounding_factor(n + m, precision) + least(n, n + m, precision)
-        apart = sizes + error + reach
-        yield error + apart * arb(UNIT[precision]) + reach * handed, apart
+        error = row_maxima(gaps) + reference * rounding_factor(n + m, precision) + least(n, n + m, precision)
+        size = reference + error + reach
+        yield error + size * arb(UNIT[precision]) + reach * input_unit, size
 
 
 def row_maxima(columns: list[arb_mat]) -> arb_mat:
@@ -77,8 +77,8 @@ def row_maxima(columns: list[arb_mat]) -> arb_mat:
 
 def rounding_factor(count: int, precision: str) -> arb:
     """Bound on the relative error of so many roundings in a row."""
-    lost = arb(UNIT[precision]) * (count + 1)
-    return lost / (1 - lost)
+    error = arb(UNIT[precision]) * (count + 1)
+    return error / (1 - error)
 
 
 def least(rows: int, count: int, precision: str) -> arb_mat:

@@ -15,33 +15,33 @@ VECTOR = re.compile(
 )
 
 
-def answered(tables: Tables, precision: str, given: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
+def answered(tables: Tables, precision: str, calls: Iterable[Call]) -> Iterator[tuple[Call, FlightAnswer]]:
     """Yield each call with the answer that is expected."""
-    flown: FlightStep | OnlineStep = FlightStep(tables, precision)
-    for call in given:
+    code: FlightStep | OnlineStep = FlightStep(tables, precision)
+    for call in calls:
         if call.start == 1:
-            flown = FlightStep(tables, precision)
+            code = FlightStep(tables, precision)
         if call.start == 2:
-            flown = OnlineStep(tables, precision)
-            flown.safe.last = call.period - 1
-        seen = (call.measured,) if tables.seen else ()
-        yield call, flown.step(call.period, call.state, call.controller, call.command, *seen)
+            code = OnlineStep(tables, precision)
+            code.safe.last = call.period - 1
+        measured = (call.measured,) if tables.seen else ()
+        yield call, code.step(call.period, call.state, call.controller, call.command, *measured)
 
 
-def selftest(tables: Tables, prefix: str, precision: str, given: Iterable[Call]) -> str:
+def selftest(tables: Tables, prefix: str, precision: str, calls: Iterable[Call]) -> str:
     """Return the text of a program that compares the answers to some calls with the expected ones."""
     rows = []
-    for call, answer in answered(tables, precision, given):
-        state, command, kept, seen = (
+    for call, answer in answered(tables, precision, calls):
+        state, command, expected, measured = (
             ", ".join(_number(x, prefix, precision) for x in values)
             for values in (call.state, call.command, answer.command, call.measured)
         )
-        state += "}, {" * bool(seen) + seen
+        state += "}, {" * bool(measured) + measured
         period = LEAST if call.period == -(2**31) else call.period
         margin = _number(answer.margin, prefix, precision)
         rows.append(
             f"{{{int(call.start)}, {{{period}, {call.controller}, {{{state}}}, {{{command}}}}},\n"
-            f" {{{answer.mode}, {answer.fault}U, {{{kept}}}, {margin}}}}}"
+            f" {{{answer.mode}, {answer.fault}U, {{{expected}}}, {margin}}}}}"
         )
     body = "static const vector vectors[] = {\n" + ",\n".join(rows) + "};"
     text = template("selftest.c").replace("@PREFIX@", prefix).replace("@GUARD@", prefix.upper())
@@ -58,18 +58,18 @@ def _number(x: float, prefix: str, precision: str) -> str:
 def calls_of(text: str, prefix: str) -> list[Call]:
     """Read the calls of a self-test program back; `ValueError` where one cannot be read."""
 
-    def values(given: str) -> tuple[float, ...]:
-        known = (one.removeprefix(f"({prefix}_real)") for one in given.split(", "))
-        return tuple(ODD[one] if one in ODD else float.fromhex(one.rstrip("f")) for one in known)
+    def values(listing: str) -> tuple[float, ...]:
+        literals = (one.removeprefix(f"({prefix}_real)") for one in listing.split(", "))
+        return tuple(ODD[one] if one in ODD else float.fromhex(one.rstrip("f")) for one in literals)
 
     return [
         Call(
             int(start),
             -(2**31) if period == LEAST else int(period),
             values(x),
-            int(who),
+            int(controller),
             values(u),
             values(y) if y else (),
         )
-        for start, period, who, x, y, u in VECTOR.findall(text)
+        for start, period, controller, x, y, u in VECTOR.findall(text)
     ]

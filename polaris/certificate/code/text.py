@@ -101,14 +101,14 @@ class Tables:
         counts = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
         sizes = dict(zip(SIZES, (*counts, len(self.waypoints), self.covered), strict=True))
         online = len(self.rows), self.facets, len(self.booked), len(self.clearance)
-        seen = len(self.seen), len(self.later), len(self.updates)
-        sizes |= dict(zip(OBSERVER, seen, strict=True)) if self.seen else {}
+        observer = len(self.seen), len(self.later), len(self.updates)
+        sizes |= dict(zip(OBSERVER, observer, strict=True)) if self.seen else {}
         return sizes | (dict(zip(ONLINE, online, strict=True)) if self.rows else {})
 
     def rounded(self, precision: str) -> "Tables":
         """Return the tables with every number rounded to a precision."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)}
-        return Tables(**{key: _rounded(value, precision) for key, value in known.items()})
+        tables = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Tables(**{key: _rounded(value, precision) for key, value in tables.items()})
 
 
 SHAPES = {
@@ -169,39 +169,39 @@ def _braces(value: Table, precision: str) -> str:
 
 def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str, str]:
     """Return the texts of the header and the source by their names, of tables rounded to the precision."""
-    guard, parts, online, seen = prefix.upper(), [], bool(tables.rows), bool(tables.seen)
-    for name, shape in _shapes(online, seen).items():
+    guard, parts, online, has_observer = prefix.upper(), [], bool(tables.rows), bool(tables.seen)
+    for name, shape in _shapes(online, has_observer).items():
         size = "".join(f"[{guard}_{NAMES.get(one, one)}]" for one in shape)
         body = _braces(getattr(tables, name), precision)
         parts.append(f"static const {prefix}_real {name}{size} = {body};")
     steps = ", ".join(f"{mode}U" for mode in tables.modes)
     parts.append(f"static const uint8_t modes[{guard}_STEPS] = {{{steps}}};")
-    known: dict[str, Any] = {
+    values: dict[str, Any] = {
         "PREFIX": prefix,
         "GUARD": guard,
         "REAL": precision,
         "MOST": PRECISIONS[precision],
     }
-    known |= {"DIGEST": digest, "TABLES": "\n\n".join(parts), **tables.sizes}
+    values |= {"DIGEST": digest, "TABLES": "\n\n".join(parts), **tables.sizes}
     n, m, *_ = tables.sizes.values()
     outputs, sent = len(tables.seen), len(tables.later)
-    filtered = seen * (n * (n + m) + outputs * (2 * n + sent * m))
+    filtered = has_observer * (n * (n + m) + outputs * (2 * n + sent * m))
     counts = {"PRODUCTS": n * (n + 2 * m) + filtered, "SUMS": n * (n + 2 * m + 1) + m + filtered}
-    known |= counts | {"QUOTIENTS": m}  # of `estimate`, `safety` and `answer`
+    values |= counts | {"QUOTIENTS": m}  # of `estimate`, `safety` and `answer`
     reals = {"ZERO": 0.0, "ONE": 1.0, "FARTHEST": FARTHEST, "ROUNDING": tables.rounding, "KEEP": KEEP}
-    known |= {key: literal(x, precision) for key, x in reals.items()}
+    values |= {key: literal(x, precision) for key, x in reals.items()}
     texts = dict[str, str]()
     for kind in ("h", "c"):
         text = template(f"step.{kind}").replace("@ONLINE@", template(f"online.{kind}") if online else "")
-        parts = template("observer.c" if seen else "estimate.c").split("@PART@\n")
+        parts = template("observer.c" if has_observer else "estimate.c").split("@PART@\n")
         for place, part in zip(("FAULT", "INPUT", "MEMORY", "START", "ESTIMATE"), parts, strict=True):
             text = text.replace(f"@{place}@\n", part)
-        texts[f"{prefix}.{kind}"] = KEY.sub(lambda key: str(known[key[1]]), text)
+        texts[f"{prefix}.{kind}"] = KEY.sub(lambda key: str(values[key[1]]), text)
     return texts
 
 
-def _shapes(online: bool, seen: bool) -> dict[str, tuple[str, ...]]:
-    return SHAPES | (ONLINE_SHAPES if online else {}) | (OBSERVER_SHAPES if seen else {})
+def _shapes(online: bool, has_observer: bool) -> dict[str, tuple[str, ...]]:
+    return SHAPES | (ONLINE_SHAPES if online else {}) | (OBSERVER_SHAPES if has_observer else {})
 
 
 def template(name: str) -> str:
@@ -214,13 +214,13 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
     precision = next((p for p in PRECISIONS if f"typedef {p} {prefix}_real;" in header), "")
     head = HEAD.search(header)
     online = f"{prefix.upper()}_LAGS" in header
-    seen = f"{prefix.upper()}_OUTPUTS" in header
-    asked = SIZES + ONLINE * online + OBSERVER * seen
-    sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in asked}
+    has_observer = f"{prefix.upper()}_OUTPUTS" in header
+    keys = SIZES + ONLINE * online + OBSERVER * has_observer
+    sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in keys}
     if not precision or head is None:
         raise ValueError("the header names no precision, or no certificate")
     arrays = dict[str, Any]()
-    for name, shape in _shapes(online, seen).items():
+    for name, shape in _shapes(online, has_observer).items():
         texts = _literals(source, f"static const {prefix}_real {name}[")
         count = [SIDES if one == "SIDES" else sizes[one] for one in shape]
         if len(texts) != prod(count):
@@ -231,9 +231,9 @@ def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
     arrays["rounding"] = _number(bound[1], precision) if bound else 0.0
     tables = Tables(covered=sizes["COVERED"], modes=modes, facets=sizes.get("FACETS", 0), **arrays)
     for name, text in files(tables, prefix, precision, head[1]).items():
-        given = header if name.endswith(".h") else source
-        if given != text:
-            lines = zip(given.splitlines(), text.splitlines(), strict=False)
+        stored = header if name.endswith(".h") else source
+        if stored != text:
+            lines = zip(stored.splitlines(), text.splitlines(), strict=False)
             line = next((i for i, (a, b) in enumerate(lines, 1) if a != b), "the end")
             raise ValueError(f"{name} differs from the text of its numbers in line {line}")
     return tables, precision, head[1]

@@ -42,12 +42,12 @@ def has_artefacts(document: Document, folder: Path) -> bool:
 
 def check_hashes(document: Document, folder: Path, record: Record) -> None:
     """Compare every file that the certificate names with its hash; it must name all that are needed."""
-    for name, known in sorted(document.artefacts.items()):
+    for name, expected in sorted(document.artefacts.items()):
         if name != Path(name).name or not (folder / name).is_file():
             raise Rejected("artefacts", f"{ascii(name)} is missing")
-        there = sha256(folder / name)
-        if there != known:
-            raise Rejected("artefacts", f"{ascii(name)} has the hash {there}, not {ascii(known)}")
+        actual = sha256(folder / name)
+        if actual != expected:
+            raise Rejected("artefacts", f"{ascii(name)} has the hash {actual}, not {ascii(expected)}")
     for name in NEEDED:
         if name not in document.artefacts:
             raise Rejected("artefacts", f"no hash of {name}")
@@ -135,15 +135,15 @@ def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> lis
     """Return the further statements of a run folder, which no check confirms."""
     specs = scenario["experimental"]
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
-    cheapest = f"unaware plans of {plans} are fuel-optimal (start, dynamics, limits and goal are checked)"
-    flown = "statistics of simulated runs in summary.json, which prove nothing"
+    optimality = f"unaware plans of {plans} are fuel-optimal (start, dynamics, limits and goal are checked)"
+    statistics = "statistics of simulated runs in summary.json, which prove nothing"
     bound = "the bound on U's share over all schedules in summary.json"
-    asked = "the share proven without black boxes, and attacks on them, in summary.json"
+    attacks = "the share proven without black boxes, and attacks on them, in summary.json"
     boxes = any(item["kind"] == "black_box" for item in specs)
     reasons = "reasons in schedule.json for margins, colliding drifts, missing aborts, lost steps"
-    lines = [flown, bound, *[asked] * boxes] * exists(folder / SUMMARY)
-    others = "choices in certificate.json, which readers of a schedule prove again"
-    return [*[cheapest] * bool(plans), reasons, *lines, *[others] * bool(document.choices)]
+    lines = [statistics, bound, *[attacks] * boxes] * exists(folder / SUMMARY)
+    choices = "choices in certificate.json, which readers of a schedule prove again"
+    return [*[optimality] * bool(plans), reasons, *lines, *[choices] * bool(document.choices)]
 
 
 # -- the summary ------------------------------------------------------------------------------------
@@ -162,12 +162,12 @@ def check_summary(
     """
     laws, K = document.laws, document.steps
     # Those flown: S alone, each experimental controller alone, the schedule.
-    alone = {mode: "experimental" if mode == 1 else f"experimental_{mode}" for mode in range(1, len(laws))}
-    keys = SUMMARY_KEYS | every(FLOWN, " ".join(alone.values()))
+    labels = {mode: "experimental" if mode == 1 else f"experimental_{mode}" for mode in range(1, len(laws))}
+    keys = SUMMARY_KEYS | every(FLOWN, " ".join(labels.values()))
     stored: dict[str, Any] = conform(strict_json(contents(path)), keys, "summary", path.name)
     synthesis = stored["synthesis"]
-    flown = {"polaris": ("polaris", document.modes), "safety": (laws[0].name, [0] * K)}
-    flown |= {key: (laws[mode].name, [mode] * K) for mode, key in alone.items()}
+    schedules = {"polaris": ("polaris", document.modes), "safety": (laws[0].name, [0] * K)}
+    schedules |= {key: (laws[mode].name, [mode] * K) for mode, key in labels.items()}
     expected: dict[str, Any] = {
         "scenario": document.scenario,
         "title": scenario["title"],
@@ -179,18 +179,18 @@ def check_summary(
             "switches": switches(document.modes),
         },
     }
-    for key, (name, modes) in flown.items():
+    for key, (name, modes) in schedules.items():
         runs = stored["polaris"]["runs"]
         expected[key] = {"controller": name, "runs": runs, "switches": switches(modes)}
     same("summary", "summary.json", expected, stored)
     if synthesis["start_limit"] not in limit_names(document):
         raise Rejected("summary", "start_limit is no limit of the scene")
     # How the plan was found is no claim of safety; its velocity change is that of the reference.
-    spent = math.fsum(abs(x) for u in document.inputs[:K] for x in u) * document.delta / document.mass
-    _close("velocity change of the plan", spent, synthesis["planner"]["delta_v_m_s"])
-    for key, (_, modes) in flown.items():
+    delta_v = math.fsum(abs(x) for u in document.inputs[:K] for x in u) * document.delta / document.mass
+    _close("velocity change of the plan", delta_v, synthesis["planner"]["delta_v_m_s"])
+    for key, (_, modes) in schedules.items():
         _check_flown(document, key, modes, stored[key])
-    spent, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
+    delta_v, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
     objectives = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
     objective = math.fsum(objectives[mode] for mode in document.modes) / K
     worst, bound = synthesis.get("worst_flight"), synthesis["share_at_most"]
@@ -204,73 +204,73 @@ def check_summary(
         "violated with a failure": worst is None or worst["violated"] == (worst["failure"] is not None),
         "velocity changes of runs within the claim": document.guarantee != "proved"
         or bool(document.transients)
-        or spent <= _raised(goal),
+        or delta_v <= _raised(goal),
     }
     _hold(needed | _of_model_error(document, stored.get("model_error"), "orbit" in scenario), "")
     return stored
 
 
-def _of_model_error(document: Document, stated: dict[str, Any] | None, asked: bool) -> dict[str, bool]:
+def _of_model_error(document: Document, claim: dict[str, Any] | None, has_orbit: bool) -> dict[str, bool]:
     """Return the conditions on the model error of a summary; its bound itself is not derived here."""
-    if stated is None or document.mean_motion is None:
-        return {"model_error where the scenario has an orbit": stated is None and not asked}
-    bound, parts = stated["bound_m_s2"], math.fsum(stated["parts_m_s2"].values())
+    if claim is None or document.mean_motion is None:
+        return {"model_error where the scenario has an orbit": claim is None and not has_orbit}
+    bound, parts = claim["bound_m_s2"], math.fsum(claim["parts_m_s2"].values())
     return {
-        "model_error where, and only where, the scenario has an orbit": asked,
-        "model_error.declared_m_s2 of the system": stated["declared_m_s2"] == document.w_max,
-        "model_error.covered as the two bounds have it": stated["covered"] == (bound <= document.w_max),
+        "model_error where, and only where, the scenario has an orbit": has_orbit,
+        "model_error.declared_m_s2 of the system": claim["declared_m_s2"] == document.w_max,
+        "model_error.covered as the two bounds have it": claim["covered"] == (bound <= document.w_max),
         "model_error.bound_m_s2 of no less than its parts": _raised(bound) >= parts,
     }
 
 
-def _close(what: str, derived: float, stored: float, size: float | None = None) -> None:
+def _close(quantity: str, derived: float, stored: float, size: float | None = None) -> None:
     """Check that numbers are equal up to rounding, relative to a size, or to the derived value itself."""
-    off = abs(derived - stored)
-    if not off <= ROUNDING * (abs(derived) + 1e-300 if size is None else size):
-        raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}", off)
+    difference = abs(derived - stored)
+    if not difference <= ROUNDING * (abs(derived) + 1e-300 if size is None else size):
+        raise Rejected("summary", f"{quantity}: {stored} in summary.json, derived {derived}", difference)
 
 
 def _check_flown(document: Document, key: str, modes: list[int], stored: dict[str, Any]) -> None:
     """Check the statistics of runs under known modes."""
-    T, up = document.steps * document.delta, 1 + ROUNDING
+    T, allowance = document.steps * document.delta, 1 + ROUNDING
     plant, periods = plant_of(document), document.steps * document.q
     horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion
     _close(f"experimental share of {key}", share(modes), stored["experimental_share"], 1.0)
     _close(f"horizon of free drift of {key}", horizon, stored["drift_horizon_s"])
-    hit, collided = stored["collided_runs"], stored["collided"]
+    collisions, collided = stored["collided_runs"], stored["collided"]
     proved = document.guarantee == "proved" and not key.startswith("experimental")
-    apart = [stored[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
-    if [x is None for x in apart] != [all(item.of_state for item in document.unsafe)] * 3:
+    distances = [stored[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
+    if [x is None for x in distances] != [all(item.of_state for item in document.unsafe)] * 3:
         raise Rejected("summary", f"{key}: distances must be null where no set is in position")
-    apart = [math.inf if x is None else x for x in apart]
-    (least, mean, all_times), straight = apart, stored["min_ttc_s"]
+    distances = [math.inf if x is None else x for x in distances]
+    (least, mean, all_times), min_ttc = distances, stored["min_ttc_s"]
     drift = stored["min_ttc_free_drift_s"]
-    spent, most_spent = stored["delta_v_m_s"], stored["delta_v_max_m_s"]
-    ratios = [stored[f"max_thrust_ratio{who}"] for who in ("_safety", "_experimental")]
+    delta_v, delta_v_max = stored["delta_v_m_s"], stored["delta_v_max_m_s"]
+    ratios = [stored[f"max_thrust_ratio{suffix}"] for suffix in ("_safety", "_experimental")]
     flies = [any((mode > 0) == experimental for mode in modes) for experimental in (False, True)]
     needed = {
-        "collided_runs": hit <= stored["runs"] and (hit > 0) == collided,
+        "collided_runs": collisions <= stored["runs"] and (collisions > 0) == collided,
         "collided, although it is proven not to": not (proved and collided),
         "distances in order": least <= _raised(mean) and mean <= _raised(all_times),
         "min_distance_m, of runs that did not collide": collided or least > 0,
-        "min_ttc_s, of runs that did not collide": collided or straight is None or straight > 0,
-        "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
-        "velocity changes in order": spent <= most_spent * up
-        and most_spent <= spent * stored["runs"] * up
-        and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
+        "min_ttc_s, of runs that did not collide": collided or min_ttc is None or min_ttc > 0,
+        "min_ttc_free_drift_s": drift is None or drift <= horizon * allowance,
+        "velocity changes in order": delta_v <= delta_v_max * allowance
+        and delta_v_max <= delta_v * stored["runs"] * allowance
+        and delta_v_max <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * allowance,
         "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
         "max_thrust_ratio": stored["max_thrust_ratio"]
         == max((r for r in ratios if r is not None), default=-1),
-        "max_thrust_ratio_safety of at most 1": not proved or ratios[0] is None or ratios[0] <= up,
+        "max_thrust_ratio_safety of at most 1": not proved or ratios[0] is None or ratios[0] <= allowance,
     }
     _hold(needed, f"{key}: ")
 
 
-def _hold(needed: dict[str, bool], where: str) -> None:
+def _hold(needed: dict[str, bool], prefix: str) -> None:
     """Refuse a summary in which one number contradicts another."""
-    for what, holds in needed.items():
+    for condition, holds in needed.items():
         if not holds:
-            raise Rejected("summary", f"{where}{what} does not hold in summary.json")
+            raise Rejected("summary", f"{prefix}{condition} does not hold in summary.json")
 
 
 def _raised(x: float) -> float:

@@ -100,20 +100,20 @@ def listed(tables: Mapping[str, str]) -> list[str]:
     return [f"{table}.{key}".lstrip(".") for table, keys in tables.items() for key in keys.split()]
 
 
-def given_keys(table: Mapping[str, Any], at: str = "") -> Iterator[str]:
+def given_keys(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Yield the paths of the keys that a scenario gives; those of lists of tables may come more than once."""
     for key, value in table.items():
         for each in value if isinstance(value, list) else [value]:
             if isinstance(each, dict):
-                yield from given_keys(each, f"{at}{key}.")
-        yield at + key
+                yield from given_keys(each, f"{prefix}{key}.")
+        yield prefix + key
 
 
 def unchecked_demands(scenario: Mapping[str, Any]) -> list[str]:
     """Return the demands of a scenario that no check confirms, one line for each group of keys."""
-    known, lines = set(given_keys(scenario)), []
+    paths, lines = set(given_keys(scenario)), []
     for demand, tables in UNCHECKED.items():
-        keys = [key for key in listed(tables) if key in known]
-        named = keys if len(keys) <= 4 else [f"[{table}]" for table in tables]
-        lines += [f"{demand}: {', '.join(named)}"] if keys else []
+        keys = [key for key in listed(tables) if key in paths]
+        names = keys if len(keys) <= 4 else [f"[{table}]" for table in tables]
+        lines += [f"{demand}: {', '.join(names)}"] if keys else []
     return lines

@@ -39,8 +39,8 @@ MOST_STATES = 32  # most states of a system: Lyapunov's equation is solved as n^
 
 def digest(data: dict[str, Any]) -> str:
     """SHA-256 of the canonical JSON text of all fields but ``digest``."""
-    rest = {key: value for key, value in data.items() if key != "digest"}
-    return hashlib.sha256(canonical(rest).encode()).hexdigest()
+    content = {key: value for key, value in data.items() if key != "digest"}
+    return hashlib.sha256(canonical(content).encode()).hexdigest()
 
 
 def canonical(data: Any) -> str:
@@ -100,13 +100,13 @@ class Document:
         self.error_by_step: Matrix = system.get("error_by_step") or []
         self.observer: dict[str, Any] | None = system.get("observer")
         self.timing: dict[str, Any] = system.get("timing") or {}
-        timing, still = self.timing, [0.0] * len(self.A)
+        timing, zeros = self.timing, [0.0] * len(self.A)
         self.measured_error: Vector = timing.get("measured_error") or self.estimate
-        self.state_offset: Vector = timing.get("state_offset") or still
+        self.state_offset: Vector = timing.get("state_offset") or zeros
         self.pulse_thrust: Vector = timing.get("pulse_thrust") or []  # empty where inputs are held
         self.pulse_place: str = timing.get("pulse_place", "")  # of pulses; empty where they are centred
         self.edge: float = timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
-        self.intersample_offset: Vector = timing.get("intersample_offset") or still  # between nodes only
+        self.intersample_offset: Vector = timing.get("intersample_offset") or zeros  # between nodes only
         self.at_nodes: Vector = [
             x - y for x, y in zip(self.state_offset, self.intersample_offset, strict=True)
         ]
@@ -124,11 +124,11 @@ class Document:
             raise Undecided("system", f"{len(self.A)} states, more than {MOST_STATES}")
         if self.estimate and not max(self.estimate) > 0:
             raise ValueError("errors of estimates must not all be zero")
-        known = self.estimate or [0.0] * len(self.A)
-        if self.error_by_step and known != [max(x) for x in zip(*self.error_by_step, strict=True)]:
+        errors = self.estimate or [0.0] * len(self.A)
+        if self.error_by_step and errors != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
-        seen = self.observer or {}
-        if any(x > top for x, top in zip(seen.get("constant", ()), seen.get("noise", ()), strict=False)):
+        spec = self.observer or {}
+        if any(x > top for x, top in zip(spec.get("constant", ()), spec.get("noise", ()), strict=False)):
             raise ValueError("constant errors of what is measured must not exceed its errors")
         if not (self.A and self.u_max and 1 <= len(self.C) <= 3):
             raise ValueError("there must be states and inputs, and positions have one to three axes")
@@ -196,17 +196,17 @@ class Document:
         sizes["ages"] = len((self.observer or {}).get("ages") or ())
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
-            for length, where in places.items():
+            for length, place in places.items():
                 if length != sizes[size]:
-                    raise ValueError(f"{where} has {length} items, where {sizes[size]} ({size}) are needed")
+                    raise ValueError(f"{place} has {length} items, where {sizes[size]} ({size}) are needed")
 
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item, len(self.A), len(self.C)) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
         caused = any(x > 0 for x in self.shares) or self.late or bool(self.pulse_place)
         self.feedback_bound: Matrix = (read.get("feedback_bound") or [self.u_max]) if caused else []
-        falls = pairwise([*self.feedback_bound, [0.0] * len(self.u_max)] if caused else [])
-        if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
+        pairs = pairwise([*self.feedback_bound, [0.0] * len(self.u_max)] if caused else [])
+        if any(a < b for one, two in pairs for a, b in zip(one, two, strict=True)):
             raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
         self.recoverable: str = read["recoverable"]
         self.slopes: list[Matrix | None] = read["slopes"]

@@ -49,8 +49,8 @@ def network_of(law: dict[str, Any]) -> dict[str, Any]:
     if width != len(law["output_scale"]) or len(set(law["inputs"])) < len(law["inputs"]):
         raise ValueError(f"inputs or outputs of {law['name']} do not fit")
     scales = {name: law[name] for name in ("input_scale", "output_scale")}
-    more = {"bodies": law.get("obstacles", []), "precision": law.get("precision", "real")}
-    return {"reads": law["inputs"], "layers": layers, **more, **scales}
+    defaults = {"bodies": law.get("obstacles", []), "precision": law.get("precision", "real")}
+    return {"reads": law["inputs"], "layers": layers, **defaults, **scales}
 
 
 UNIT = 4e-9  # how far the square of a unit normal may be off 1
@@ -72,8 +72,8 @@ class UnsafeSet:
 
     def rows(self, position: arb_mat, facets: Sequence[int] | None = None) -> arb_mat:
         """Return some or all normals as rows of the state, shape (F, n)."""
-        chosen = self.normals if facets is None else [self.normals[f] for f in facets]
-        return matrix(chosen) if self.of_state else matrix(chosen) * position
+        normals = self.normals if facets is None else [self.normals[f] for f in facets]
+        return matrix(normals) if self.of_state else matrix(normals) * position
 
     @property
     def resting(self) -> bool:
@@ -186,19 +186,19 @@ class Powered:
 def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
     """Return the claims of aborts with thrust; `sets` are the numbers of facets of the unsafe sets."""
     branches = [AbortBranch(**each) for each in item["branches"]]
-    steps = [None if way is None else AbortStep(**way) for way in item["steps"]]
+    steps = [None if abort is None else AbortStep(**abort) for abort in item["steps"]]
     within, budget = item["within"], item["budget"]
     for branch in branches:
         if not branch.step + len(branch.inputs) <= len(branch.facets) or not branch.step <= len(steps):
             raise ValueError("a branch must leave within the schedule, and have facets in all of its cells")
         if any(f >= count for row in branch.facets for f, count in zip(row, sets, strict=True)):
             raise ValueError("facets of a branch must name one facet of every unsafe set in every cell")
-    for k, way in enumerate(steps):
-        if way is None:
+    for k, abort in enumerate(steps):
+        if abort is None:
             continue
-        if not (way.branch < len(branches) and branches[way.branch].step > k):
+        if not (abort.branch < len(branches) and branches[abort.branch].step > k):
             raise ValueError(f"the abort in step {k} must be along a branch that leaves later")
-        if within is not None and not (way.cell - k) * delta <= within * (1 + 1e-9):
+        if within is not None and not (abort.cell - k) * delta <= within * (1 + 1e-9):
             raise Rejected("powered_abort", f"the abort in step {k} takes more than {within:g} s")
     return Powered(within, budget, branches, steps)
 

@@ -64,19 +64,19 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
 def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
     """Check that the claim of the drift after all thrust stops meets the scenario's demand."""
     drift = document.drift
-    asks = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
-    if asks != (drift is not None):
+    has_drift = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
+    if has_drift != (drift is not None):
         raise Rejected("passive", "only one of certificate and scenario has a drift")
     if spec is None or drift is None:
         return
     if "drift_s" in spec and "drift_orbits" in spec:
         raise Rejected("passive", "the scenario must give one of drift_orbits and drift_s")
-    asked = (
+    duration = (
         arb(spec["drift_s"])
         if "drift_s" in spec
         else (spec["drift_orbits"] * 2 * arb.pi() / arb(document.mean_motion or 0.0))
     )
-    require("passive", drift.horizon - asked * (1 - ROUNDED), f"{drift.horizon:.6g} s are too short")
+    require("passive", drift.horizon - duration * (1 - ROUNDED), f"{drift.horizon:.6g} s are too short")
     if not drift.keep_in and spec.get("keep_in", True):
         raise Rejected("passive", "keep-in sets are required by the scenario, but not covered")
     if None in drift.steps and spec.get("required", False):
@@ -93,8 +93,8 @@ def _check_orbit(document: Document, spec: dict[str, Any]) -> None:
         if spec and (limits or not drift):
             raise Rejected("powered_abort", "the scenario has [abort] without an orbit or a drift")
         return
-    given = spec.get("within_s"), spec.get("delta_v_max_m_s")
-    if (powered.within, powered.budget) != given:
+    demands = spec.get("within_s"), spec.get("delta_v_max_m_s")
+    if (powered.within, powered.budget) != demands:
         raise Rejected("powered_abort", "time and budget are not those of the scenario")
     if None in powered.steps and spec.get("required", False):
         raise Rejected("powered_abort", f"step {powered.steps.index(None)} has none, but all must")
@@ -105,16 +105,16 @@ def _moves(spec: dict[str, Any]) -> bool:
     return spec["kind"] == "satellite" or any(spec.get("velocity_m_s") or ())
 
 
-def _tightening(claim: str, what: str, stated: Any, given: Any) -> None:
-    if stated != given:
-        raise Rejected(claim, f"{what} is {stated} in the certificate, {given} in the scenario")
+def _tightening(claim: str, quantity: str, claimed: Any, expected: Any) -> None:
+    if claimed != expected:
+        raise Rejected(claim, f"{quantity} is {claimed} in the certificate, {expected} in the scenario")
 
 
 def _check_system(document: Document, spec: dict[str, Any]) -> None:
     n, m, hill = len(document.A), len(document.u_max), spec["kind"] == "clohessy_wiltshire"
     top = spec["thrust_max_N" if hill else "input_max"]
     axes = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
-    given = {
+    pairs = {
         "kind": (document.system_kind, spec["kind"]),
         **({} if document.allocation else {"input limit": (document.u_max, per_axis(top, m))}),
         "disturbance bound": (
@@ -130,14 +130,14 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
         "mean motion": (document.mean_motion, spec["mean_motion_rad_s"] if hill else None),
     }
     if not hill:
-        given |= {key: (getattr(document, key), spec[key]) for key in "ABD"}
+        pairs |= {key: (getattr(document, key), spec[key]) for key in "ABD"}
     if "C" in spec:
         position = spec["C"]
     else:
         chosen = range(3) if hill else spec.get("position_states", range(max(n // 2, 1)))
         position = [[float(i == j) for j in range(n)] for i in chosen]
-    for what, (stated, wanted) in {**given, "C": (document.C, position)}.items():
-        _tightening("system", what, stated, wanted)
+    for quantity, (claimed, expected) in {**pairs, "C": (document.C, position)}.items():
+        _tightening("system", quantity, claimed, expected)
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
@@ -151,28 +151,28 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         for key in ("magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s")
     )
     turn = angle * arb.pi() / 180
-    turned = turn.sin() * (1 + magnitude)
+    across = turn.sin() * (1 + magnitude)
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     period, layout = arb(document.delta) / document.q, Nozzles.from_document(document)
     carried = spec.get("remainder", "dropped") == "carried"
     if layout is None:
-        left = spec.get("impulse_bit_N_s", 0.0) * carried
-        _tightening("system", "impulse that is carried", document.carried_impulse, left)
+        remainder = spec.get("impulse_bit_N_s", 0.0) * carried
+        _tightening("system", "impulse that is carried", document.carried_impulse, remainder)
         along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
-        turned /= 1 - mass
-        share = turned * arb(len(document.u_max) - 1).sqrt()
+        across /= 1 - mass
+        share = across * arb(len(document.u_max) - 1).sqrt()
         bits = [bit / (2 * period) * (2 * share if carried else 1 + along + share)] * len(document.u_max)
-        wanted = along, turned, arb(0)
+        shares = along, across, arb(0)
     else:
         bits, least = layout.dropped(bit, period, carried), layout.max_carried(bit * carried)
-        wanted = magnitude + (1 - magnitude) * 2 * (turn / 2).sin() ** 2, turned, mass
+        shares = magnitude + (1 - magnitude) * 2 * (turn / 2).sin() ** 2, across, mass
         require(
             "system",
             document.carried_impulse - least * (1 - ROUNDED),
             f"impulses left: {document.carried_impulse}",
         )
-    for name, least, value in zip(("along", "across", "of the mass"), wanted, document.shares, strict=True):
+    for name, least, value in zip(("along", "across", "of the mass"), shares, document.shares, strict=True):
         require("system", value - least + least * ROUNDED, f"error of the thrusters {name}: {value}")
     constant = spec.get("errors_vary", "always") == "never" and document.allocation is None
     if document.same_shares != (constant and any(x > 0 for x in document.shares)):
@@ -231,10 +231,10 @@ def _check_sampling(document: Document, scenario: dict[str, Any]) -> None:
         _times("periods per step", document.q, period, step)
 
 
-def _times(what: str, count: int, part: float, whole: float) -> None:
+def _times(quantity: str, count: int, part: float, whole: float) -> None:
     """Check that a whole is so many times its part."""
     if not abs(count * part - whole) <= 1e-9 * whole:
-        raise Rejected("sampling", f"{what}: {count} times {part:g} s is not {whole:g} s")
+        raise Rejected("sampling", f"{quantity}: {count} times {part:g} s is not {whole:g} s")
 
 
 # -- controllers ------------------------------------------------------------------------------------
@@ -270,24 +270,24 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         _check_asked(document.sampled_bound, scenario)
 
 
-def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
+def _check_asked(claim: dict[str, Any], scenario: dict[str, Any]) -> None:
     """Check that the statements on black boxes answer the scenario's demands, with its seed."""
     boxes = [spec for spec in scenario["experimental"] if spec["kind"] == "black_box"]
     bound = min(spec.get("probability", 0.01) for spec in boxes)
     least = max(spec.get("confidence", 0.999) for spec in boxes)
-    if not (said["probability"] <= bound and said["confidence"] >= least):
-        text = f"{said['probability']:g} with a confidence of {said['confidence']:g}"
+    if not (claim["probability"] <= bound and claim["confidence"] >= least):
+        text = f"{claim['probability']:g} with a confidence of {claim['confidence']:g}"
         raise Rejected("samples", f"{text} is less than was asked for: {bound:g} with {least:g}")
-    _tightening("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
+    _tightening("samples", "seed", claim["seed"], scenario.get("simulation", {}).get("seed", 0))
 
 
 def _check_switching(document: Document, scenario: dict[str, Any]) -> str:
     """Check that who takes over keeps control for the dwell, or to T, and switches are within the cap."""
     rules = switching_rules(scenario)
-    held = [len(list(group)) for _, group in groupby(document.modes)]
-    for i, steps in enumerate(held[:-1]):
+    dwells = [len(list(group)) for _, group in groupby(document.modes)]
+    for i, steps in enumerate(dwells[:-1]):
         if steps < rules["min_dwell"]:
-            at = sum(held[:i])
+            at = sum(dwells[:i])
             text = f"mode {document.modes[at]} of step {at} ends after {steps} steps"
             raise Rejected("schedule", f"{text}; the scenario's dwell is {rules['min_dwell']} steps")
     count, cap = switches(document.modes), rules["max_switches"]

@@ -40,22 +40,22 @@ REASONS = {
 """Words for why a claim about the time after T reaches as far as it does."""
 
 
-def same(claim: str, what: str, found: Any, given: Any) -> None:
-    """Refuse two values that differ, or whose types do; `found` is the certificate's.
+def same(claim: str, name: str, value: Any, copy: Any) -> None:
+    """Refuse two values that differ, or whose types do; `value` is the certificate's.
 
-    Of tables the keys of `found` are compared, in their order, a key that is missing like None; each under
+    Of tables the keys of `value` are compared, in their order, a key that is missing like None; each under
     its own claim, if `CLAIMS` has one.
     """
-    if isinstance(found, dict) and isinstance(given, dict):
-        for key in found:
-            own = claim if claim == "summary" else CLAIMS.get(key, claim)
-            same(own, f"{what}, {key}", found[key], given.get(key))
-    elif isinstance(found, list) and isinstance(given, list) and any(isinstance(x, dict) for x in found):
-        same(claim, f"number of {what}", len(found), len(given))
-        for i, (item, other) in enumerate(zip(found, given, strict=True)):
-            same(claim, f"{what} {i}", item, other)
-    elif found != given or isinstance(found, bool) != isinstance(given, bool):
-        raise Rejected(claim, f"{what}: {shown(found)} in the certificate, {shown(given)} in the run folder")
+    if isinstance(value, dict) and isinstance(copy, dict):
+        for key in value:
+            key_claim = claim if claim == "summary" else CLAIMS.get(key, claim)
+            same(key_claim, f"{name}, {key}", value[key], copy.get(key))
+    elif isinstance(value, list) and isinstance(copy, list) and any(isinstance(x, dict) for x in value):
+        same(claim, f"number of {name}", len(value), len(copy))
+        for i, (item, other) in enumerate(zip(value, copy, strict=True)):
+            same(claim, f"{name} {i}", item, other)
+    elif value != copy or isinstance(value, bool) != isinstance(copy, bool):
+        raise Rejected(claim, f"{name}: {shown(value)} in the certificate, {shown(copy)} in the run folder")
 
 
 CLAIMS = {
@@ -146,8 +146,8 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
     if (witness := stored["witness"]) is not None:
         step, after, delta = witness["step"], witness["after_s"], document.delta
         last = (math.ceil(drift.horizon / delta * (1 - ROUNDED)) + 1) * delta  # whole steps are followed
-        there = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
-        if not (there and witness["t_s"] == step * document.delta and 0 < after <= last * (1 + ROUNDED)):
+        valid = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
+        if not (valid and witness["t_s"] == step * document.delta and 0 < after <= last * (1 + ROUNDED)):
             raise Rejected("passive", "the witness must be of a step whose drift is not clear")
         if witness["unsafe_set"] not in {item.name for item in document.unsafe}:
             raise Rejected("passive", f"{shown(witness['unsafe_set'])} of the witness is no unsafe set")
@@ -167,13 +167,13 @@ def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any
         if (way is None) == (row["why"] is None):
             raise Rejected("powered_abort", f"step {k} must have a reason exactly if it has no abort")
         if way is not None:
-            branch, by, spent = powered.branches[way.branch], way.cell * document.delta, row["delta_v_m_s"]
-            if spent is None or (powered.budget is not None and not spent <= powered.budget):
+            branch, by, delta_v = powered.branches[way.branch], way.cell * document.delta, row["delta_v_m_s"]
+            if delta_v is None or (powered.budget is not None and not delta_v <= powered.budget):
                 raise Rejected(
                     "powered_abort",
-                    f"the abort in step {k} takes {spent} m/s, the budget is {powered.budget} m/s",
+                    f"the abort in step {k} takes {delta_v} m/s, the budget is {powered.budget} m/s",
                 )
-            values = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
+            values = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": delta_v}
             values["safe_until_s"] = branch.claim_end(document.delta)
         steps.append({"step": k, **values, "why": row["why"]})
     return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}
@@ -198,16 +198,16 @@ def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
     """Check that a step's limit is one of the scene, in time, and that its numbers give its margin."""
     if step["limit"] not in limit_names(document):
         raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which does not exist")
-    when, last = step["limit_time_s"], document.cells * document.delta
-    if when is not None and not 0 <= when <= last * (1 + 1e-9):
-        raise Rejected("schedule", f"step {k} is limited at {when} s, beyond 0 to {last} s")
+    time, last = step["limit_time_s"], document.cells * document.delta
+    if time is not None and not 0 <= time <= last * (1 + 1e-9):
+        raise Rejected("schedule", f"step {k} is limited at {time} s, beyond 0 to {last} s")
     tightening, clearance, margin = step["tightening"], step["clearance"], _margin(step)
-    if margin != -math.inf and None in (when, tightening, clearance):
+    if margin != -math.inf and None in (time, tightening, clearance):
         raise Rejected(
             "margins", f"step {k} has margin {margin}, but no time, tightening and clearance of a limit"
         )
-    if when is not None and when < k * document.delta * (1 - 1e-9):
-        raise Rejected("schedule", f"step {k} is limited at {when} s, before it begins")
+    if time is not None and time < k * document.delta * (1 - 1e-9):
+        raise Rejected("schedule", f"step {k} is limited at {time} s, before it begins")
     if tightening is not None and clearance is not None:
         left = 1 - tightening / clearance if clearance > 0 else -math.inf
         if left != margin and not abs(left - margin) <= MARGIN_ROUNDING * (1 + min(abs(left), abs(margin))):
@@ -226,16 +226,16 @@ def _check_reason(document: Document, reason: str) -> None:
     words = re.fullmatch(REASONS[document.horizon], reason)
     if words is None:
         raise Rejected("end", f"{shown(reason)} is no reason for the claim {document.horizon}")
-    true = {
+    expected = {
         "until": f"{document.claim_end:g}" if document.claim_end is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
         "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }
-    for what, value in words.groupdict().items():
-        if what == "limit" and value is not None and value not in limit_names(document):
+    for name, value in words.groupdict().items():
+        if name == "limit" and value is not None and value not in limit_names(document):
             raise Rejected("end", f"{shown(value)} in the reason is no limit")
-        if what != "limit" and value is not None:
-            same("end", f"{what} in the reason", true[what], value)
+        if name != "limit" and value is not None:
+            same("end", f"{name} in the reason", expected[name], value)
 
 
 ARITHMETIC = "arithmetic: double precision, its round-off covered by rounding allowances"
@@ -276,9 +276,9 @@ def check_reference(document: Document, path: Path) -> None:
         inputs = ["u_x_N", "u_y_N", "u_z_N"]
     else:
         states, inputs = [f"x{i}" for i in range(n)], [f"u{i}" for i in range(m)]
-    held: list[list[Any]] = [*document.inputs, [None] * m]
-    flown = enumerate(zip(document.states, held, strict=True))
-    rows = [[k * document.delta, *state, *u] for k, (state, u) in flown]
+    input_rows: list[list[Any]] = [*document.inputs, [None] * m]
+    nodes = enumerate(zip(document.states, input_rows, strict=True))
+    rows = [[k * document.delta, *state, *u] for k, (state, u) in nodes]
     _same_table("reference", path, [["t_s", *states, *inputs], *rows])
 
 
@@ -286,9 +286,9 @@ def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
     """Check that a CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
-    lines, given = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")
-    for i, (line, there) in enumerate(zip_longest(lines, given), 1):
-        same(claim, f"{path.name}, line {i}", line, there)
+    lines, stored = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")
+    for i, (line, stored_line) in enumerate(zip_longest(lines, stored), 1):
+        same(claim, f"{path.name}, line {i}", line, stored_line)
 
 
 # -- gains ------------------------------------------------------------------------------------------
@@ -298,6 +298,6 @@ def check_gains(document: Document, path: Path) -> None:
     """Compare ``gains.json``."""
     stored = conform(strict_json(contents(path)), GAINS, "controllers", "gains.json")
     same("controllers", "gains.json", {"law": LAW, **document.repeated}, stored)
-    for key, said in document.repeated.items():
-        if canonical(said) != canonical(stored[key]):
+    for key, value in document.repeated.items():
+        if canonical(value) != canonical(stored[key]):
             raise Rejected(CLAIMS[key], f"gains.json, {key}: differs from the certificate")

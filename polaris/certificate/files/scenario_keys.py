@@ -201,11 +201,11 @@ def check_keys(scenario: Any) -> None:
         rows, bounds = ("rows", "bounds") if spec["kind"] == "states" else ("normals", "offsets_m")
         if rows in spec and len(spec[rows]) != len(spec[bounds]):
             raise Rejected("scenario", f"{spec['name']} must have one number in {bounds} for each of {rows}")
-    for what, specs in (("unsafe sets", bodies), ("controllers", scenario["experimental"])):
+    for kind, specs in (("unsafe sets", bodies), ("controllers", scenario["experimental"])):
         names = [spec["name"] for spec in specs]
         if len(set(names)) < len(names):
-            raise Rejected("scenario", f"two {what} have the same name")
+            raise Rejected("scenario", f"two {kind} have the same name")
         if not names:
-            raise Rejected("scenario", f"there are no {what}")
+            raise Rejected("scenario", f"there are no {kind}")
     for name in {"safety", "polaris"} & {spec["name"] for spec in scenario["experimental"]}:
         raise Rejected("scenario", f"an experimental controller is called {name}, a name of the results")

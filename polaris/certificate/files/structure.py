@@ -107,68 +107,68 @@ def every(item: Shape, words: str) -> dict[str, Shape]:
     return dict.fromkeys(words.split(), item)
 
 
-def conform(value: Any, shape: Shape, claim: str, where: str, lengths: Lengths | None = None) -> Any:
+def conform(value: Any, shape: Shape, claim: str, place: str, lengths: Lengths | None = None) -> Any:
     """Return a value read from JSON or TOML, hexadecimal texts as floats; `Rejected` if not of a shape.
 
-    `where` is the file; named lengths of lists are noted in `lengths`.
+    `place` is the file; named lengths of lists are noted in `lengths`.
     """
     try:
-        return _read(value, shape, where, {} if lengths is None else lengths)
+        return _read(value, shape, place, {} if lengths is None else lengths)
     except ValueError as error:
         raise Rejected(claim, str(error)) from error
 
 
-def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
+def _read(value: Any, shape: Shape, place: str, lengths: Lengths) -> Any:
     match shape:
         case dict():
-            return _read_table(value, shape, where, lengths)
+            return _read_table(value, shape, place, lengths)
         case OneOf(tables):
             kind = value.get("kind") if isinstance(value, dict) else None
             if not isinstance(kind, str) or kind not in tables:
-                raise ValueError(f"{where}.kind: {shown(kind)} is not one of {', '.join(tables)}")
-            return _read_table(value, {"kind": Text(), **tables[kind]}, where, lengths)
+                raise ValueError(f"{place}.kind: {shown(kind)} is not one of {', '.join(tables)}")
+            return _read_table(value, {"kind": Text(), **tables[kind]}, place, lengths)
         case Named(item):
-            entries = _of(dict, value, where).items()
-            return {name: _read(entry, item, f"{where}.{shown(name)}", lengths) for name, entry in entries}
+            entries = _of(dict, value, place).items()
+            return {name: _read(entry, item, f"{place}.{shown(name)}", lengths) for name, entry in entries}
         case Items(item, least, most, even, size):
-            if not least <= len(_of(list, value, where)) <= most:
-                raise ValueError(f"{where} has {len(value)} items, of {least} to {most}")
-            items = [_read(entry, item, f"{where}[{i}]", lengths) for i, entry in enumerate(value)]
+            if not least <= len(_of(list, value, place)) <= most:
+                raise ValueError(f"{place} has {len(value)} items, of {least} to {most}")
+            items = [_read(entry, item, f"{place}[{i}]", lengths) for i, entry in enumerate(value)]
             if even and len(set(map(len, items))) > 1:
-                raise ValueError(f"{where} has rows of different lengths")
+                raise ValueError(f"{place} has rows of different lengths")
             if size:
-                lengths.setdefault(size, {})[len(items)] = where
+                lengths.setdefault(size, {})[len(items)] = place
             return items
         case AnyOf(shapes):
             reasons = []
             for one in shapes:
                 try:
-                    return _read(value, one, where, lengths)
+                    return _read(value, one, place, lengths)
                 except ValueError as error:
                     reasons.append(str(error))
             raise ValueError("; ".join(reasons))
         case Hexadecimal(within):
-            return _read(number(value), within, where, lengths)
+            return _read(number(value), within, place, lengths)
     if not _is(value, shape):
-        raise ValueError(f"{where}: {shown(value)} is no {shape}")
+        raise ValueError(f"{place}: {shown(value)} is no {shape}")
     return value
 
 
-def _of(kind: type, value: Any, where: str) -> Any:
+def _of(kind: type, value: Any, place: str) -> Any:
     if not isinstance(value, kind):
-        raise ValueError(f"{where}: {shown(value)} is no {'table' if kind is dict else 'list'}")
+        raise ValueError(f"{place}: {shown(value)} is no {'table' if kind is dict else 'list'}")
     return value
 
 
-def _read_table(value: Any, shape: dict[str, Shape], where: str, lengths: Lengths) -> dict[str, Any]:
+def _read_table(value: Any, shape: dict[str, Shape], place: str, lengths: Lengths) -> dict[str, Any]:
     shapes = {key.removesuffix("?"): item for key, item in shape.items()}
-    for key in _of(dict, value, where):
+    for key in _of(dict, value, place):
         if key not in shapes:
-            raise ValueError(f"{where}: the key {shown(key)} is not known, so nothing was made of it")
+            raise ValueError(f"{place}: the key {shown(key)} is not known, so nothing was made of it")
     for key in shape:
         if not key.endswith("?") and key not in value:
-            raise ValueError(f"{where}: the key {key!r} is missing")
-    return {key: _read(value[key], shapes[key], f"{where}.{key}", lengths) for key in shapes if key in value}
+            raise ValueError(f"{place}: the key {key!r} is missing")
+    return {key: _read(value[key], shapes[key], f"{place}.{key}", lengths) for key in shapes if key in value}
 
 
 def _is(value: Any, shape: Shape) -> bool:

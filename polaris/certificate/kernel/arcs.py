@@ -64,12 +64,12 @@ class Path:
     def propagate(cls, plant: Plant, x0: arb_mat, inputs: list[list[float]], K: int, tail: arb_mat) -> "Path":
         """Propagate from the first state and the inputs; after K steps from the tail's own first state."""
         arcs: list[Arc] = []
-        at, jump = x0, arb_mat(x0.nrows(), 1)
+        state, jump = x0, arb_mat(x0.nrows(), 1)
         for k, u in enumerate(inputs):
             if k == K:
-                jump, at = tail - at, tail
-            arcs.append(Arc.from_state(plant, at, column(u)))
-            at = arcs[-1].nodes[-1]
+                jump, state = tail - state, tail
+            arcs.append(Arc.from_state(plant, state, column(u)))
+            state = arcs[-1].nodes[-1]
         return cls(plant, K, arcs, jump)
 
     @property

@@ -53,15 +53,15 @@ def rows_of(M: arb_mat, *which: int) -> arb_mat:
 
 def kinds(M: arb_mat) -> tuple[list[int], list[tuple[int, int]]]:
     """One row of each kind, equal or opposite ones being of a kind; the kind of every row, and its sign."""
-    first, known, which = list[int](), dict[Any, tuple[int, int]](), list[tuple[int, int]]()
+    first, kind_of, pairs = list[int](), dict[Any, tuple[int, int]](), list[tuple[int, int]]()
     for i, row in enumerate(M.tolist()):
         exact = tuple((*x.mid().man_exp(), *x.rad().man_exp()) for x in row)
-        if exact not in known:
-            known[tuple((-man, *rest) for man, *rest in exact)] = len(first), -1
-            known[exact] = len(first), 1
+        if exact not in kind_of:
+            kind_of[tuple((-man, *rest) for man, *rest in exact)] = len(first), -1
+            kind_of[exact] = len(first), 1
             first.append(i)
-        which.append(known[exact])
-    return first, which
+        pairs.append(kind_of[exact])
+    return first, pairs
 
 
 def sums(*lists: Iterable[arb]) -> list[arb]:
@@ -159,12 +159,12 @@ def root(square: arb) -> arb:
 
 def largest(values: Iterable[arb]) -> arb:
     """Return a number that is at least every one of the values (their largest upper bound)."""
-    best: arb | None = None
+    highest: arb | None = None
     for upper in (value.upper() for value in values):
         if upper.is_nan():
             return upper
-        best = upper if best is None or upper > best else best
-    return arb(0) if best is None else best
+        highest = upper if highest is None or upper > highest else highest
+    return arb(0) if highest is None else highest
 
 
 def smallest(values: Iterable[arb]) -> arb:
@@ -172,13 +172,13 @@ def smallest(values: Iterable[arb]) -> arb:
     return -largest(-value for value in values)
 
 
-def require(claim: str, spare: arb, witness: str) -> None:
+def require(claim: str, slack: arb, witness: str) -> None:
     """Go on only if a number is certainly at least 0; `Rejected` if certainly not, else `Undecided`."""
-    if spare >= 0:
+    if slack >= 0:
         return
-    if spare < 0:
-        raise Rejected(claim, witness, -float(spare.mid()))
-    raise Undecided(claim, f"{witness} (precision: {spare})")
+    if slack < 0:
+        raise Rejected(claim, witness, -float(slack.mid()))
+    raise Undecided(claim, f"{witness} (precision: {slack})")
 
 
 # -- exponentials -----------------------------------------------------------------------------------
@@ -204,5 +204,5 @@ def exponential_over(X: arb_mat, time: arb) -> arb_mat:
     for j in range(1, TERMS):
         power, absolute = power * X * (arb(1) / j), absolute * size * (time / j)
         total, bound = total + power * arb(0).union(time**j), bound + absolute
-    rest = magnitude((size * time).exp() - bound)
-    return total + arb_mat(n, n, [arb(0, x) for x in rest.entries()])
+    remainder = magnitude((size * time).exp() - bound)
+    return total + arb_mat(n, n, [arb(0, x) for x in remainder.entries()])

@@ -44,8 +44,8 @@ class GeneratorGroup(NamedTuple):
 
     def joined(self, other: GeneratorGroup) -> float:
         """Return the growth of extents along rows if both become one generator and a box of the rests."""
-        apart: float = sum(map(abs, map(sub, self.unit, other.unit)))
-        return 2 * apart * self.length * other.length / (self.length + other.length)
+        distance: float = sum(map(abs, map(sub, self.unit, other.unit)))
+        return 2 * distance * self.length * other.length / (self.length + other.length)
 
     def plus(self, other: GeneratorGroup) -> GeneratorGroup:
         """Return the group of both, of which each has a share by its length."""
@@ -55,7 +55,7 @@ class GeneratorGroup(NamedTuple):
         return GeneratorGroup.from_members(self.members + other.members, shares, [*column], [*image])
 
 
-def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> list[GeneratorGroup]:
+def grouped(columns: Sequence[Column], images: Sequence[Column], limit: int) -> list[GeneratorGroup]:
     """Return at most so many groups of generators to be merged; a box is to replace all others.
 
     Columns are generators by coordinate, in shares of extents along rows that a box of that size adds; images
@@ -66,8 +66,8 @@ def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> l
     while order and (total := total + sum(map(abs, columns[order[-1]]))) <= NOTHING:
         order.pop()
     groups = [GeneratorGroup.from_members((j,), (1.0,), columns[j], images[j]) for j in order]
-    while len(groups) > max(most, 0):
-        groups = _fewer(groups, min(len(groups) - max(most, 0), len(groups) // ROUND + 1))
+    while len(groups) > max(limit, 0):
+        groups = _fewer(groups, min(len(groups) - max(limit, 0), len(groups) // ROUND + 1))
     return groups
 
 
@@ -77,11 +77,11 @@ def _fewer(groups: list[GeneratorGroup], surplus: int) -> list[GeneratorGroup]:
     order = sorted(range(len(groups)), key=lambda i: (groups[i].direction, i))
     for place, i in enumerate(order):
         options += [(groups[i].joined(groups[j]), i, j) for j in order[place + 1 : place + 1 + ALIKE]]
-    made, touched = list[GeneratorGroup](), set[int]()
+    merged, touched = list[GeneratorGroup](), set[int]()
     for _, i, j in sorted(options):
-        if len(touched) - len(made) == surplus:
+        if len(touched) - len(merged) == surplus:
             break
         if i not in touched and j not in touched:
             touched |= {i, j}
-            made += [groups[i].plus(groups[j])] if i != j else []
-    return [group for i, group in enumerate(groups) if i not in touched] + made
+            merged += [groups[i].plus(groups[j])] if i != j else []
+    return [group for i, group in enumerate(groups) if i not in touched] + merged

@@ -106,9 +106,9 @@ class Plant:
     @cached_property
     def carry(self) -> list[InputSet]:
         """Return the pushes of impulses carried to the next period, and of those that jitter moves."""
-        left, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
+        size, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
         rates += [self.A * self.B * self.along] if self.along > 0 else []
-        return [*(InputSet.in_box(rate, left) for rate in rates if self.carried), *self.shifting]
+        return [*(InputSet.in_box(rate, size) for rate in rates if self.carried), *self.shifting]
 
     @property
     def shifting(self) -> list[InputSet]:
@@ -129,24 +129,24 @@ class Plant:
         """Rates of the states by errors of thrusters, (n, k): of inputs, then by leads of pulses, if any."""
         return self.B if self.lead is None else beside(self.B, self.A * self.B)
 
-    def thruster_error(self, most: Sequence[arb]) -> list[arb]:
+    def thruster_error(self, commands: Sequence[arb]) -> list[arb]:
         """Bounds on errors of thrusters, see `entering`, under commands up to some sizes, (k)."""
-        bits = [*(map(arb, self.bits) if self.bits else [arb(0)] * len(most))]
+        bits = [*(map(arb, self.bits) if self.bits else [arb(0)] * len(commands))]
         if self.lead is not None:
             bits += self.lead.fixed
         elif not self.bits:
-            return self.thruster_part(most)
-        return sums(self.thruster_part(most), bits)
+            return self.thruster_part(commands)
+        return sums(self.thruster_part(commands), bits)
 
-    def thruster_part(self, most: Sequence[arb]) -> list[arb]:
+    def thruster_part(self, commands: Sequence[arb]) -> list[arb]:
         """Return the command-proportional part of errors: that of a sum is at most the sum of the parts."""
-        return [*self._input_part(most), *([] if self.lead is None else self.lead.part(most))]
+        return [*self._input_part(commands), *([] if self.lead is None else self.lead.part(commands))]
 
-    def _input_part(self, sizes: Sequence[arb]) -> list[arb]:
+    def _input_part(self, commands: Sequence[arb]) -> list[arb]:
         if self.shares:
-            return [dot(row, sizes) for row in self.shares]
-        others = [[*sizes[:i], *sizes[i + 1 :]] if self.across else [] for i in range(len(sizes))]
-        return [self.along * x + self.across * root(dot(y, y)) for x, y in zip(sizes, others, strict=True)]
+            return [dot(row, commands) for row in self.shares]
+        others = [[*commands[:i], *commands[i + 1 :]] if self.across else [] for i in range(len(commands))]
+        return [self.along * x + self.across * root(dot(y, y)) for x, y in zip(commands, others, strict=True)]
 
     @cached_property
     def table(self) -> arb_mat:
@@ -173,9 +173,9 @@ class Plant:
         each = self.alone.tolist() if self.constant else []
         return [(i, j, x) for i, row in enumerate(each) for j, x in enumerate(row) if x > 0]
 
-    def spent(self, most: Sequence[arb]) -> arb:
-        """Bound on the thrusters' spending in a period under commands up to `most`, by their weights."""
-        applied = sums(most, self.without_delay.thruster_error(most))
+    def spent(self, commands: Sequence[arb]) -> arb:
+        """Bound on the thrusters' spending in a period under commands up to `commands`, by their weights."""
+        applied = sums(commands, self.without_delay.thruster_error(commands))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
     def weighted(self, sizes: Sequence[arb]) -> arb:
@@ -265,8 +265,8 @@ class Motion:
         """
         h, V = self.plant.h, push.V
         left, right = push.along(rows * V), push.along(rows * (self._exponentials[0] * V))
-        bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
-        return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
+        curvature = push.along(magnitude(rows * self.A * self.A * self.over * V))
+        return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, curvature, strict=True)]
 
     def constant_gain(self, rows: arb_mat, push: InputSet, later: int) -> list[arb]:
         """Bound a constant's effect along rows, which follow one another by a period, by any time of each.
@@ -275,8 +275,8 @@ class Motion:
         rows; between them it leaves the chord by no more than `push_curvature`.
         """
         each = (rows * (self.gamma * push.V)).tolist()
-        reached = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
-        ends = push.along(matrix(list(reached)))
+        totals = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
+        ends = push.along(matrix(list(totals)))
         each_part = sums([largest(pair) for pair in pairwise(ends)], self.push_curvature(rows, push))
         return [largest(each_part[max(j - later, 0) : j + 1]) for j in range(len(each_part))]
 
@@ -326,15 +326,15 @@ class RowIntersample:
 
     def closer_intersample(self, rate: Zonotope) -> list[arb]:
         """Lesser of `intersample` and ``|row A rate| + h |row A e^{A s}| |A rate|``: both are bounds."""
-        turned, h = rate.image(self.motion.A), self.motion.plant.h
-        size, along = turned.size(), turned.image(self.rows).size() * (h**2 / 8)
-        third = (along + self.curvatures[0] * size * h).entries()
+        accel, h = rate.image(self.motion.A), self.motion.plant.h
+        size, at_start = accel.size(), accel.image(self.rows).size() * (h**2 / 8)
+        third = (at_start + self.curvatures[0] * size * h).entries()
         return [a if a <= b else b for a, b in zip(self.lesser_bow(rate.size(), size), third, strict=True)]
 
-    def lesser_bow(self, rate: arb_mat, turned: arb_mat) -> list[arb]:
+    def lesser_bow(self, rate: arb_mat, accel: arb_mat) -> list[arb]:
         """Bound as `intersample` does, from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
-        both = (self.curvatures[0] * rate).entries(), (self.curvatures[1] * turned).entries()
-        return [a if a <= b else b for a, b in zip(*both, strict=True)]
+        bounds = (self.curvatures[0] * rate).entries(), (self.curvatures[1] * accel).entries()
+        return [a if a <= b else b for a, b in zip(*bounds, strict=True)]
 
     @cached_property
     def disturbance(self) -> tuple[list[arb], list[arb]]:

@@ -40,15 +40,15 @@ class Period:
         """Return the set at the next node, from `ends`: what is known of one along rows serves the other."""
         return end.plus(*self.held, *self.added)
 
-    def extra(self, along: RowIntersample, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
+    def extra(self, bounds: RowIntersample, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
         """Bounds on how far rows of the error exceed the chord of its undisturbed end values in the period.
 
         They belong to the start and the end of the period; in between, their chord is a bound: what uncertain
         inputs have done grows from nothing. What `held` ones have done may be part of the end values.
         """
-        motion, rows = along.motion, along.rows
-        curvature, last = along.disturbance
-        first = sums(along.intersample(z.through(self.rates).translate(self.g)), curvature)
+        motion, rows = bounds.motion, bounds.rows
+        curvature, last = bounds.disturbance
+        first = sums(bounds.intersample(z.through(self.rates).translate(self.g)), curvature)
         for push in (*self.constant, *self.pushes):
             first = sums(first, motion.push_curvature(rows, push))
         for push in (*(self.constant if held else ()), *self.pushes):
@@ -69,9 +69,9 @@ class Spell:
 
 def command_ranges(u: arb_mat, gain: Directions, d: Zonotope) -> list[tuple[arb, arb]]:
     """Ranges of ``u - K x`` over a set, as exact numbers."""
-    fed = d.through(gain)
-    middles = (u - fed.c).entries()
-    return [((x - w).lower(), (x + w).upper()) for x, w in zip(middles, fed.widths, strict=True)]
+    feedback = d.through(gain)
+    middles = (u - feedback.c).entries()
+    return [((x - w).lower(), (x + w).upper()) for x, w in zip(middles, feedback.widths, strict=True)]
 
 
 def around(low: arb, high: arb) -> tuple[arb, arb]:

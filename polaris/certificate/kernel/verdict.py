@@ -93,7 +93,7 @@ class Verdict:
         lines += [f"{'trusted':10}{line}" for line in self.trusted]
         lines += [f"not checked: {line}" for line in self.unchecked]
         if self.claim:
-            by = "" if self.excess is None else f", by {self.excess:.4g}"
+            amount = "" if self.excess is None else f", by {self.excess:.4g}"
             fails = "fails" if self.outcome == REJECTED else "open"
-            lines.append(f"{fails:10}{self.claim}: {self.witness}{by}")
+            lines.append(f"{fails:10}{self.claim}: {self.witness}{amount}")
         return "\n".join([*lines, f"{self.outcome} in {self.seconds:.1f} s"])

@@ -144,8 +144,8 @@ class Zonotope:
         centre = self.c.entries()
         return magnitude(column([abs(c) + width for c, width in zip(centre, self.widths, strict=True)]))
 
-    def reduced(self, most: int, rows: arb_mat | None = None) -> Zonotope:
-        """Enclosing set with exact centre and at most `most` exact generators, n of which are a box.
+    def reduced(self, limit: int, rows: arb_mat | None = None) -> Zonotope:
+        """Enclosing set with exact centre and at most `limit` exact generators, n of which are a box.
 
         The sum u of nearly parallel generators ``g_l = a_l u + rest`` takes their place. Rests, generators
         next to an axis and short ones, and the radii of all balls go into the box. Floats choose, by what
@@ -155,22 +155,22 @@ class Zonotope:
         columns, n = middle.transpose().tolist(), middle.nrows()
         rough = [list(map(float, g)) for g in columns]
         rows = _corners(self.widths) if rows is None else rows
-        groups = _groups(rough, middle, rows, most - n if len(columns) > n else n)
+        groups = _groups(rough, middle, rows, limit - n if len(columns) > n else n)
         chosen = {j for group in groups for j in group.members}
-        made, rests = list[Sequence[Number]](), [g for j, g in enumerate(columns) if j not in chosen]
+        generators, rests = list[Sequence[Number]](), [g for j, g in enumerate(columns) if j not in chosen]
         for group in groups:
             if len(group.members) == 1:
-                made += [columns[j] for j in group.members]
+                generators += [columns[j] for j in group.members]
                 continue
             signs = [copysign(1.0, a) for a in group.shares]
             u = [sum(map(mul, signs, x)) for x in zip(*(rough[j] for j in group.members), strict=True)]
             for a, j in zip(map(arb, group.shares), group.members, strict=True):  # products without rounding
                 rests.append([x - a * y for x, y in zip(columns[j], u, strict=True)])
-            whole = dot(map(arb, group.shares), signs)
-            made.append([x * whole for x in u])
-        exact = matrix(made, n).transpose()
-        lost = beside(exact - exact.mid(), self.G - middle, matrix(rests, n).transpose())
-        box = [(x + c.rad()).abs_upper() for x, c in zip(widths(lost), self.c.entries(), strict=True)]
+            factor = dot(map(arb, group.shares), signs)
+            generators.append([x * factor for x in u])
+        exact = matrix(generators, n).transpose()
+        boxed = beside(exact - exact.mid(), self.G - middle, matrix(rests, n).transpose())
+        box = [(x + c.rad()).abs_upper() for x, c in zip(widths(boxed), self.c.entries(), strict=True)]
         return Zonotope(self.c.mid(), beside(exact.mid(), diagonal(box)))
 
 
@@ -185,10 +185,10 @@ def _groups(
     columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, count: int
 ) -> list[GeneratorGroup]:
     """Choose at most so many groups of generators (columns of G) to be merged."""
-    along = times(rows, G)
-    shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(along))]
+    products = times(rows, G)
+    shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(products))]
     prices = [sum(map(mul, shares, map(abs, map(float, row)))) for row in rows.transpose().tolist()]
-    images = [list(map(mul, shares, map(float, g))) for g in along.transpose().tolist()]
+    images = [list(map(mul, shares, map(float, g))) for g in products.transpose().tolist()]
     return grouped([list(map(mul, prices, g)) for g in columns], images, count)
 
 

@@ -21,9 +21,9 @@ INVERSE = 1e-9  # share of a direction by which a table may miss the equation of
 MIXED = BEYOND / 2  # share of an input's limit that mixes may be off it where all inputs are at their limits
 
 
-def per_axis(given: Any, count: int) -> list[float]:
+def per_axis(values: Any, count: int) -> list[float]:
     """Return one number for all, or one each, as a list."""
-    return list(given) if isinstance(given, list) else [given] * count
+    return list(values) if isinstance(values, list) else [values] * count
 
 
 def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
@@ -33,12 +33,12 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     input, at least as far out as the corner: no plane separates the box from those points (Proposition 5).
     Sums of mixes are such points.
     """
-    spec, every = scenario.get("thrusters", {}), scenario.get("faults", [])
-    faults = [fault for fault in every if fault["kind"] != "navigation_lost"]
-    made, m, layout = document.allocation, len(document.u_max), "directions" in spec
-    if (made is not None) != (layout or bool(faults)) or layout != ("thrust_max_N" in spec):
+    spec, all_faults = scenario.get("thrusters", {}), scenario.get("faults", [])
+    faults = [fault for fault in all_faults if fault["kind"] != "navigation_lost"]
+    allocation, m, layout = document.allocation, len(document.u_max), "directions" in spec
+    if (allocation is not None) != (layout or bool(faults)) or layout != ("thrust_max_N" in spec):
         raise Rejected("system", "only one of certificate and scenario has a layout of thrusters")
-    if made is None:
+    if allocation is None:
         return
     hill = scenario["system"]["kind"] == "clohessy_wiltshire"
     tops = per_axis(scenario["system"]["thrust_max_N" if hill else "input_max"], m)
@@ -49,38 +49,38 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     if layout:
         directions = spec["directions"]
         limits = per_axis(spec["thrust_max_N"], len(directions))
-    if (made["directions"], made["limits"], made["layout"]) != (directions, limits, layout):
+    if (allocation["directions"], allocation["limits"], allocation["layout"]) != (directions, limits, layout):
         raise Rejected("system", "thrusters are not those of the scenario")
     kind = spec.get("allocation", "least_thrust_mixes") if layout else None
-    if made.get("kind") != kind:
+    if allocation.get("kind") != kind:
         raise Rejected(
-            "system", f"allocation is {made.get('kind')} in the certificate, {kind} in the scenario"
+            "system", f"allocation is {allocation.get('kind')} in the certificate, {kind} in the scenario"
         )
-    shares = [arb(1) - arb(fault["share"]) if fault["kind"] == "loss" else arb(0) for fault in faults]
-    cases = [(0, arb(1)), *((j, left) for left in shares for j in range(len(limits)))]
-    if len(made["mixes"]) != len(cases):
+    strengths = [arb(1) - arb(fault["share"]) if fault["kind"] == "loss" else arb(0) for fault in faults]
+    cases = [(0, arb(1)), *((j, strength) for strength in strengths for j in range(len(limits)))]
+    if len(allocation["mixes"]) != len(cases):
         raise Rejected("system", "mixes of thrusters are missing")
-    for (failed, left), mixes in zip(cases, made["mixes"], strict=True):
-        for j, whole in enumerate(document.u_max):
-            column, off = [arb(row[j]) for row in directions], arb(0)
+    for (failed, strength), mixes in zip(cases, allocation["mixes"], strict=True):
+        for j, u_max in enumerate(document.u_max):
+            column, error = [arb(row[j]) for row in directions], arb(0)
             for i, u in enumerate(document.u_max):
-                ways = zip((1, -1), mixes, strict=True)
-                off += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in ways)
+                signed_mixes = zip((1, -1), mixes, strict=True)
+                error += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in signed_mixes)
             reason = f"mixes do not make {document.input_names[j]} exactly, with thruster {failed} failed"
-            require("system", MIXED * arb(whole) - off, reason)
+            require("system", MIXED * arb(u_max) - error, reason)
         for j, limit in enumerate(limits):
-            asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
-            top = arb(limit) * left if j == failed else arb(limit)
+            thrusts = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
+            top = arb(limit) * strength if j == failed else arb(limit)
             reason = f"mixes exceed the limit of thruster {j}, with thruster {failed} failed"
-            require("system", top - sum(asked, arb(0)) * (1 + BEYOND), reason)
+            require("system", top - sum(thrusts, arb(0)) * (1 + BEYOND), reason)
         if kind == "pseudo_inverse":
-            _check_pairs(directions, mixes, [j != failed or bool(left > 0) for j in range(len(limits))])
+            _check_pairs(directions, mixes, [j != failed or bool(strength > 0) for j in range(len(limits))])
 
 
 def _line(direction: list[float]) -> tuple[tuple[float, ...], int]:
     """Return a direction with its first number above 0, and 1 if it was turned round for that, else 0."""
-    turned = next((x for x in direction if x), 0.0) < 0
-    return tuple(-x if turned else x for x in direction), int(turned)
+    flipped = next((x for x in direction if x), 0.0) < 0
+    return tuple(-x if flipped else x for x in direction), int(flipped)
 
 
 def _check_pairs(directions: list[list[float]], mixes: list[list[list[float]]], alive: list[bool]) -> None:
@@ -90,31 +90,31 @@ def _check_pairs(directions: list[list[float]], mixes: list[list[list[float]]], 
     """
     sides: dict[tuple[float, ...], tuple[list[int], list[int]]] = {}
     for j, direction in enumerate(directions):
-        way, side = _line(direction)
-        sides.setdefault(way, ([], []))[side].append(j)
-    rows, kept = [[[row[j] for row in mix] for mix in mixes] for j in range(len(directions))], list[int]()
-    once = all(
+        line, side = _line(direction)
+        sides.setdefault(line, ([], []))[side].append(j)
+    rows, used = [[[row[j] for row in mix] for mix in mixes] for j in range(len(directions))], list[int]()
+    consistent = all(
         not (x and y) for forwards, backwards in rows for x, y in zip(forwards, backwards, strict=True)
     )
     for pair in sides.values():
         each = [
             sorted(rows[j][:: 1 - 2 * side] for j in pair[side] if any(map(any, rows[j]))) for side in (0, 1)
         ]
-        once &= each[0] == each[1] and len(each[0]) == min(sum(alive[j] for j in side) for side in pair)
-        kept += [j for side in pair for j in side if any(map(any, rows[j]))]
-    if not once:
+        consistent &= each[0] == each[1] and len(each[0]) == min(sum(alive[j] for j in side) for side in pair)
+        used += [j for side in pair for j in side if any(map(any, rows[j]))]
+    if not consistent:
         raise Rejected("system", "mixes of opposite thrusters differ")
-    for j in kept:
+    for j in used:
         push = [arb(x) - y for x, y in zip(*rows[j], strict=True)]
-        made = [arb(0)] * len(push)
-        for other in kept:
+        image = [arb(0)] * len(push)
+        for other in used:
             part = dot(push, directions[other])
-            made = [x + part * d for x, d in zip(made, directions[other], strict=True)]
-        for x, d in zip(made, directions[j], strict=True):
-            near = INVERSE * arb(max(map(abs, directions[j])))
+            image = [x + part * d for x, d in zip(image, directions[other], strict=True)]
+        for x, d in zip(image, directions[j], strict=True):
+            allowance = INVERSE * arb(max(map(abs, directions[j])))
             require(
                 "system",
-                near - abs(x - 2 * arb(d)),
+                allowance - abs(x - 2 * arb(d)),
                 f"mixes of thruster {j} are not those of the pseudo-inverse",
             )
 
@@ -135,8 +135,8 @@ class Nozzles:
     @classmethod
     def from_document(cls, document: Document) -> "Nozzles | None":
         """Return None without a layout."""
-        made = document.allocation
-        return cls(made, *document.shares) if made is not None and made["layout"] else None
+        allocation = document.allocation
+        return cls(allocation, *document.shares) if allocation is not None and allocation["layout"] else None
 
     @property
     def ways(self) -> list[list[arb]]:
@@ -172,14 +172,14 @@ class Nozzles:
         m, used = len(each[0]), set[tuple[int, ...]]()
         if self.solves:
             sides: dict[tuple[float, ...], list[list[arb]]] = {}
-            for (way, side), row in zip(map(_line, self.allocation["directions"]), each, strict=True):
-                pair = sides.setdefault(way, [[arb(0)] * m, [arb(0)] * m])
+            for (line, side), row in zip(map(_line, self.allocation["directions"]), each, strict=True):
+                pair = sides.setdefault(line, [[arb(0)] * m, [arb(0)] * m])
                 pair[side] = [x + y for x, y in zip(pair[side], row, strict=True)]
             return [sum((largest([x[j], y[j]]) for x, y in sides.values()), arb(0)) for j in range(m)]
         for mixes in self.allocation["mixes"]:
             for signs in product((0, 1), repeat=m):
-                asked = zip(*(mixes[sign][i] for i, sign in enumerate(signs)), strict=True)
-                used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in asked))
+                by_thruster = zip(*(mixes[sign][i] for i, sign in enumerate(signs)), strict=True)
+                used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in by_thruster))
         return [largest(dot([x[j] for x in each], row) for row in used) for j in range(m)]
 
     @property
@@ -208,16 +208,16 @@ class Nozzles:
         ]
         bounds = [arb(0)] * m
         for signs, factors in zip(product((0, 1), repeat=m), multipliers, strict=True):
-            left = [largest([arb(0), x - dot(d, factors)]) for x, d in zip(each, self.ways, strict=True)]
-            pairs = zip(left, self.lengths, strict=True)
+            excess = [largest([arb(0), x - dot(d, factors)]) for x, d in zip(each, self.ways, strict=True)]
+            pairs = zip(excess, self.lengths, strict=True)
             rest = (
-                largest([arb(0), *(x / y for x, y in pairs if not y.is_zero())]) if program else _norm(left)
+                largest([arb(0), *(x / y for x, y in pairs if not y.is_zero())]) if program else _norm(excess)
             )
-            more = [
+            bound = [
                 x * (1 - 2 * s) + rest * sizes[s][i]
                 for i, (x, s) in enumerate(zip(factors, signs, strict=True))
             ]
-            bounds = [largest(pair) for pair in zip(bounds, more, strict=True)]
+            bounds = [largest(pair) for pair in zip(bounds, bound, strict=True)]
         return bounds
 
     @cached_property
@@ -242,8 +242,8 @@ class Nozzles:
     def shares(self) -> list[list[arb]]:
         """Return the error of every input, rows, by a unit of each command, (m, m)."""
         rows = self.bounds[:-1]
-        own = [[x + self.mass * (i == j) for i, x in enumerate(row)] for j, row in enumerate(rows)]
-        return [[x / (1 - arb(self.mass)) for x in row] for row in own]
+        errors = [[x + self.mass * (i == j) for i, x in enumerate(row)] for j, row in enumerate(rows)]
+        return [[x / (1 - arb(self.mass)) for x in row] for row in errors]
 
     @property
     def pushed(self) -> list[list[arb]]:
@@ -263,12 +263,12 @@ class Nozzles:
 
     def dropped(self, bit: arb, period: arb, carried: bool) -> list[arb]:
         """Bound the error of each input by rounding to impulse bits [N s], (m)."""
-        ways = zip(self.largest, self.allocation["directions"], strict=True)
+        pairs = zip(self.largest, self.allocation["directions"], strict=True)
         if carried:
-            wrong = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in ways]
+            errors = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in pairs]
         else:
-            wrong = [[x / 2 for x in row] for row in self.largest]
-        return [bit / period * x for x in self.at_once(wrong)]
+            errors = [[x / 2 for x in row] for row in self.largest]
+        return [bit / period * x for x in self.at_once(errors)]
 
     def max_carried(self, bit: arb) -> arb:
         """Return the most of an input's impulse that may be left in all thrusters, of bits [N s]."""

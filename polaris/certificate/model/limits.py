@@ -29,9 +29,9 @@ class NodeLimit:
     name: str  # unsafe set or input
     whole: arb  # the clearance before a jump of the reference took its part: what shares refer to
 
-    def less(self, taken: arb) -> NodeLimit:
+    def less(self, tightening: arb) -> NodeLimit:
         """Return the limit with less clearance."""
-        return NodeLimit(self.row, (self.clearance - taken).lower(), self.name, self.whole)
+        return NodeLimit(self.row, (self.clearance - tightening).lower(), self.name, self.whole)
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
@@ -50,20 +50,20 @@ class Barrier:
 
     @classmethod
     def for_cell(
-        cls, document: Document, position: arb_mat, cell: int, chosen: list[int], known: dict[Any, Directions]
+        cls, document: Document, position: arb_mat, cell: int, chosen: list[int], saved: dict[Any, Directions]
     ) -> Barrier:
         """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end.
 
-        Rows that were `known` are the same object for the same facets.
+        Rows that were `saved` are the same object for the same facets.
         """
         facets = list(zip(document.unsafe, chosen, strict=True))
-        if (key := tuple(chosen)) not in known:
-            known[key] = Directions(_against(facets, position))
+        if (key := tuple(chosen)) not in saved:
+            saved[key] = Directions(_against(facets, position))
         ends = [
             (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
             for item, f in facets
         ]
-        return cls([item.name for item, _ in facets], known[key], [(arb(a), arb(b)) for a, b in ends])
+        return cls([item.name for item, _ in facets], saved[key], [(arb(a), arb(b)) for a, b in ends])
 
 
 def _against(facets: list[tuple[UnsafeSet, int]], position: arb_mat) -> arb_mat:
@@ -86,9 +86,9 @@ class Limits:
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([(document.unsafe[o], f) for o, f in pairs], plant.C)
-        targets, known = [], dict[Any, Directions]()
+        targets, saved = [], dict[Any, Directions]()
         for cell, arc in enumerate(path.arcs):
-            barrier = Barrier.for_cell(document, plant.C, cell, chosen[cell], known)
+            barrier = Barrier.for_cell(document, plant.C, cell, chosen[cell], saved)
             error = craft.noise_in(document, cell) * 2
             thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
@@ -97,37 +97,37 @@ class Limits:
             ]
             nodes = []
             for i, clearances in enumerate(arc.clearance(barrier.rows.M, barrier.offsets)):
-                met = [
+                limits = [
                     NodeLimit(index[o, f], clearance, barrier.names[o], clearance)
                     for o, (f, clearance) in enumerate(zip(chosen[cell], clearances, strict=True))
                 ]
                 # A held input is renewed at the end of its period.
-                nodes.append(met + inputs if i < plant.q else met)
+                nodes.append(limits + inputs if i < plant.q else limits)
             targets.append(nodes)
         return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
     def less_jump(self, tightenings: Tightening, path: Path) -> Limits:
         """Return the limits, the tail's tightened by the jump at its start."""
         size = magnitude(path.jump)
-        cost, late = (
+        by_lag, final = (
             [tightenings.boxed(size, lag) for lag in range(len(tightenings.carried))],
             tightenings.tightening_after_settling(size),
         )
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
-            for i, met in enumerate(nodes):
+            for i, limits in enumerate(nodes):
                 lag = tail * path.plant.q + i
-                spent = cost[lag] if lag <= tightenings.settling.periods else late
-                reduced.append([t.less(spent[t.row]) for t in met])
+                tightening = by_lag[lag] if lag <= tightenings.settling.periods else final
+                reduced.append([t.less(tightening[t.row]) for t in limits])
             targets.append(reduced)
         return Limits(self.rows, targets)
 
-    def less(self, taken: Along) -> Limits:
+    def less(self, tightening: Along) -> Limits:
         """Return the limits, each tightened along its row by the tightening of its node."""
         targets = [
-            [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
-            for cell in zip(self.targets, taken, strict=True)
+            [[t.less(by_row[t.row]) for t in limits] for limits, by_row in zip(*cell, strict=True)]
+            for cell in zip(self.targets, tightening, strict=True)
         ]
         return Limits(self.rows, targets)
 
@@ -135,10 +135,10 @@ class Limits:
         """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
         q = len(self.targets[0]) - 1
         cell, place = divmod(node, q)
-        met = list(self.targets[cell][place]) if cell < len(self.targets) else []
+        limits = list(self.targets[cell][place]) if cell < len(self.targets) else []
         if place == 0 and cell > 0 and not first:
-            met += self.targets[cell - 1][q]
-        return met
+            limits += self.targets[cell - 1][q]
+        return limits
 
 
 def levels_of(document: Document, tightenings: Tightening, path: Path) -> list[list[NodeLimit]]:

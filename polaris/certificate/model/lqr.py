@@ -32,14 +32,14 @@ def check_gain(document: Document, law: Law, spec: dict[str, Any]) -> None:
     check_definite(Q, WEIGHT_SLACK, f"the state weight Q of {law.name}")
     closed, cost = A - B * K, Q + K.transpose() * R * K
     check_hurwitz(closed, f"the loop of {law.name}")
-    rest = (R * K - B.transpose() * lyapunov(closed, cost)).tolist()
+    residuals = (R * K - B.transpose() * lyapunov(closed, cost)).tolist()
     # |(R K)_ij| <= sqrt(R_ii (Q + K' R K)_jj), in any units: entries are measured by that.
-    for i, row in enumerate(rest):
-        for j, off in enumerate(row):
+    for i, row in enumerate(residuals):
+        for j, residual in enumerate(row):
             slack = root(R[i, i] * cost[j, j]) * GAIN_SLACK
-            if not off.is_zero():
+            if not residual.is_zero():
                 text = f"the gain of {law.name} is not that of its weights Q and R, entry {i}, {j}"
-                require("controllers", slack - abs(off), text)
+                require("controllers", slack - abs(residual), text)
 
 
 def weight(values: Any) -> arb_mat:
@@ -65,7 +65,7 @@ def lyapunov(A: arb_mat, Q: arb_mat) -> arb_mat:
     return arb_mat(n, n, solution.entries())
 
 
-def check_hurwitz(A: arb_mat, what: str) -> None:
+def check_hurwitz(A: arb_mat, name: str) -> None:
     """Check that A is Hurwitz: ``A' X + X A = -S`` with S and X positive definite.
 
     Any such X will do. Here it is the midpoint of the solution for the identity, an exact matrix.
@@ -73,25 +73,25 @@ def check_hurwitz(A: arb_mat, what: str) -> None:
     try:
         X = lyapunov(A, identity(A.nrows()))
     except ZeroDivisionError as error:  # two eigenvalues add up to zero, or nearly
-        raise Undecided("controllers", f"{what}: not shown to be stable") from error
+        raise Undecided("controllers", f"{name}: not shown to be stable") from error
     X = ((X + X.transpose()) * arb(0.5)).mid()
-    falls = positive_definite(-(A.transpose() * X + X * A)) or None
-    _settle(falls and positive_definite(X), what, "stable (no Lyapunov function)")
+    decreasing = positive_definite(-(A.transpose() * X + X * A)) or None
+    _settle(decreasing and positive_definite(X), name, "stable (no Lyapunov function)")
 
 
-def check_definite(M: arb_mat, slack: float, what: str) -> None:
+def check_definite(M: arb_mat, slack: float, name: str) -> None:
     """Check that a symmetric matrix is positive definite, or with a slack semidefinite up to rounding."""
     if slack and all(x.is_zero() for x in M.entries()):
         return
     verdict = positive_definite(M + identity(M.nrows()) * (largest(magnitude(M).entries()) * slack))
-    _settle(verdict, what, f"positive {'semidefinite' if slack else 'definite'}")
+    _settle(verdict, name, f"positive {'semidefinite' if slack else 'definite'}")
 
 
-def _settle(verdict: bool | None, what: str, word: str) -> None:
+def _settle(verdict: bool | None, name: str, adjective: str) -> None:
     if verdict is None:
-        raise Undecided("controllers", f"{what}: not shown to be {word} at this precision")
+        raise Undecided("controllers", f"{name}: not shown to be {adjective} at this precision")
     if not verdict:
-        raise Rejected("controllers", f"{what} is not {word}")
+        raise Rejected("controllers", f"{name} is not {adjective}")
 
 
 def positive_definite(M: arb_mat) -> bool | None:

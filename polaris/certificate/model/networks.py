@@ -78,8 +78,8 @@ class Rounding:
         """Rounding of sums, given those of their absolute terms, of absolute weights, and absolute inputs."""
         relative, all_inputs = self.relative(terms + FOLDED), sum(inputs, arb(0))
         self.require_finite([*weights, *(x * (1 + relative) for x in size)])
-        near = [2 * self.tiny * (2 * terms + 2 + w + all_inputs) for w in weights]
-        return [relative * x + more for x, more in zip(size, near, strict=True)]
+        underflow = [2 * self.tiny * (2 * terms + 2 + w + all_inputs) for w in weights]
+        return [relative * x + extra for x, extra in zip(size, underflow, strict=True)]
 
     def bent(self, layer: Layer, values: list[arb]) -> list[arb]:
         """Rounding of an activation with values up to some sizes."""
@@ -118,19 +118,19 @@ class Policy:
     @cached_property
     def layers(self) -> list["Weights | Layer"]:
         """Weights and biases, or activations, the thrust limits last."""
-        own, width = list["Weights | Layer"](), len(self.law.input_scale)
+        layers, width = list["Weights | Layer"](), len(self.law.input_scale)
         for layer in self.law.layers:
             if layer.kind == "affine":
-                own.append(Weights(matrix(layer.W), column(layer.b)))
+                layers.append(Weights(matrix(layer.W), column(layer.b)))
                 width = len(layer.W)
             elif layer.kind == "diagonal":
                 scale, b = (x * width if len(x) == 1 else x for x in (layer.scale, layer.b))
-                own.append(Weights(list(map(arb, scale)), column(b)))
+                layers.append(Weights(list(map(arb, scale)), column(b)))
             else:
-                own.append(layer)
+                layers.append(layer)
         none, tops = arb_mat(len(self.plant.u_max), 1), self.plant.u_max
         into = [arb(x) / top for x, top in zip(self.law.output_scale, tops, strict=True)]
-        return [*own, Weights(into, none), Layer("clip", low=-1.0, high=1.0), Weights(list(tops), none)]
+        return [*layers, Weights(into, none), Layer("clip", low=-1.0, high=1.0), Weights(list(tops), none)]
 
     def reference_input(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
         """Return the network's scaled inputs on its reference at node i of step k, and their generators."""
@@ -143,39 +143,39 @@ class Policy:
             middle, spread[name] = self.obstacles.at_node(name, k * self.plant.q + i)
             parts[name] = middle + self.obstacles.less(name, base.nodes[i])
         scale = diagonal(self.law.input_scale)
-        read, rest = (scale * above(*(table[name] for name in self.law.reads)) for table in (parts, spread))
-        return read, rest
+        c, V = (scale * above(*(table[name] for name in self.law.reads)) for table in (parts, spread))
+        return c, V
 
-    def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> CommandBound:
+    def command(self, d: Zonotope, inputs: arb_mat, generators: arb_mat) -> CommandBound:
         """Enclose the command over a set of estimated states relative to the reference."""
-        M, c, V = self.reads, known, rest
-        own, exact = self.rounding, self.layers[-1]
-        off = [] if own is None else own.read(extent(M, c, V, d))
+        M, c, V = self.reads, inputs, generators
+        model, exact = self.rounding, self.layers[-1]
+        error = [] if model is None else model.read(extent(M, c, V, d))
         for layer in self.layers:
             if isinstance(layer, Weights):
-                more = off
-                if own is not None:
-                    size = sums(extent(M, c, V, d), off)
-                    more = layer.sizes(off)
-                    more = more if layer is exact else sums(more, layer.rounding(own, size))
-                M, c, V, off = layer.times(M), layer.times(c) + layer.b, layer.times(V), more
+                image = error
+                if model is not None:
+                    size = sums(extent(M, c, V, d), error)
+                    image = layer.sizes(error)
+                    image = image if layer is exact else sums(image, layer.rounding(model, size))
+                M, c, V, error = layer.times(M), layer.times(c) + layer.b, layer.times(V), image
                 continue
             spread = sums(row_sums(M * d.G), row_sums(V))
-            spread = sums(spread, off) if off else spread
+            spread = sums(spread, error) if error else spread
             middle = (M * d.c + c).entries()
             ends = [((at - x).lower(), (at + x).upper()) for at, x in zip(middle, spread, strict=True)]
             slopes, offsets, radii = zip(*(band(layer, lo, hi) for lo, hi in ends), strict=True)
             open_ = list(radii)
-            if own is not None:
-                open_ = sums(radii, map(mul, slopes, off))
-                off = own.bent(layer, [largest((-value(layer, lo), value(layer, hi))) for lo, hi in ends])
+            if model is not None:
+                open_ = sums(radii, map(mul, slopes, error))
+                error = model.bent(layer, [largest((-value(layer, lo), value(layer, hi))) for lo, hi in ends])
             M, c = scaled(slopes, M), scaled(slopes, c) + column(offsets)
             V = beside(scaled(slopes, V), diagonal(open_))
-        V = beside(V, diagonal(off)) if off else V
+        V = beside(V, diagonal(error)) if error else V
         spread, middle = sums(row_sums(M * d.G), row_sums(V)), (M * d.c + c).entries()
         bounds = [largest([abs(at) + x]) for at, x in zip(middle, spread, strict=True)]
-        few = Zonotope(arb_mat(M.nrows(), 1), V).reduced(OWN * M.nrows()).G
-        return CommandBound(M, c, few, bounds)
+        reduced = Zonotope(arb_mat(M.nrows(), 1), V).reduced(OWN * M.nrows()).G
+        return CommandBound(M, c, reduced, bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +204,10 @@ class Weights:
         """Product of the absolute weights and a vector."""
         return list(self.size.times(column(x)).entries())
 
-    def rounding(self, own: Rounding, x: list[arb]) -> list[arb]:
+    def rounding(self, model: Rounding, x: list[arb]) -> list[arb]:
         """Rounding of this layer for inputs up to some sizes."""
         size = sums(self.sizes(x), self.size.b.entries())
-        return own.summed(size, self.sizes([arb(1)] * len(x)), x, self.terms)
+        return model.summed(size, self.sizes([arb(1)] * len(x)), x, self.terms)
 
 
 def extent(M: arb_mat, c: arb_mat, V: arb_mat, d: Zonotope) -> list[arb]:

@@ -19,9 +19,9 @@ MOVES = dict.fromkeys(("center_m", "velocity_m_s", "state", "state_half_widths")
 
 def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the obstacles of a scenario that inputs name, in that order, as a certificate states them."""
-    known = {spec["name"]: spec for spec in scenario.get("obstacles", ())}
-    named = dict.fromkeys(name.partition(":")[2] for name in reads if ":" in name)
-    return [{"name": x, **{key: known[x].get(key, none) for key, none in MOVES.items()}} for x in named]
+    specs = {spec["name"]: spec for spec in scenario.get("obstacles", ())}
+    names = dict.fromkeys(name.partition(":")[2] for name in reads if ":" in name)
+    return [{"name": x, **{key: specs[x].get(key, none) for key, none in MOVES.items()}} for x in names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +72,15 @@ class ObstacleBoxes:
         """
         body, plant, C = self.bodies[name], self.plant, self.plant.C
         if body["state"] is None:
-            at, v = ([*map(arb, body[key] or [0.0] * C.nrows())] for key in ("center_m", "velocity_m_s"))
-            place = [x + y * (plant.h * node) for x, y in zip(at, v, strict=True)]
+            center, v = ([*map(arb, body[key] or [0.0] * C.nrows())] for key in ("center_m", "velocity_m_s"))
+            place = [x + y * (plant.h * node) for x, y in zip(center, v, strict=True)]
             return [*place, *v], [*(self.clock * abs(x) for x in v), *(0 * x for x in v)]
         start = above(C, C * plant.A), [arb(0)] * (2 * C.nrows())
         carried = self._carried.setdefault(name, [start])
         while len(carried) <= node:
-            rows, gained = carried[-1]
-            more = (plant.open.push_gain(rows, push) for push in self.pushes[name])
-            carried.append((rows * plant.open.phi, sums(gained, *more)))
-        rows, gained = carried[node]
-        known = absolute(rows) * column(body["state_half_widths"])
-        return (rows * column(body["state"])).entries(), sums(gained, known.entries())
+            rows, support = carried[-1]
+            gains = (plant.open.push_gain(rows, push) for push in self.pushes[name])
+            carried.append((rows * plant.open.phi, sums(support, *gains)))
+        rows, support = carried[node]
+        initial = absolute(rows) * column(body["state_half_widths"])
+        return (rows * column(body["state"])).entries(), sums(support, initial.entries())

@@ -57,51 +57,51 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
     if graph.sparse_initializer:
         raise ValueError("sparse weights")
     tensors = {tensor.name: tensor for tensor in graph.initializer}
-    known = [item for item in (*graph.input, *graph.value_info, *graph.output) if item.name not in tensors]
+    typed = [item for item in (*graph.input, *graph.value_info, *graph.output) if item.name not in tensors]
     real = onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE
-    if any(item.type.tensor_type.elem_type not in real for item in known):
+    if any(item.type.tensor_type.elem_type not in real for item in typed):
         raise ValueError("a value is neither float nor double")
-    shapes = {item.name: [axis.dim_value for axis in item.type.tensor_type.shape.dim] for item in known}
+    shapes = {item.name: [axis.dim_value for axis in item.type.tensor_type.shape.dim] for item in typed}
     names = [item.name for item in graph.input if item.name not in tensors]
     if len(names) != 1:
         raise ValueError("more than one input")
-    at, layers, left = names[0], list[Layer](), len(data)
+    current, layers, budget = names[0], list[Layer](), len(data)
     for node in graph.node:
         kind, into = node.op_type, list(node.input)
-        more = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
+        fields = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
         if kind == "Constant":
-            tensors[node.output[0]] = more["value"]
+            tensors[node.output[0]] = fields["value"]
             continue
-        if into.count(at) != 1:
+        if into.count(current) != 1:
             raise ValueError(f"{kind} does not take the output before it once")
-        given = [None if name == at or not name else tensors[name] for name in into]
+        inputs = [None if name == current or not name else tensors[name] for name in into]
         if kind not in SAME:
-            values = [None if tensor is None else _numbers(tensor) for tensor in given]
-            made = _layers(kind, values, more, width)
-            layers += made
-            width = len(made[0].W) or width
-            left -= sum(len(value[1]) for value in values if value is not None)
-        elif (kind == "Cast" and more["to"] not in real) or (kind == "Dropout" and _trains(given, more)):
+            values = [None if tensor is None else _numbers(tensor) for tensor in inputs]
+            new_layers = _layers(kind, values, fields, width)
+            layers += new_layers
+            width = len(new_layers[0].W) or width
+            budget -= sum(len(value[1]) for value in values if value is not None)
+        elif (kind == "Cast" and fields["to"] not in real) or (kind == "Dropout" and _trains(inputs, fields)):
             raise ValueError(f"{kind} changes values")
-        if len(layers) > DEEPEST or left < 0:
+        if len(layers) > DEEPEST or budget < 0:
             raise ValueError(
                 f"the network has more than {DEEPEST} layers, or more numbers than the file bytes"
             )
-        at = node.output[0]
-        sizes = shapes.get(at) or [0]
+        current = node.output[0]
+        sizes = shapes.get(current) or [0]
         if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):
             raise ValueError(f"after {kind} the components are not {width} along the last axis")
-    if not layers or [item.name for item in graph.output] != [at]:
+    if not layers or [item.name for item in graph.output] != [current]:
         raise ValueError("the output is not the end of the chain")
     return layers
 
 
-def _trains(given: Sequence[Any], more: dict[str, Any]) -> bool:
+def _trains(inputs: Sequence[Any], fields: dict[str, Any]) -> bool:
     """Return True if a Dropout drops anything: that of training does."""
     from onnx import numpy_helper
 
-    training = len(given) > 2 and given[2] is not None and bool(numpy_helper.to_array(given[2]).any())
-    return training or not more.get("is_test", 1)
+    training = len(inputs) > 2 and inputs[2] is not None and bool(numpy_helper.to_array(inputs[2]).any())
+    return training or not fields.get("is_test", 1)
 
 
 def _numbers(tensor: Any) -> tuple[list[int], list[float]]:
@@ -123,27 +123,27 @@ def _numbers(tensor: Any) -> tuple[list[int], list[float]]:
     return list(tensor.dims), values
 
 
-def _layers(kind: str, values: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+def _layers(kind: str, values: list[Any], fields: dict[str, Any], width: int) -> list[Layer]:
     """Layers that one operator makes of so many components."""
     if kind in ACTIVATIONS:
         name, low = ACTIVATIONS[kind]
-        slope = more.get("alpha", low)
+        slope = fields.get("alpha", low)
         if not slope >= 0:
             raise ValueError(f"{kind} with a slope of {slope}")
         return [Layer(name, low=slope)]
     if kind == "Clip":
-        ends = [more.get("min", -UNLIMITED), more.get("max", UNLIMITED)]
+        ends = [fields.get("min", -UNLIMITED), fields.get("max", UNLIMITED)]
         for i, value in enumerate(values[1:3]):
             (ends[i],) = [ends[i]] if value is None else value[1]
         if not ends[0] <= ends[1]:
             raise ValueError("Clip with its least limit above its largest")
         return [Layer("clip", low=ends[0], high=ends[1])]
     if kind in ("Gemm", "MatMul"):
-        return _product(kind, values, more, width)
+        return _product(kind, values, fields, width)
     if kind == "BatchNormalization":
         gain, shift, mean, variance = (_spread(value[1], width) for value in values[1:5])
-        eps = more.get("epsilon", 1e-5)
-        if values[0] is not None or more.get("training_mode"):
+        eps = fields.get("epsilon", 1e-5)
+        if values[0] is not None or fields.get("training_mode"):
             raise ValueError("BatchNormalization of training")
         sizes = [*(abs(g) for g in gain if g), *(v + eps for v in variance)]
         if min(*variance, eps) < 0 or not all(LEAST <= size <= 1 / LEAST for size in sizes):
@@ -162,14 +162,14 @@ def _layers(kind: str, values: list[Any], more: dict[str, Any], width: int) -> l
     raise ValueError("Div by a computed value")
 
 
-def _product(kind: str, values: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+def _product(kind: str, values: list[Any], fields: dict[str, Any], width: int) -> list[Layer]:
     """Weights and biases; a factor of the product is a layer of its own."""
     (rows, columns), flat = values[1]
-    alpha, beta = more.get("alpha", 1.0), more.get("beta", 1.0)
-    if values[0] is not None or more.get("transA"):
+    alpha, beta = fields.get("alpha", 1.0), fields.get("beta", 1.0)
+    if values[0] is not None or fields.get("transA"):
         raise ValueError(f"{kind} with the input on the other side")
     W = [flat[i * columns : (i + 1) * columns] for i in range(rows)]
-    W = W if more.get("transB") else [list(column) for column in zip(*W, strict=True)]
+    W = W if fields.get("transB") else [list(column) for column in zip(*W, strict=True)]
     if any(len(row) != width for row in W):
         raise ValueError(f"weights of another shape follow {width} values")
     b = values[2][1] if len(values) > 2 and values[2] is not None else [0.0]

@@ -24,30 +24,30 @@ SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two 
 
 def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     """Check every unsafe set of the certificate, in the scenario's order; returns their number."""
-    left, radius = list(document.unsafe), scenario.get("chaser", {}).get("radius_m", 0.0)
+    pending, radius = list(document.unsafe), scenario.get("chaser", {}).get("radius_m", 0.0)
     if document.chaser_radius != radius:
         text = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
         raise Rejected("unsafe_sets", text)
     clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
-    moved = norms((absolute(matrix(document.C)) * column(document.state_offset)).transpose())[0]
+    offset = norms((absolute(matrix(document.C)) * column(document.state_offset)).transpose())[0]
     obstacles = scenario.get("obstacles", ())
-    kept = [_shrunk(spec, radius + moved) for spec in scenario.get("keep_in", ())]
-    others = any(spec["kind"] == "satellite" for spec in obstacles)
-    if document.satellites != others:
-        has, assumed = ("", "nothing") if others else ("no ", "something")
-        text = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
+    keep_in = [_shrunk(spec, radius + offset) for spec in scenario.get("keep_in", ())]
+    has_others = any(spec["kind"] == "satellite" for spec in obstacles)
+    if document.satellites != has_others:
+        article, assumed = ("", "nothing") if has_others else ("no ", "something")
+        text = f"the scenario has {article}other satellites, but {assumed} is assumed of them"
         raise Rejected("assumptions", text)
     for spec in obstacles:
-        if not left or left[0].name != spec["name"] or left[0].keep_in:
+        if not pending or pending[0].name != spec["name"] or pending[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
         if spec["kind"] in KINDS:
-            check_states(document, [left.pop(0)], spec, inside=False)
+            check_states(document, [pending.pop(0)], spec, inside=False)
         else:
-            _check_obstacle(document, left.pop(0), spec, radius + moved + clock * _speed(spec, clock))
-    for spec in kept:
+            _check_obstacle(document, pending.pop(0), spec, radius + offset + clock * _speed(spec, clock))
+    for spec in keep_in:
         facets: list[UnsafeSet] = []
-        while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
-            facets.append(left.pop(0))
+        while pending and pending[0].keep_in and pending[0].name == f"{spec['name']}[{len(facets)}]":
+            facets.append(pending.pop(0))
         if spec["kind"] in KINDS:
             check_states(document, facets, spec, inside=True)
             continue
@@ -58,14 +58,14 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     navigation = scenario.get("navigation", {})
     phases = navigation.get("phases", ())
     first = {"from_s": 0.0} | navigation.get("measurement", navigation)
-    until = [*(phase["from_s"] for phase in phases), math.inf]
+    end_times = [*(phase["from_s"] for phase in phases), math.inf]
     names = ["within", *(f"within-{i}" for i in range(len(phases)))]
-    for name, spec, ends in zip(names, (first, *phases), until, strict=True):
+    for name, spec, ends in zip(names, (first, *phases), end_times, strict=True):
         if "within_m" in spec:
-            facets, left = left[: 2 * len(document.C)], left[2 * len(document.C) :]
-            _check_within(document, facets, name, spec, ends, radius + moved)
-    if left:
-        raise Rejected("unsafe_sets", f"{left[0].name} is not in the scenario")
+            facets, pending = pending[: 2 * len(document.C)], pending[2 * len(document.C) :]
+            _check_within(document, facets, name, spec, ends, radius + offset)
+    if pending:
+        raise Rejected("unsafe_sets", f"{pending[0].name} is not in the scenario")
     return len(document.unsafe)
 
 
@@ -122,8 +122,8 @@ def _check_obstacle(
         for cell in range(len(item.start)):
             for place in (0, 1):
                 t, offset = arb(cell + place) * document.delta, (item.start, item.end)[place][cell][f]
-                where = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"
-                require("unsafe_sets", offset - (base + rate * t) + (size + speed * t) * ROUNDED, where)
+                witness = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"
+                require("unsafe_sets", offset - (base + rate * t) + (size + speed * t) * ROUNDED, witness)
 
 
 def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
@@ -164,10 +164,10 @@ def _length(n: list[arb]) -> arb:
 
 def _row_support(normal: list[float], spec: dict[str, Any], f: int, name: str) -> arb:
     """Support of a facet of a polytope along its normal, which is the scenario's up to rounding."""
-    given = [arb(x) for x in spec["normals"][f]]
-    length = _length(given)
-    off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
-    require("unsafe_sets", ROUNDED - off, f"a normal of {name} is turned")
+    row = [arb(x) for x in spec["normals"][f]]
+    length = _length(row)
+    error = sum((abs(n - x / length) for n, x in zip(normal, row, strict=True)), arb(0))
+    require("unsafe_sets", ROUNDED - error, f"a normal of {name} is turned")
     return arb(spec["offsets_m"][f]) / length
 
 
@@ -184,8 +184,8 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
             raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
             reach = _row_support(row, spec, f, name)
-            spare = reach - offset + abs(reach) * ROUNDED
-            require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
+            slack = reach - offset + abs(reach) * ROUNDED
+            require("unsafe_sets", slack, f"{name}, facet {f}, is too far out")
         return
     d = len(document.C)
     sides = (2 if d == 2 else int(spec.get("facets", 12))) + (spec.get("length_m") is not None)
@@ -226,22 +226,22 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     axis = [x / length for x in axis]
     apex = spec["apex_m"]
     if spec.get("length_m") is not None:
-        away = spec["length_m"]
-        off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
-        require("unsafe_sets", ROUNDED - off, f"the end of {name} is turned")
-        at, far = dot(axis, apex) + away, absolute_dot(axis, apex) + away
-        require("unsafe_sets", at - offsets[-1] + far * ROUNDED, f"the end of {name} is too far out")
+        cut = spec["length_m"]
+        error = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
+        require("unsafe_sets", ROUNDED - error, f"the end of {name} is turned")
+        height, scale = dot(axis, apex) + cut, absolute_dot(axis, apex) + cut
+        require("unsafe_sets", height - offsets[-1] + scale * ROUNDED, f"the end of {name} is too far out")
         rows, offsets = rows[:-1], offsets[:-1]
     size = sum(abs(x) for x in apex)
     for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-        at = dot(map(arb, row), apex)
-        require("unsafe_sets", at - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
+        height = dot(map(arb, row), apex)
+        require("unsafe_sets", height - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
     slope = (arb(spec["half_angle_deg"]) * arb.pi() / 180).cos()
     edges = _edges(rows, axis, name)
     for f, edge in enumerate(edges):
         forward = dot(edge, axis) / _length(edge)
-        where = f"an edge of {name} next to facet {f} lies outside the cone"
-        require("unsafe_sets", forward - slope + ROUNDED, where)
+        witness = f"an edge of {name} next to facet {f} lies outside the cone"
+        require("unsafe_sets", forward - slope + ROUNDED, witness)
         for other, row in enumerate(rows):
             beyond = dot(edge, row) / _length(edge)
             require("unsafe_sets", ROUNDED - beyond, f"facets {f} and {other} of {name} are out of order")

@@ -36,10 +36,10 @@ def plant_of(document: Document) -> Plant:
     A, B, D = matrix(document.A), matrix(document.B), matrix(document.D)
     if document.system_kind == "clohessy_wiltshire":
         exact = _hill(document)
-        for name, stored, true in zip("ABD", (A, B, D), exact, strict=True):
-            if (stored.nrows(), stored.ncols()) != (true.nrows(), true.ncols()):
+        for name, stored, derived in zip("ABD", (A, B, D), exact, strict=True):
+            if (stored.nrows(), stored.ncols()) != (derived.nrows(), derived.ncols()):
                 raise Rejected("system", f"{name} is not of the size it has in Hill's frame")
-            for i, (x, y) in enumerate(zip(stored.entries(), true.entries(), strict=True)):
+            for i, (x, y) in enumerate(zip(stored.entries(), derived.entries(), strict=True)):
                 require("system", abs(y) * 1e-14 - abs(x - y), f"{name}, entry {i}: {x} is not {y}")
         A, B, D = exact
     h = arb(document.delta) / document.q
@@ -47,7 +47,7 @@ def plant_of(document: Document) -> Plant:
     C, w_max = matrix(document.C), arb(document.w_max)
     jitter = arb(document.timing.get("jitter", 0.0)) + document.timing.get("edge", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
-    hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
+    latency = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried_impulse)
     plant = replace(plant, bits=document.prompt_bits)
     if (layout := Nozzles.from_document(document)) is not None:
@@ -61,8 +61,8 @@ def plant_of(document: Document) -> Plant:
     plant = _out_of_time(document, plant)
     if document.transients:
         return plant
-    unseen = [(hidden, plant.predicted)] * (hidden > 0)
-    return replace(plant, unseen=unseen + [(hidden + age, added) for age, added in older(document, plant)])
+    unseen = [(latency, plant.predicted)] * (latency > 0)
+    return replace(plant, unseen=unseen + [(latency + age, gain) for age, gain in older(document, plant)])
 
 
 def _constant(D: arb_mat, bias: list[float]) -> tuple[arb_mat, list[arb]]:
@@ -77,16 +77,16 @@ def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:
     As the certificate states them of estimates, carried over the age that makes each largest. Leads of
     pulses add nothing: they are among the observer's own errors at full thrust.
     """
-    stated, delay = document.observer or {}, arb(document.timing.get("delay", 0.0))
-    if "by_age" not in stated:
+    observer, delay = document.observer or {}, arb(document.timing.get("delay", 0.0))
+    if "by_age" not in observer:
         return []
     ages = [delay + plant.h * j for j in range(document.timing.get("missed", 0) + 1)]
-    over = [absolute(exponential(plant.A, age)[0]).entries() for age in ages]
-    carried = arb_mat(plant.A.nrows(), plant.A.nrows(), maxima(*over))
+    gains = [absolute(exponential(plant.A, age)[0]).entries() for age in ages]
+    carried = arb_mat(plant.A.nrows(), plant.A.nrows(), maxima(*gains))
     n, m = plant.B.nrows(), plant.B.ncols()
     leads = arb_mat(n, plant.entering.ncols() - m)
-    each = (carried * (new - old) for new, old in pairwise(matrix(M) for M in stated["by_age"]))
-    return [(age, beside(added, leads)) for age, added in zip(stated["ages"][1:], each, strict=True)]
+    each = (carried * (new - old) for new, old in pairwise(matrix(M) for M in observer["by_age"]))
+    return [(age, beside(gain, leads)) for age, gain in zip(observer["ages"][1:], each, strict=True)]
 
 
 def _out_of_time(document: Document, on_time: Plant) -> Plant:

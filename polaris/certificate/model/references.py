@@ -34,8 +34,8 @@ def check_references(document: Document, law: Law, scenario: dict[str, Any], spe
     if len(law.states) != document.steps + 1 or len(law.inputs) != document.steps:
         raise Rejected("controllers", f"the reference of {law.name} must cover the {document.steps} steps")
     if kind == "setpoint" and law.gain is None:
-        still = any(x != reference["state"] for x in law.states) or any(any(u) for u in law.inputs)
-        if still or any(
+        moves = any(x != reference["state"] for x in law.states) or any(any(u) for u in law.inputs)
+        if moves or any(
             not x.is_zero() for x in (plant_of(document).A * column(reference["state"])).entries()
         ):
             raise Rejected("controllers", f"the reference of {law.name} is not the state at rest")
@@ -64,12 +64,12 @@ def _check_dynamics(
     phi, push, _ = _step(document)
     for k, u in enumerate(inputs):
         x, v = column(states[k]), column(u)
-        came = (phi * x + push * v).entries()
+        derived = (phi * x + push * v).entries()
         size = (magnitude(phi) * magnitude(x) + magnitude(push) * magnitude(v)).entries()
         widest = largest(size)  # a matrix exponential is as exact as its largest entries are large
-        for i, (exact, stored) in enumerate(zip(came, states[k + 1], strict=True)):
-            where = f"the reference of {law.name} leaves the dynamics in step {k}, state {i}"
-            require("controllers", size[i] * SLACK + widest * EXPONENTIAL - abs(exact - stored), where)
+        for i, (exact, stored) in enumerate(zip(derived, states[k + 1], strict=True)):
+            witness = f"the reference of {law.name} leaves the dynamics in step {k}, state {i}"
+            require("controllers", size[i] * SLACK + widest * EXPONENTIAL - abs(exact - stored), witness)
 
 
 def _step(document: Document) -> tuple[arb_mat, arb_mat, Plant]:
@@ -89,21 +89,21 @@ def _check_setpoint(document: Document, law: Law, state: list[float]) -> None:
         raise Rejected("controllers", f"the reference of {law.name} is no single state")
     phi, push, plant = _step(document)
     K, x, s, u = matrix(law.gain), column(law.states[0]), column(state), column(law.inputs[0])
-    off = magnitude(u + K * (x - s))
-    moved = magnitude(phi * x + push * u - x) + magnitude(plant.A * x + plant.B * u) * arb(document.delta)
+    gap = magnitude(u + K * (x - s))
+    drift = magnitude(phi * x + push * u - x) + magnitude(plant.A * x + plant.B * u) * arb(document.delta)
     size = magnitude(K) * (magnitude(x) + magnitude(s))
-    for name, value in (("is not what the state it heads for gives", off), ("drifts", magnitude(K) * moved)):
+    for name, value in (("is not what the state it heads for gives", gap), ("drifts", magnitude(K) * drift)):
         for i, (amount, scale) in enumerate(zip(value.entries(), size.entries(), strict=True)):
-            where = f"the reference of {law.name} {name} (input {i})"
-            require("controllers", scale * SLACK - amount, where)
+            witness = f"the reference of {law.name} {name} (input {i})"
+            require("controllers", scale * SLACK - amount, witness)
 
 
 def _check_start(law: Law, state: list[float], exact: arb_mat) -> None:
     size = max(float(x.mid()) for x in magnitude(exact).entries())
-    for i, (stored, true) in enumerate(zip(state, exact.entries(), strict=True)):
-        allowed = (abs(true) + (size if i < 3 else 0) * arb(1e-6)) * SLACK
-        where = f"the reference of {law.name} does not start on its ellipse (state {i})"
-        require("controllers", allowed - abs(true - stored), where)
+    for i, (stored, derived) in enumerate(zip(state, exact.entries(), strict=True)):
+        allowed = (abs(derived) + (size if i < 3 else 0) * arb(1e-6)) * SLACK
+        witness = f"the reference of {law.name} does not start on its ellipse (state {i})"
+        require("controllers", allowed - abs(derived - stored), witness)
 
 
 def _ellipse(document: Document, spec: dict[str, Any]) -> arb_mat:
@@ -139,8 +139,8 @@ def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:
 def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
     eta = _mean_motion(document)
     amplitude, along = spec["amplitude_max_m"], spec.get("along_track_m", 0.0)
-    rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
-    terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
+    residuals = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
+    terms = [(abs(value), f"condition {i}") for i, value in enumerate(residuals)]
     return [*terms, ((x[2] ** 2 + (x[5] / eta) ** 2) ** 0.5 - amplitude, "amplitude")], max(amplitude, 1.0)
 
 

@@ -56,19 +56,19 @@ class Satellite:
     def check(self) -> None:
         """Check all steps; each is divided until its polytope is shown to do, or no further."""
         step = exponential(self.A, arb(self.document.delta))[0]
-        carried, at = self.rows, self.state
-        gained, parts = [arb(0)] * self.rows.nrows(), 1
+        carried, state = self.rows, self.state
+        integral, parts = [arb(0)] * self.rows.nrows(), 1
         for cell in range(len(self.item.start)):
             while True:
                 final = parts >= MOST_PARTS
-                after = self._step(cell, parts, carried, at, gained, final)
+                after = self._step(cell, parts, carried, state, integral, final)
                 if after is not None:
                     break
                 parts *= 2
-            gained, carried, at = after, carried * step, step * at
+            integral, carried, state = after, carried * step, step * state
 
     def _step(
-        self, cell: int, parts: int, carried: arb_mat, at: arb_mat, gained: list[arb], final: bool
+        self, cell: int, parts: int, carried: arb_mat, state: arb_mat, integral: list[arb], final: bool
     ) -> list[arb] | None:
         """Check one step in parts; the integral so far at its end, or None if it needs more parts."""
         h = arb(self.document.delta) / parts
@@ -76,12 +76,12 @@ class Satellite:
         over = self.A * self.A * exponential_over(self.A, h)
         first, last = self.item.start[cell], self.item.end[cell]
         size = [abs(a) + abs(b) for a, b in zip(map(arb, first), map(arb, last), strict=True)]
-        values, margins, gained = [], [], list(gained)
-        now = [norms(carried * M) for M, _ in self.pushes]
+        values, margins, integral = [], [], list(integral)
+        current = [norms(carried * M) for M, _ in self.pushes]
         for part in range(parts + 1):
             spread = (absolute(carried) * self.half).entries()
             middle = (carried * self.state).entries()
-            around = sums(spread, gained)
+            around = sums(spread, integral)
             facets = zip(self.facets, self.radius, strict=True)
             values.append([sign * middle[i] + around[i] + radius for (i, sign), radius in facets])
             if part == parts:
@@ -90,25 +90,25 @@ class Satellite:
             curvature = (absolute(second * self.state) + spans(second, self.half)) * (h**2 / 8)
             margin = curvature.entries()
             later = [norms(following * M) for M, _ in self.pushes]
-            for (M, accel), g, after in zip(self.pushes, now, later, strict=True):
+            for (M, accel), g, after in zip(self.pushes, current, later, strict=True):
                 for f, (x, y, z) in enumerate(zip(g, after, lengths(second * M), strict=True)):
                     margin[f] += accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
-                    gained[f] += accel * (h / 2 * (x + y) + h**3 / 12 * z)
+                    integral[f] += accel * (h / 2 * (x + y) + h**3 / 12 * z)
             margins.append(margin)
-            carried, now = following, later
+            carried, current = following, later
         for part, value in enumerate(values):
-            near = margins[max(part - 1, 0) : part + 1]
+            adjacent = margins[max(part - 1, 0) : part + 1]
             s = arb(part) / parts
             for f, support in enumerate(value):
-                spare = first[f] * (1 - s) + last[f] * s - support + size[f] * ROUNDED
-                for margin in near:
-                    left = spare - margin[self.facets[f][0]]
-                    if left >= 0:
+                gap = first[f] * (1 - s) + last[f] * s - support + size[f] * ROUNDED
+                for margin in adjacent:
+                    slack = gap - margin[self.facets[f][0]]
+                    if slack >= 0:
                         continue
                     if not final:
                         return None
-                    require("unsafe_sets", left, f"{self.item.name}, facet {f}, in step {cell}")
-        return gained
+                    require("unsafe_sets", slack, f"{self.item.name}, facet {f}, in step {cell}")
+        return integral
 
 
 def acceleration_input(document: Document, name: str) -> arb_mat:
@@ -119,14 +119,14 @@ def acceleration_input(document: Document, name: str) -> arb_mat:
     """
     d, A, C = len(document.C), _rational(document.A), _rational(document.C)
     velocity = C * A
-    known = fmpq_mat([*C.tolist(), *velocity.tolist()])
-    if known.rank() < 2 * d:
+    outputs = fmpq_mat([*C.tolist(), *velocity.tolist()])
+    if outputs.rank() < 2 * d:
         raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
-    if fmpq_mat([*known.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
+    if fmpq_mat([*outputs.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
         text = "the acceleration of this system's position depends on more than position and rate"
         raise Rejected("unsafe_sets", f"{name} has thrust, but {text}")
     # Any solution will do: what follows of the position depends on its products with C and C A only.
-    right_inverse = known.transpose() * (known * known.transpose()).inv()
+    right_inverse = outputs.transpose() * (outputs * outputs.transpose()).inv()
     return matrix([[arb(x) for x in row[d:]] for row in right_inverse.tolist()])
 
 

@@ -25,26 +25,26 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
     In every step in which it holds; each grows by how far true states may be from the model's within it.
     """
     name, begins, ends = spec["name"], spec.get("from_s", 0.0), spec.get("until_s", math.inf)
-    T, moved = document.steps * document.delta, document.state_offset
+    T, shift = document.steps * document.delta, document.state_offset
     if begins >= min(T, ends) or (ends < math.inf and ends > T * (1 + ROUNDED)):
         raise Rejected("unsafe_sets", f"{name} does not begin and end within {T:g} s")
     if spec["kind"] == "turning":
         _check_turning(document, items, spec)
         return
-    wanted = _of_kind(document, spec, inside)
-    if len(items) != len(wanted):
-        raise Rejected("unsafe_sets", f"{name} has {len(items)} sets of states, not {len(wanted)}")
-    for item, facets in zip(items, wanted, strict=True):
+    polytopes = _of_kind(document, spec, inside)
+    if len(items) != len(polytopes):
+        raise Rejected("unsafe_sets", f"{name} has {len(items)} sets of states, not {len(polytopes)}")
+    for item, facets in zip(items, polytopes, strict=True):
         if not item.of_state or len(item.normals) != len(facets):
             raise Rejected("unsafe_sets", f"{item.name} must be a set of states with {len(facets)} facets")
         for f, facet in enumerate(facets):
             share = _share(item.normals[f], facet, item.name)
-            bound, more = share * facet[2], absolute_dot([arb(x) for x in item.normals[f]], moved)
+            bound, growth = share * facet[2], absolute_dot([arb(x) for x in item.normals[f]], shift)
             for k in range(len(item.start)):
                 if holding(document, begins, ends, min(k, document.steps)):
                     for offset in (item.start[k][f], item.end[k][f]):
-                        spare = offset - bound - more + (abs(bound) + more) * ROUNDED
-                        require("unsafe_sets", spare, f"{item.name}, facet {f}, in step {k}")
+                        slack = offset - bound - growth + (abs(bound) + growth) * ROUNDED
+                        require("unsafe_sets", slack, f"{item.name}, facet {f}, in step {k}")
 
 
 def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, Any]) -> None:
@@ -54,7 +54,7 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
     Its arc lies in the triangle of both ends and of the corner of the tangents there.
     """
     name, b = spec["name"], [arb(x) for x in spec["offsets_m"]]
-    held = [
+    steps = [
         k for k in range(document.steps) if holding(document, spec.get("from_s", 0.0), spec["until_s"], k)
     ]
     if document.drift is not None or document.powered is not None:
@@ -66,31 +66,31 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
         or (axis is None) == (len(document.C) == 3)
     ):
         raise Rejected("unsafe_sets", f"{name} must have an axis in space")
-    if len(items) != 3 * len(sides) or any(len(item.normals) != len(held) for item in items):
-        raise Rejected("unsafe_sets", f"{name} must have three rows a side, and {len(held)} facets each")
+    if len(items) != 3 * len(sides) or any(len(item.normals) != len(steps) for item in items):
+        raise Rejected("unsafe_sets", f"{name} must have three rows a side, and {len(steps)} facets each")
     rate, delta, clock = arb(spec["rate_rad_s"]), arb(document.delta), arb(document.timing.get("clock", 0.0))
     C, first = matrix(document.C), [item.name for item in document.unsafe].index(items[0].name)
     error = arb(spec.get("angle_error_deg", 0.0)) * arb.pi() / 180
-    for j, k in enumerate(held):
+    for j, k in enumerate(steps):
         wide = abs(rate) * (delta / 2 + clock) + error
         wide = wide + arb(spec.get("rate_error_rad_s", 0.0)) * ((k + 1) * delta + clock)
         require("unsafe_sets", arb.pi() / 2 - wide, f"{name} turns too far in step {k}")
         middle = rate * (k + arb(0.5)) * delta
         for f, side in enumerate(sides):
-            along, across, beside = _split(side, axis)
+            along, across, tangent = _split(side, axis)
             ends = [turned(side, axis, x) for x in (middle - wide, middle + wide)]
             c, s = middle.cos() / wide.cos(), middle.sin() / wide.cos()
             length = dot(side, side).sqrt()
-            for i, normal in enumerate((*ends, _sum((1, along), (c, across), (s, beside)))):
+            for i, normal in enumerate((*ends, _sum((1, along), (c, across), (s, tangent)))):
                 item, sizes = items[3 * f + i], matrix([[1.0] * len(normal)]) * magnitude(C) * (2 * length)
                 if not item.of_state or document.facets[k][first + 3 * f + i] != j:
                     raise Rejected("unsafe_sets", f"{item.name} must be kept by facet {j} in step {k}")
                 share = _share(item.normals[j], (-(_row(normal) * C), sizes, b[f]), item.name)
-                moved = absolute_dot([arb(x) for x in item.normals[j]], document.state_offset)
-                bound = moved + share * length * document.chaser_radius - share * b[f]
+                growth = absolute_dot([arb(x) for x in item.normals[j]], document.state_offset)
+                bound = growth + share * length * document.chaser_radius - share * b[f]
                 for offset in (item.start[k][j], item.end[k][j]):
-                    spare = offset - bound + (abs(share * b[f]) + moved) * ROUNDED
-                    require("unsafe_sets", spare, f"{item.name} in step {k}")
+                    slack = offset - bound + (abs(share * b[f]) + growth) * ROUNDED
+                    require("unsafe_sets", slack, f"{item.name} in step {k}")
 
 
 def _split(side: list[arb], axis: list[float] | None) -> tuple[list[arb], list[arb], list[arb]]:
@@ -106,8 +106,8 @@ def _split(side: list[arb], axis: list[float] | None) -> tuple[list[arb], list[a
 
 def turned(side: list[arb], axis: list[float] | None, angle: arb) -> list[arb]:
     """Return a normal turned by an angle [rad] about an axis; in the plane about the origin."""
-    along, across, beside = _split(side, axis)
-    return _sum((1, along), (angle.cos(), across), (angle.sin(), beside))
+    along, across, tangent = _split(side, axis)
+    return _sum((1, along), (angle.cos(), across), (angle.sin(), tangent))
 
 
 def _sum(*terms: tuple[arb | int, list[arb]]) -> list[arb]:
@@ -125,20 +125,20 @@ def _share(normal: list[float], facet: Facet, name: str) -> arb:
     at = lengths.index(max(lengths))
     share = normal[at] / row[at]
     require("unsafe_sets", share, f"a row of {name} is turned around")
-    for x, given, size in zip(normal, row, sizes, strict=True):
-        require("unsafe_sets", ROUNDED * share * size - abs(x - share * given), f"a row of {name} is turned")
+    for x, entry, size in zip(normal, row, sizes, strict=True):
+        require("unsafe_sets", ROUNDED * share * size - abs(x - share * entry), f"a row of {name} is turned")
     return share
 
 
 def _of_kind(document: Document, spec: dict[str, Any], inside: bool) -> list[list[Facet]]:
     """Return polytopes of states, by facets, whose union is unsafe."""
     if spec["kind"] == "states":
-        given = zip(spec["rows"], spec["bounds"], strict=True)
-        facets = [(matrix([row]), magnitude(matrix([row])), arb(bound)) for row, bound in given]
+        limits = zip(spec["rows"], spec["bounds"], strict=True)
+        facets = [(matrix([row]), magnitude(matrix([row])), arb(bound)) for row, bound in limits]
         return [[(-row, size, -bound)] for row, size, bound in facets] if inside else [facets]
     C, A = matrix(document.C), matrix(document.A)
-    for moved in (matrix(document.B), matrix(document.D)):
-        if any(not x.is_zero() for x in (C * moved).entries()):
+    for input_map in (matrix(document.B), matrix(document.D)):
+        if any(not x.is_zero() for x in (C * input_map).entries()):
             raise Rejected("unsafe_sets", f"{spec['name']} limits a velocity that is no part of the state")
     d, V, growth = len(document.C), C * A, arb(spec.get("per_distance_1_s", 0.0))
     sizes, top = matrix([[1.0] * d]) * magnitude(V), spec["max_m_s"]
@@ -162,10 +162,10 @@ def _of_kind(document: Document, spec: dict[str, Any], inside: bool) -> list[lis
         return [[(-(_row(e) * V), sizes, -share * top)] for e, top in zip(E, tops, strict=True)]
     aims = spec["towards"] if "towards" in spec else directions(d, count)[0]
     aims = [[arb(x) for x in aim] for aim in aims]
-    far = [_row([x * share * growth / dot(aim, aim).sqrt() for x in aim]) * C for aim in aims]
+    growth_rows = [_row([x * share * growth / dot(aim, aim).sqrt() for x in aim]) * C for aim in aims]
     sizes = sizes + matrix([[1.0] * d]) * magnitude(C) * growth
     pairs = zip(E, tops, strict=True)
-    return [[(row - _row(e) * V, sizes, -share * top) for row in far] for e, top in pairs]
+    return [[(row - _row(e) * V, sizes, -share * top) for row in growth_rows] for e, top in pairs]
 
 
 def _row(entries: list[arb]) -> arb_mat:
@@ -191,16 +191,16 @@ def directions(d: int, facets: int | None) -> tuple[list[list[arb]], arb]:
         count = facets or 12
         return [[x, y] for x, y in _around(count)], (arb.pi() / count).cos()
     one, two, three = arb(1), arb(2).sqrt(), arb(3).sqrt()
-    known = {
+    table = {
         6: ((1,), 3 * one),
         14: ((1, 3), 1 + (three - 1) ** 2),
         18: ((1, 2), arb(3) / 2),
         26: ((1, 2, 3), 1 + (two - 1) ** 2 + (three - two) ** 2),
     }
     count = facets or 26
-    if count not in known:
+    if count not in table:
         raise Rejected("unsafe_sets", f"{count} directions in space, not 6, 14, 18 or 26")
-    wanted, longest = known[count]
-    grid = [way for way in product((1, 0, -1), repeat=3) if sum(map(abs, way)) in wanted]
-    grid.sort(key=lambda way: sum(map(abs, way)))
-    return [[arb(x) / arb(sum(map(abs, way))).sqrt() for x in way] for way in grid], 1 / longest.sqrt()
+    nonzeros, longest = table[count]
+    grid = [signs for signs in product((1, 0, -1), repeat=3) if sum(map(abs, signs)) in nonzeros]
+    grid.sort(key=lambda signs: sum(map(abs, signs)))
+    return [[arb(x) / arb(sum(map(abs, signs))).sqrt() for x in signs] for signs in grid], 1 / longest.sqrt()

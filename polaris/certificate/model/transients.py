@@ -37,23 +37,23 @@ from .timing import carried_away, predicted
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:
     """Check that each late fault of the scenario is told: for how long, and how far inputs are off."""
     faults = [fault for fault in scenario.get("faults", []) if _lasts(fault) > 0]
-    given = [(fault["kind"], _lasts(fault)) for fault in faults]
-    stated = [(each["name"], each["lasts"]) for each in document.transients]
-    if stated != given:
+    specified = [(fault["kind"], _lasts(fault)) for fault in faults]
+    claimed = [(each["name"], each["lasts"]) for each in document.transients]
+    if claimed != specified:
         raise Rejected(
-            "system", f"faults isolated late are {stated} in the certificate, {given} in the scenario"
+            "system", f"faults isolated late are {claimed} in the certificate, {specified} in the scenario"
         )
     for fault, each in zip(faults, document.transients, strict=True):
-        lost, pushes = fault["kind"] == "navigation_lost", each.get("pushes") or []
-        if lost == bool(pushes):
+        is_outage, pushes = fault["kind"] == "navigation_lost", each.get("pushes") or []
+        if is_outage == bool(pushes):
             raise Rejected("system", f"{fault['kind']} belongs to thrusters, or to none")
-        made = document.allocation or {"directions": [], "limits": []}
-        thrusters = [] if lost else zip(made["directions"], made["limits"], strict=True)
-        turns = len(document.u_max) if document.pulse_place == "staggered" and not made.get("layout") else 1
-        for way, limit in thrusters:
+        layout = document.allocation or {"directions": [], "limits": []}
+        thrusters = [] if is_outage else zip(layout["directions"], layout["limits"], strict=True)
+        turns = len(document.u_max) if document.pulse_place == "staggered" and not layout.get("layout") else 1
+        for direction, limit in thrusters:
             thrust = arb(limit) * arb(fault.get("share", 1.0)) * turns * (1 - ROUNDED)
-            least = [abs(x) * thrust for x in way]
-            if not any(all(x >= y for x, y in zip(push, least, strict=True)) for push in pushes):
+            needed = [abs(x) * thrust for x in direction]
+            if not any(all(x >= y for x, y in zip(push, needed, strict=True)) for push in pushes):
                 raise Rejected("system", f"what {fault['kind']} does to a thruster is not covered")
 
 
@@ -67,16 +67,16 @@ def check_attribution(
     """Check the fault attribution: steps of S, names and times that exist; shortfalls are no claims."""
     laws, delta = {law.name for law in document.laws[1:]}, document.delta
     for row in (row for fault in stored or [] for row in fault["steps"]):
-        k, at = row["step"], row["limit_time_s"]
+        k, time = row["step"], row["limit_time_s"]
         if not (k < document.steps and document.modes[k] == 0 and row["controller"] in laws):
             raise Rejected("schedule", f"step {k} must be flown by S in place of another controller")
         if row["limit"] not in limits or row["shortfall"] != row["tightening"] - row["clearance"]:
             raise Rejected("schedule", f"in step {k} {row['limit']} is not the limit that is exceeded")
-        if row["t_s"] != k * delta or at < 0 or row["limit_step"] != int(at / delta + 1e-9):
+        if row["t_s"] != k * delta or time < 0 or row["limit_step"] != int(time / delta + 1e-9):
             raise Rejected("schedule", f"step {k} neither begins nor ends at that time")
-    known = [(each["name"], each["lasts"]) for each in document.transients]
-    if known != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:
-        raise Rejected("schedule", f"steps of the fault attribution name faults other than {known}")
+    faults = [(each["name"], each["lasts"]) for each in document.transients]
+    if faults != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:
+        raise Rejected("schedule", f"steps of the fault attribution name faults other than {faults}")
     return stored
 
 
@@ -87,29 +87,29 @@ def wrong_thrust(document: Document, craft: Craft, networks: list[Policy]) -> li
     plant also in the period before. A black box may answer with any command, a law with its steepest gain.
     Commands that are made without the thruster take effect as late as any do.
     """
-    plant, added = craft.plant, list[arb_mat]()
+    plant, changes = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
     gains += [_steepest(policy) for policy in networks if document.transients]
-    asked = any(law.kind == "black_box" for law in document.laws)
-    gain = None if asked else arb_mat(plant.B.ncols(), plant.A.nrows(), maxima(*(K.entries() for K in gains)))
+    any_u = any(law.kind == "black_box" for law in document.laws)
+    gain = None if any_u else arb_mat(plant.B.ncols(), plant.A.nrows(), maxima(*(K.entries() for K in gains)))
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
-    hidden = 0 if remembers(document) else _periods(plant, delay) + missed
+    latency = 0 if remembers(document) else _periods(plant, delay) + missed
     for fault in (each for each in document.transients if each.get("pushes")):
         lasts = fault["lasts"] + document.timing.get("jitter", 0.0) + document.timing.get("edge", 0.0)
         count, lasts = _periods(plant, lasts), arb(lasts)
         first, later = list[arb_mat](), list[arb_mat]()  # by periods since: of errors, and of commands beside
-        begun, power = craft.last(lasts - (count - 1) * plant.h), identity(craft.free.nrows())
-        while len(first) < count + hidden:
+        partial, power = craft.last(lasts - (count - 1) * plant.h), identity(craft.free.nrows())
+        while len(first) < count + latency:
             rows = above(power, craft.sees * power)
-            first.append(magnitude(begun.thrust_gains(rows)))
+            first.append(magnitude(partial.thrust_gains(rows)))
             later.append(magnitude(beside(rows * craft.held_map, craft.thrust_gains(rows))))
             power = power * craft.free
         for push in fault["pushes"]:
             size = [arb(x) for x in push]
-            off = sums(size, plant.thruster_part(size)[: len(size)])
-            wrong = column([*off, *[arb(0)] * (plant.entering.ncols() - len(off))])
-            added.append(_spread(craft, gain, (first, later), wrong, count))
-    return added
+            errors = sums(size, plant.thruster_part(size)[: len(size)])
+            wrong = column([*errors, *[arb(0)] * (plant.entering.ncols() - len(errors))])
+            changes.append(_spread(craft, gain, (first, later), wrong, count))
+    return changes
 
 
 def _spread(
@@ -121,17 +121,17 @@ def _spread(
     """
     plant, n, N = craft.plant, craft.plant.A.nrows(), craft.free.nrows()
     size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
-    grown, over = (size * plant.h).exp(), exponential(size, plant.h)[1]
-    pushed, off = over * absolute(plant.B), over * absolute(plant.entering)
-    z, added, bounds = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
+    growth, integral = (size * plant.h).exp(), exponential(size, plant.h)[1]
+    command_gain, error_gain = integral * absolute(plant.B), integral * absolute(plant.entering)
+    z, inputs, bounds = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
     for i, first in enumerate(gains[0]):
         answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
-        least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
-        command = column(least) * int(i > 0)  # the first one is made before the fault
+        limited = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
+        command = column(limited) * int(i > 0)  # the first one is made before the fault
         error = plant.every_table * command + wrong * int(i < count)
-        added.append(above(command, error))
-        within = grown * column(z.entries()[:n]) + pushed * command + off * error
-        z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))
+        inputs.append(above(command, error))
+        within = growth * column(z.entries()[:n]) + command_gain * command + error_gain * error
+        z = magnitude(sum((gains[1][i - q] * inputs[q] for q in range(1, i + 1)), first * wrong))
         if i + 1 >= count:
             bounds += [z.entries()[:N], craft.lifted(within).entries()]
     return column(_peak(bounds))
@@ -139,17 +139,17 @@ def _spread(
 
 def _steepest(policy: Policy) -> arb_mat:
     """Largest size of every entry of its derivative by the state, rounding in proportion to it included."""
-    own = policy.rounding
-    grown = [arb(1) if own is None else 1 + own.relative(count) for count in (3, 2)]
-    M, bent = policy.reads * grown[0], own is not None
-    M = absolute(M) if bent else M
+    model = policy.rounding
+    factors = [arb(1) if model is None else 1 + model.relative(count) for count in (3, 2)]
+    M, nonlinear = policy.reads * factors[0], model is not None
+    M = absolute(M) if nonlinear else M
     for layer in policy.layers:
         if isinstance(layer, Weights):
-            M = (layer.size if bent else layer).times(M)
-            if own is not None and layer is not policy.layers[-1]:
-                M = M * (1 + own.relative(layer.terms + FOLDED))
+            M = (layer.size if nonlinear else layer).times(M)
+            if model is not None and layer is not policy.layers[-1]:
+                M = M * (1 + model.relative(layer.terms + FOLDED))
         else:
-            M, bent = absolute(M) * (grown[1] * layer.steepest), True
+            M, nonlinear = absolute(M) * (factors[1] * layer.steepest), True
     return absolute(M)
 
 
@@ -198,31 +198,31 @@ def _unlearned(document: Document, craft: Craft, settling: Settling, lasts: floa
         ObserverErrors.from_document(document, craft.plant),
         settling.periods,
     )
-    n, late, stated = plant.A.nrows(), filtering.late, document.observer or {}
-    M, noise = absolute(matrix(stated["measures"])), column(stated["noise"])
+    n, late, observer = plant.A.nrows(), filtering.late, document.observer or {}
+    M, noise = absolute(matrix(observer["measures"])), column(observer["noise"])
     measured = sums(map(arb, document.measured_error or [0.0] * n), map(arb, document.state_offset))
-    seen = [M * column(predicted(plant, measured, plant.h * each.periods)) for each in filtering.updates]
-    pairs = list(zip((each.gain for each in filtering.updates), seen, strict=True))
-    less = [column([largest((x, arb(0))) for x in (y - noise).entries()]) for y in seen]
-    each = column(maxima(*((absolute(L) * y).entries() for (L, _), y in zip(pairs, less, strict=True))))
-    over = [exponential(plant.A, plant.h * (j + 1))[0] for j in range(late + 1)]
-    apart, missing = arb_mat(n, 1), _periods(plant, lasts) + 2 * late
+    errors = [M * column(predicted(plant, measured, plant.h * each.periods)) for each in filtering.updates]
+    pairs = list(zip((each.gain for each in filtering.updates), errors, strict=True))
+    excess = [column([largest((x, arb(0))) for x in (y - noise).entries()]) for y in errors]
+    each = column(maxima(*((absolute(L) * y).entries() for (L, _), y in zip(pairs, excess, strict=True))))
+    transitions = [exponential(plant.A, plant.h * (j + 1))[0] for j in range(late + 1)]
+    gap, missing = arb_mat(n, 1), _periods(plant, lasts) + 2 * late
     for _ in range(missing // (late + 1)):
-        apart = magnitude(over[-1]) * apart + each
+        gap = magnitude(transitions[-1]) * gap + each
     rest = filtering.updates[-1].rest
-    first = maxima(*((magnitude(rest * step) * apart).entries() for step in over))
+    first = maxima(*((magnitude(rest * step) * gap).entries() for step in transitions))
     other = maxima(*((absolute(L - pairs[-1][0]) * (y + noise)).entries() for L, y in pairs))
-    left = filtering.fading(sums(first, other), document)
-    for i in range(len(left) - 2, -1, -1):
-        left[i] = maxima(left[i], left[i + 1])
+    decay = filtering.fading(sums(first, other), document)
+    for i in range(len(decay) - 2, -1, -1):
+        decay[i] = maxima(decay[i], decay[i + 1])
     delay = arb(document.timing.get("delay", 0.0))
     ages = (absolute(exponential(plant.A, delay + plant.h * j)[0]).entries() for j in range(late + 1))
     carried = arb_mat(n, n, maxima(*ages))
-    known = [maxima(left[0], apart.entries())] * (missing - late) + [left[0]] * late + left
-    off = [(carried * column(known[min(i, len(known) - 1)])).entries() for i in range(count)]
+    gaps = [maxima(decay[0], gap.entries())] * (missing - late) + [decay[0]] * late + decay
+    deviations = [(carried * column(gaps[min(i, len(gaps) - 1)])).entries() for i in range(count)]
     tightenings = Tightening(craft, settling, identity(n))
-    older, bent = tightenings.response(off, True)
-    return sums(maxima(*tightenings.noise.summed(off)), older, bent, off[0])
+    older, intersample = tightenings.response(deviations, True)
+    return sums(maxima(*tightenings.noise.summed(deviations)), older, intersample, deviations[0])
 
 
 def _unmade(document: Document, craft: Craft, count: int) -> Differences:
@@ -237,18 +237,18 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     n, box = len(error), [*craft.box[: -len(error)], *error]
     start = above(arb_mat(n, len(box)), diagonal(box))
     pushes = plant.thruster_error(plant.u_max)
-    added = [beside(*each.added(pushes)[1:]) for each in (craft, blind)]  # measurements are the first
-    seen = craft.samples[0]
-    if seen.constant:
-        left = [largest([arb(0), 2 * x - size]) for x, size in zip(seen.constant, seen.size, strict=True)]
-        inexact = seen.adds * diagonal(left)
-        added = [beside(added[0], inexact), beside(added[1], inexact * 0)]
+    gains = [beside(*each.added(pushes)[1:]) for each in (craft, blind)]  # measurements are the first
+    noise = craft.samples[0]
+    if noise.constant:
+        sizes = [largest([arb(0), 2 * x - size]) for x, size in zip(noise.constant, noise.size, strict=True)]
+        inexact = noise.adds * diagonal(sizes)
+        gains = [beside(gains[0], inexact), beside(gains[1], inexact * 0)]
     first = second = identity(n + len(box))
     pairs = []
     for _ in range(count):
-        more = second * added[1] - first * added[0]
+        noise_gain = second * gains[1] - first * gains[0]
         first, second = craft.F * first, blind.F * second
-        pairs.append((more, (second - first) * start))
+        pairs.append((noise_gain, (second - first) * start))
     return pairs
 
 
@@ -260,15 +260,15 @@ def transient_tightening(
     That is the period after node l + 1, the state being added up to two periods after a hand-over.
     """
     worst, steps = [arb(0)] * tightenings.rows.nrows(), list[list[arb]]()
-    whole = [difference_along(identity(tightenings.carried[0].ncols()), each) for each in others]
-    ever = [
-        tightenings.tightening_after_settling(each) for each in (*boxes, *(column(each) for each in whole))
+    bounds = [difference_along(identity(tightenings.carried[0].ncols()), each) for each in others]
+    steady = [
+        tightenings.tightening_after_settling(each) for each in (*boxes, *(column(each) for each in bounds))
     ]
     for lag in range(len(tightenings.carried)):
-        now = [tightenings.boxed(box, lag) for box in boxes] + [
+        at_lag = [tightenings.boxed(box, lag) for box in boxes] + [
             tightenings.difference(each, lag) for each in others
         ]
-        worst = _peak([worst, *ever, *now])
+        worst = _peak([worst, *steady, *at_lag])
         steps.append(worst)
     last = len(steps) - 1
     return [steps[min(lag + 2, last)] for lag in range(last + 1)]

@@ -19,11 +19,11 @@ def print_line(text: str, style: str = "") -> None:
     Console(highlight=False).print(Text(escape_controls(text), style=style), soft_wrap=True)
 
 
-def show_table(shown: Table, width: int = 0) -> None:
+def show_table(grid: Table, width: int = 0) -> None:
     """Print a table, at least so wide: numbers that are cut off say nothing."""
     console = Console(highlight=False)
     console.width = max(console.width, width)
-    parts = (Segment(escape_controls(part.text), part.style, part.control) for part in console.render(shown))
+    parts = (Segment(escape_controls(part.text), part.style, part.control) for part in console.render(grid))
     console.print(Segments(parts), end="")
 
 
@@ -44,21 +44,21 @@ def assume(assumptions: Iterable[str]) -> None:
 
 def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str | Text, ...]] = ()) -> Table:
     """Make a table with columns of words, then of numbers; the first `wrap` may break; heads may be empty."""
-    shown = Table(box=None, pad_edge=False, header_style="bold", show_header=any(heads))
+    grid = Table(box=None, pad_edge=False, header_style="bold", show_header=any(heads))
     for k, head in enumerate(heads):
-        shown.add_column(Text(head), justify="left" if k < words else "right", no_wrap=k >= wrap)
+        grid.add_column(Text(head), justify="left" if k < words else "right", no_wrap=k >= wrap)
     for row in rows:
-        shown.add_row(*row)
-    return shown
+        grid.add_row(*row)
+    return grid
 
 
-def show_cells(shown: Cells, width: int = 0) -> None:
+def show_cells(cells: Cells, width: int = 0) -> None:
     """Print a table that pages show, too; its caption is the head of the first column if that has none."""
-    first, *heads = shown.heads
-    grid = table(first or shown.caption, *heads)
-    for column, cell in zip(grid.columns[1:], shown.rows[0][1:], strict=True):
+    first, *heads = cells.heads
+    grid = table(first or cells.caption, *heads)
+    for column, cell in zip(grid.columns[1:], cells.rows[0][1:], strict=True):
         column.justify = "left" if cell.words else "right"
-    for row in shown.rows:
+    for row in cells.rows:
         grid.add_row(*(warning_text(cell.text, cell.bad) for cell in row))
     show_table(grid, width)
 

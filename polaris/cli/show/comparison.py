@@ -32,13 +32,13 @@ LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     """Print the comparison as two tables, and the path of its folder."""
     print_line(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
-    flown = [method for method in summary["methods"] if method["available"]]
-    for named, columns in ((("method", "guarantee"), SAFETY), (("method",), COST)):
-        shown = table(*named, *columns.values(), words=len(named), wrap=1)
-        for method in flown:
-            words = (Text(str(method["name"])), Text(str(method["guarantee"])))[: len(named)]
-            shown.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
-        show_table(shown)
+    available = [method for method in summary["methods"] if method["available"]]
+    for labels, columns in ((("method", "guarantee"), SAFETY), (("method",), COST)):
+        grid = table(*labels, *columns.values(), words=len(labels), wrap=1)
+        for method in available:
+            words = (Text(str(method["name"])), Text(str(method["guarantee"])))[: len(labels)]
+            grid.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
+        show_table(grid)
         print_line("")
     print_line(
         "Minimum distance and time to collision (TTC): worst of all runs. Other columns: means over runs."
@@ -106,14 +106,14 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 def answered(needed: Mapping[str, Any]) -> str:
     """Describe the last value of a field that is proven with the required share of U, and the next one."""
-    asked, field = f"{100 * needed['share']:.4g} % of the time under U", needed["field"]
+    share, field = f"{100 * needed['share']:.4g} % of the time under U", needed["field"]
     if needed["last_proven"] is None:
-        return f"{field}: no value tried is proven for {asked}."
-    last, there = f"{needed['last_proven']:g}", f"{needed['share_there']:.1%}"
-    text = f"{field}: {needed['bound']} {last} for {asked} (proven at this value: {there}"
+        return f"{field}: no value tried is proven for {share}."
+    last, attained = f"{needed['last_proven']:g}", f"{needed['share_there']:.1%}"
+    text = f"{field}: {needed['bound']} {last} for {share} (proven at this value: {attained}"
     if needed["next"] is None:
         return f"{text}; no further value was tried)."
     if needed["interpolated"] is None:
         return f"{text}; infeasible at {needed['next']:g})."
-    between, beyond = f"{needed['interpolated']:.4g}", f"{needed['share_next']:.1%} at {needed['next']:g}"
-    return f"{text}; about {between} by interpolation to {beyond})."
+    estimate, beyond = f"{needed['interpolated']:.4g}", f"{needed['share_next']:.1%} at {needed['next']:g}"
+    return f"{text}; about {estimate} by interpolation to {beyond})."

@@ -20,17 +20,17 @@ def show_flight(summary: Mapping[str, Any], folder: str) -> None:
     print_line(f"Filter ({summary['filter']['kind']}), {total} decisions: {answers}.")
     slow = f"99th percentile {1e3 * seconds['p99']:.3g} ms"
     print_line(f"Decision time: median {1e3 * seconds['median']:.3g} ms, {slow}.")
-    spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
-    print_line(f"Delta-v per deputy: {spent} m/s.")
+    delta_v = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
+    print_line(f"Delta-v per deputy: {delta_v} m/s.")
     tank, largest = summary["delta_v_max_m_s"], max(summary["delta_v_m_s"])
     if largest > tank:
         text = f"delta-v {largest:.4g} m/s of {tank:g} m/s; no barrier of this filter limits fuel"
         print_line(f"THE FUEL LIMIT IS EXCEEDED: {text}.", RED)
     smooth = summary.get("smoothness")
     if smooth:
-        applied, wanted = smooth["applied"], smooth["wanted"]
+        applied, desired = smooth["applied"], smooth["wanted"]
         text = f"{applied['switches']:.2g} sign changes and {applied['variation']:.2g} N of thrust variation"
-        primary = f"{wanted['switches']:.2g} and {wanted['variation']:.2g} N"
+        primary = f"{desired['switches']:.2g} and {desired['variation']:.2g} N"
         print_line(f"Chatter: {text} per axis and minute; primary controller: {primary}.")
     show_claim(summary["guarantee"])
     print_line(f"Run folder: {folder}")
@@ -63,8 +63,8 @@ def show_fuel(summary: Mapping[str, Any], folder: str) -> None:
 def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     """Print the success rate of every study and the kinds of its failures."""
     print_line(str(summary["title"]), "bold")
-    shown = studies(summary)
-    print_line(shown.caption)
-    show_cells(shown, 20 + 16 * len(shown.heads))
+    cells = studies(summary)
+    print_line(cells.caption)
+    show_cells(cells, 20 + 16 * len(cells.heads))
     show_claim(summary["guarantee"])
     print_line(f"Run folder: {folder}")

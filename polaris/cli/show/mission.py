@@ -12,10 +12,10 @@ def show_mission(summary: Mapping[str, Any], folder: str) -> None:
     """Print legs, GO boxes, statistics of flights, and the assumptions beyond those of the legs."""
     print_line(str(summary["title"]), "bold")
     show_cells(legs_table(summary), 110)
-    for shown in joint_tables(summary):
+    for cells in joint_tables(summary):
         print_line("")
-        print_line(shown.caption, "bold")
-        show_cells(shown)
+        print_line(cells.caption, "bold")
+        show_cells(cells)
     print_line("")
     for head, sentence in rows_flown(summary):
         print_line(f"{head}: {sentence}.")

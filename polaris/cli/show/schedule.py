@@ -20,8 +20,8 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     for head, sentence in synthesis(summary):
         print_line(f"{head}: {sentence}.")
     proved = claim["kind"] != "none"
-    said = f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']})."
-    print_line(f"{said} Assumptions:" if proved else said, "bold" if claim["kind"] == "proved" else RED)
+    verdict = f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']})."
+    print_line(f"{verdict} Assumptions:" if proved else verdict, "bold" if claim["kind"] == "proved" else RED)
     assume(claim["assumptions"] if proved else ())
     if proved:
         print_line(f"Goal: {goal(claim['goal'])}")
@@ -39,8 +39,8 @@ def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     grid = table("case", *COLUMNS, wrap=0)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
-        for mode, result in case.get("modes", {}).items():
-            grid.add_row(label, *_row(mode, result))
+        for mode, entry in case.get("modes", {}).items():
+            grid.add_row(label, *_row(mode, entry))
             label = ""
     show_table(grid, max(len(str(case["label"])) for case in summary["cases"]) + 158)
     for case in summary["cases"]:
@@ -56,14 +56,14 @@ def show_run(row: Mapping[str, Any]) -> None:
     show_table(table("", "", rows=rows))
 
 
-def _row(mode: str, result: Mapping[str, Any]) -> list[Text]:
-    chance, mean, worst = result["violation_probability"], result["mean"], result["worst"]
-    bad = result["violations"] > 0
+def _row(mode: str, entry: Mapping[str, Any]) -> list[Text]:
+    chance, mean, worst = entry["violation_probability"], entry["mean"], entry["worst"]
+    bad = entry["violations"] > 0
     return [
         Text(mode),
-        Text(result["guarantee"]),
-        Text(f"{result['runs']:,}"),
-        warning_text(f"{result['violations']:,}", bad),
+        Text(entry["guarantee"]),
+        Text(f"{entry['runs']:,}"),
+        warning_text(f"{entry['violations']:,}", bad),
         warning_text(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
         Text("-" if worst["min_distance_m"] is None else f"{worst['min_distance_m']:.4g} m"),
         Text(_interval(mean["min_distance_m"], "m")),

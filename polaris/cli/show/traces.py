@@ -13,10 +13,10 @@ from ...traces.legacy import Legacy, Raises
 from . import print_line, show_table, table, warning_text
 
 
-def show_metrics(found: TraceMetrics) -> None:
+def show_metrics(metrics: TraceMetrics) -> None:
     """Print what `polaris.traces.evaluate_trace` found, as tables."""
-    axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
-    for name, agent in found.agents.items():
+    axes = "" if metrics.dims is None else f", {counted(metrics.dims, 'axis', 'axes')}"
+    for name, agent in metrics.agents.items():
         print_line(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
         if agent.unsafe or agent.others:
             show_table(_separations((*agent.unsafe, *agent.others)))
@@ -28,7 +28,7 @@ def show_metrics(found: TraceMetrics) -> None:
         if agent.running_times is not None:
             mean, largest, least = agent.running_times
             print_line(f"decision: mean {mean:.3g} s, max {largest:.3g} s, min {least:.3g} s")
-    for note in found.notes:
+    for note in metrics.notes:
         print_line(f"note: {note}")
 
 
@@ -47,9 +47,9 @@ def _separations(items: Iterable[Separation]) -> Table:
             if spread is None:
                 continue
             values = (spread.min, spread.mean, spread.max, spread.at)
-            shown = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
+            texts = ["-" if math.isnan(value) else f"{value:.5g}" for value in values]
             course = "" if key == "distance" else f"{spread.share:.1%}"
-            grid.add_row(title, Text(quantity), warning_text(shown[0], spread.min <= 0), *shown[1:], course)
+            grid.add_row(title, Text(quantity), warning_text(texts[0], spread.min <= 0), *texts[1:], course)
             title = Text("")
     return grid
 
@@ -64,9 +64,9 @@ LEGACY_FORMS = {
 }
 
 
-def show_legacy(found: Legacy) -> None:
+def show_legacy(agents: Legacy) -> None:
     """Print what RTAEval's methods return, in their order."""
-    for name, methods in found.items():
+    for name, methods in agents.items():
         print_line(f"{name}: as RTAEval computes it, defects included", "bold")
         rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
         show_table(table("method", "returns", "value", words=3, rows=rows))

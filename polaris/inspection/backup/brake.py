@@ -66,8 +66,8 @@ class Brake:
         # What holding takes at each instant turns with the deputy; it is held for a period.
         needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
         uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
-        held = HeldThrust(q, D, self.motion, self.resting, self._still, slip, float(uneven))
-        tubes = [ErrorTube(held, self.uncertainty, max(response, 5 * D)) for response in RESPONSES]
+        hold = HeldThrust(q, D, self.motion, self.resting, self._still, slip, float(uneven))
+        tubes = [ErrorTube(hold, self.uncertainty, max(response, 5 * D)) for response in RESPONSES]
         self.tube = min(tubes, key=lambda tube: tube.widest @ (1.0, q.passive_time))
         self.gain, self.available = self.tube.gain, q.thrust_max - self.tube.feedback
         self.holding = float(length(self._still).max())  # N per axis and metre
@@ -86,11 +86,11 @@ class Brake:
         # the largest distance.
         rates = speeds - self.spin @ places
         fastest = float(np.linalg.norm(rates, 2, axis=(1, 2)).max())
-        far = float(np.linalg.norm(places, 2, axis=(1, 2)).max()) + fastest * step
-        lost = (fastest + 2 * n**2 * far * step) * step / 2
+        distance = float(np.linalg.norm(places, 2, axis=(1, 2)).max()) + fastest * step
+        intersample = (fastest + 2 * n**2 * distance * step) * step / 2
         plane = np.linalg.svd(places[:, :2, :2], compute_uv=False)[:, -1].min()
         across = np.abs(places[:, 2, 2]).min()
-        return max(float(plane - lost), 0.0), max(float(across - lost), 0.0)
+        return max(float(plane - intersample), 0.0), max(float(across - intersample), 0.0)
 
     def steps(self, change: Array) -> Array:
         """Periods that changes of V (..., 3) [m/s] take, about: at most a quarter of `MOST`."""
@@ -107,43 +107,43 @@ class Brake:
         """
         V = x @ self.to_rest.T
         none = np.zeros_like(V)
-        ahead = none if toward is None else toward
-        first = np.maximum((V * ahead).sum(axis=1, keepdims=True), 0.0) * ahead
-        rest = V - first
+        direction = none if toward is None else toward
+        first = np.maximum((V * direction).sum(axis=1, keepdims=True), 0.0) * direction
+        remainder = V - first
         begin = np.where(first.any(axis=1), self.steps(first), 0.0)
-        brakes = self.steps(rest)
-        glide, ramp, still = self._glide(none if shift is None else shift)
+        brakes = self.steps(remainder)
+        glide, ramp, coast = self._glide(none if shift is None else shift)
         stop = begin + brakes
-        count = int((stop + np.where(glide.any(axis=1), 2 * ramp + still, 0)).max())
+        count = int((stop + np.where(glide.any(axis=1), 2 * ramp + coast, 0)).max())
         k = np.arange(1.0, count + 1)[:, None]
-        rise = np.clip((k - stop) / ramp, 0.0, 1.0) - np.clip((k - stop - ramp - still) / ramp, 0.0, 1.0)
-        wanted = (
+        rise = np.clip((k - stop) / ramp, 0.0, 1.0) - np.clip((k - stop - ramp - coast) / ramp, 0.0, 1.0)
+        velocities = (
             first * np.clip(1 - k / np.maximum(begin, 1.0), 0.0, 1.0)[..., None]
-            + rest * np.clip(1 - (k - begin) / brakes, 0.0, 1.0)[..., None]
+            + remainder * np.clip(1 - (k - begin) / brakes, 0.0, 1.0)[..., None]
             + glide * rise[..., None]
         )
-        return self._flown(x, wanted)
+        return self._flown(x, velocities)
 
     def _glide(self, shift: Array) -> tuple[Array, Array, Array]:
         """Velocities (N, 3) by which shifts are made, periods to reach them, and for which they are kept."""
-        far = length(shift)
-        speed = np.where(far > 0, self.inspection.docking_speed, 0.0)
-        unit = _divided(shift, far)
+        distance = length(shift)
+        speed = np.where(distance > 0, self.inspection.docking_speed, 0.0)
+        unit = _divided(shift, distance)
         ramp = self.steps(2 * speed[:, None] * unit)
-        still = np.ceil(np.clip(_divided(far, speed * self.period) - ramp, 0.0, MOST / 2))
-        return unit * (far / (self.period * (ramp + still)))[:, None], ramp, still
+        coast = np.ceil(np.clip(_divided(distance, speed * self.period) - ramp, 0.0, MOST / 2))
+        return unit * (distance / (self.period * (ramp + coast)))[:, None], ramp, coast
 
-    def _flown(self, x: Array, wanted: Array) -> Array:
+    def _flown(self, x: Array, velocities: Array) -> Array:
         """Exact flight that has V, seen from axes that do not turn, as wanted (L, N, 3) at its samples."""
         n, D = self.inspection.mean_motion, self.period
         Phi, Gamma = self.motion
-        slow, push = (Phi - Gamma @ self._hold).T, (Gamma @ self._solve).T
-        back = turned(n * D * np.arange(1, len(wanted) + 1))
-        gained = wanted @ back @ push
-        out = np.empty((len(wanted) + 1, *x.shape))
+        loop, input_map = (Phi - Gamma @ self._hold).T, (Gamma @ self._solve).T
+        rotations = turned(n * D * np.arange(1, len(velocities) + 1))
+        increments = velocities @ rotations @ input_map
+        out = np.empty((len(velocities) + 1, *x.shape))
         out[0] = x
-        for k in range(len(wanted)):
-            out[k + 1] = out[k] @ slow + gained[k]
+        for k in range(len(velocities)):
+            out[k + 1] = out[k] @ loop + increments[k]
         out[-1, :, 3:] = out[-1, :, :3] @ self.spin.T  # at rest, but for rounding
         return out
 
@@ -156,8 +156,8 @@ class Brake:
 
     def thrusts(self, x: Array) -> Array:
         """Thrust [N] between the samples of plans (L+1, N, 6), shape (L, N, 3), and how to fly them."""
-        gained = x[1:, :, 3:] - x[:-1] @ self.motion[0][3:].T
-        return np.asarray(gained @ self._pushed.T)
+        delta_v = x[1:, :, 3:] - x[:-1] @ self.motion[0][3:].T
+        return np.asarray(delta_v @ self._pushed.T)
 
     def around(self, plan: Array, before: Array | None = None) -> Array:
         """Return bounds (L+1, N, 2) on errors about new plans (L+1, N, 6); see `ErrorTube.around`."""

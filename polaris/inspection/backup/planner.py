@@ -51,14 +51,14 @@ class BackupPlanner:
         t: float,
         x: Array,
         u: Array | None = None,
-        kept: Proven | None = None,
+        prior: Proven | None = None,
         keeps: NDArray[np.bool_] | None = None,
         before: Array | None = None,
     ) -> Proven:
         """Find the first plan that is proven from states (N, 6) at t [s], or the one that misses least.
 
         With a period of the thrust u (N, 3) before it, if given. Those who `keeps` (N,) says go on with the
-        plan `kept`. For the thrust `before` see `Tube.around`.
+        plan `prior`. For the thrust `before` see `Tube.around`.
         """
         brake = self.brake
         Phi, Gamma = brake.motion
@@ -70,9 +70,9 @@ class BackupPlanner:
             if u is not None:
                 plan = np.concatenate([x[None], plan])
             old = None
-            if kept is not None and (self.mixed or (keeps is not None and keeps.any())):
-                plan = brake.extended(plan, len(kept.plan))
-                old = self.extended(kept, len(plan))
+            if prior is not None and (self.mixed or (keeps is not None and keeps.any())):
+                plan = brake.extended(plan, len(prior.plan))
+                old = self.extended(prior, len(plan))
             tube = brake.around(plan, before)
             if old is not None and keeps is not None:
                 plan[:, keeps], tube[:, keeps] = old[0][:, keeps], old[1][:, keeps]
@@ -84,10 +84,10 @@ class BackupPlanner:
         assert best is not None
         return best
 
-    def extended(self, kept: Proven, count: int) -> tuple[Array, Array]:
+    def extended(self, prior: Proven, count: int) -> tuple[Array, Array]:
         """A plan and its tube with at least `count` samples."""
-        more = max(count - len(kept.tube), 0)
-        return self.brake.extended(kept.plan, count), np.concatenate([kept.tube, *[kept.tube[-1:]] * more])
+        more = max(count - len(prior.tube), 0)
+        return self.brake.extended(prior.plan, count), np.concatenate([prior.tube, *[prior.tube[-1:]] * more])
 
     def _mend(
         self,
@@ -116,10 +116,10 @@ class BackupPlanner:
             toward[keeps], shift[keeps] = 0.0, 0.0
         return not (np.array_equal(toward, before[0]) and np.array_equal(shift, before[1]))
 
-    def _inwards(self, rest: Array, slip: float) -> Array:
+    def _inwards(self, state: Array, slip: float) -> Array:
         """Return the shift (3,) [m] inwards with which a deputy that is held keeps its velocity limits."""
         q = self.check.inspection
         limit = (q.speed_max - slip) / q.mean_motion - ROOM
-        p = rest[:3] * (1.0, 1.0, 0.0)
-        far = float(length(p))
-        return np.asarray(-p / far * max(far - limit, 0.0)) if far > 0 else np.zeros(3)
+        p = state[:3] * (1.0, 1.0, 0.0)
+        distance = float(length(p))
+        return np.asarray(-p / distance * max(distance - limit, 0.0)) if distance > 0 else np.zeros(3)

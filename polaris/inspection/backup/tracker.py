@@ -43,8 +43,8 @@ class TailBound:
     distance: Array
 
     def __post_init__(self) -> None:
-        nothing = {"delta_v": np.inf, "distance": -np.inf}
-        for name, value in nothing.items():
+        unsettled = {"delta_v": np.inf, "distance": -np.inf}
+        for name, value in unsettled.items():
             object.__setattr__(self, name, np.where(self.settled, getattr(self, name), value))
 
 
@@ -120,21 +120,21 @@ class BackupTracker:
     def start(self, x: Array) -> Array:
         """Choose the reference for each state of shape (N, 6); shape (N, 9)."""
         q = self.inspection
-        at = stopping_point(x, q.mean_motion, BRAKING * q.thrust_max / q.mass)
+        stop = stopping_point(x, q.mean_motion, BRAKING * q.thrust_max / q.mass)
         # The reference reaches the stopping point when the deputy does; now it is where it was before.
-        return np.concatenate([self.ellipses.nearest(at), np.zeros((len(x), 3))], axis=1)
+        return np.concatenate([self.ellipses.nearest(stop), np.zeros((len(x), 3))], axis=1)
 
     def thrust(self, x: Array, memory: Array) -> tuple[Array, Array]:
         """Thrust of the next period [N], shape (N, 3), and the memory after it."""
         q = self.inspection
         error = x - memory[:, :6]
-        wanted = -_errors(x, memory) @ self.gain.T
-        u = np.clip(wanted, -q.thrust_max, q.thrust_max)
-        growing = -error[:, :3] * np.diag(self.gain[:, 6:]) * wanted > 0
-        held = (u != wanted) & growing
+        unclipped = -_errors(x, memory) @ self.gain.T
+        u = np.clip(unclipped, -q.thrust_max, q.thrust_max)
+        growing = -error[:, :3] * np.diag(self.gain[:, 6:]) * unclipped > 0
+        frozen = (u != unclipped) & growing
         after = np.empty_like(memory)
         after[:, :6] = memory[:, :6] @ self.motion[0].T
-        after[:, 6:] = memory[:, 6:] + np.where(held, 0.0, self.period * error[:, :3])
+        after[:, 6:] = memory[:, 6:] + np.where(frozen, 0.0, self.period * error[:, :3])
         return u, after
 
     def is_linear(self, x: Array, memory: Array, share: float = 1.0) -> NDArray[np.bool_]:
@@ -150,9 +150,9 @@ class BackupTracker:
         # Between samples: the errors' acceleration is the thrust's and little else.
         push = 1.1 * np.sqrt(3) * q.thrust_max / q.mass
         strays = np.linalg.norm(peaks[:, :3], axis=1) + push * D**2 / 8
-        spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
+        delta_v = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
-        return TailBound(settled, spent, distance)
+        return TailBound(settled, delta_v, distance)
 
 
 def _errors(x: Array, memory: Array) -> Array:
@@ -205,5 +205,5 @@ def fly_backup(law: BackupTracker, x: Array, steps: int, share: float = 1.0) -> 
         states.append(x)
         inputs.append(u)
     outlook = law.outlook(x, memory)
-    flown = np.stack(inputs) if inputs else np.empty((0, len(x), 3))
-    return BackupFlight(np.stack(states), flown, memory, outlook)
+    thrusts = np.stack(inputs) if inputs else np.empty((0, len(x), 3))
+    return BackupFlight(np.stack(states), thrusts, memory, outlook)

@@ -106,9 +106,9 @@ class ErrorTube:
         Bounds for ever, under full thrust.
     """
 
-    def __init__(self, held: HeldThrust, unknown: Uncertainty, response: float) -> None:
-        q, D, n = held.inspection, held.period, held.inspection.mean_motion
-        (Phi, Gamma), errors, eta = held.motion, unknown.thrusters, unknown.predicted(q)
+    def __init__(self, hold: HeldThrust, unknown: Uncertainty, response: float) -> None:
+        q, D, n = hold.inspection, hold.period, hold.inspection.mean_motion
+        (Phi, Gamma), errors, eta = hold.motion, unknown.thrusters, unknown.predicted(q)
         self._period, self._grow = D, np.exp((2 + np.sqrt(3)) * n * D)
         self.gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
         scale = np.repeat([response, 1.0], 3)
@@ -116,44 +116,44 @@ class ErrorTube:
         powers = loop.powers
         # Acceleration per newton that is asked for (2-norm), and whatever is asked for.
         self.share = (errors.along + np.sqrt(3) * errors.across) / q.mass
-        always = unknown.disturbance + np.sqrt(3) * (np.max(errors.bit) + TOLERANCE) / q.mass
-        full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(held.still, 2))
+        fixed = unknown.disturbance + np.sqrt(3) * (np.max(errors.bit) + TOLERANCE) / q.mass
+        full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(hold.still, 2))
         kick, step = self._grow * np.array([D**2 / 2, D]), self._grow * np.array([D, 1.0])
-        missed = np.array([np.linalg.norm(held.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
+        missed = np.array([np.linalg.norm(hold.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
         gains, steps = _pushed(powers, *kick), _pushed(powers, *step)
         # Velocity per newton by which thrust changes late; changes of each period while a deputy is held.
         self._late, turns = unknown.jitter / q.mass, self._hold * n * D * q.distance_max
         axes = np.cumsum(np.abs(powers @ Gamma @ self.gain) @ eta, axis=0)
         axes = axes + np.abs(powers @ (Phi * eta)).sum(-1)
         axes = np.vstack([np.abs(powers[0]) @ eta, axes])
-        known = np.stack([length(axes[:, :3]), length(axes[:, 3:6]), axes[:, 6:].max(axis=1)], axis=1)
-        known[1:] += np.cumsum(_pushed(powers, *missed), axis=0)
+        common = np.stack([length(axes[:, :3]), length(axes[:, 3:6]), axes[:, 6:].max(axis=1)], axis=1)
+        common[1:] += np.cumsum(_pushed(powers, *missed), axis=0)
         total, late = (np.vstack([np.zeros(3), np.cumsum(part, axis=0)]) for part in (gains, steps))
-        known += always * total + self._late * turns * late
+        common += fixed * total + self._late * turns * late
         # What the powers that are left out add, for ever.
         size = length((Gamma @ self.gain * eta).T / scale).sum() + length((Phi * eta).T / scale).sum()
-        size += np.hypot(*((missed + (always + self.share * full) * kick) / (response, 1.0)))
+        size += np.hypot(*((missed + (fixed + self.share * full) * kick) / (response, 1.0)))
         stepped = np.hypot(step[0] / response, step[1])
-        rest = _sizes(loop.left * (size + self._late * turns * stepped))
+        tail = _sizes(loop.left * (size + self._late * turns * stepped))
         varied = self._late * VARIATION * q.thrust_max
-        bound = known + self.share * full * total
-        bound = bound.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + rest
+        bound = common + self.share * full * total
+        bound = bound.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + tail
         # Feedback changes from period to period as well, by twice its largest value.
-        again = self._late * 2 * np.sqrt(3) * (late[-1, 2] + _sizes(loop.left)[2] * stepped)
-        if again > 0.5 or unknown.jitter > D / 2:
+        loop_gain = self._late * 2 * np.sqrt(3) * (late[-1, 2] + _sizes(loop.left)[2] * stepped)
+        if loop_gain > 0.5 or unknown.jitter > D / 2:
             raise ScenarioError("jitter", unknown.jitter, f"must be well below the period of {D:g} s")
-        self.feedback = float((bound[2] + (np.abs(self.gain) @ eta).max()) / (1 - again))
-        often = self._late * 2 * np.sqrt(3) * self.feedback
-        base = known + self.share * np.sqrt(3) * self.feedback * total + often * late
-        rest += often * _sizes(loop.left) * stepped + varied * _sizes(loop.later) * stepped
-        base = np.vstack([base, base.max(axis=0) + rest])
+        self.feedback = float((bound[2] + (np.abs(self.gain) @ eta).max()) / (1 - loop_gain))
+        recurring = self._late * 2 * np.sqrt(3) * self.feedback
+        base = common + self.share * np.sqrt(3) * self.feedback * total + recurring * late
+        tail += recurring * _sizes(loop.left) * stepped + varied * _sizes(loop.later) * stepped
+        base = np.vstack([base, base.max(axis=0) + tail])
         self._base = np.maximum.accumulate(base, axis=0)[:, :2]
         self._gains, self._steps = (
             np.maximum.accumulate(part[::-1])[::-1, :2] for part in (gains, self._late * steps)
         )
         self._total = total[-1, :2]
-        extra = np.sqrt(3) * self.feedback * (1 / q.mass + self.share) + always + held.uneven * q.distance_max
-        self._extra = float(extra + 4 / D * (often + self._late * turns))
+        extra = np.sqrt(3) * self.feedback * (1 / q.mass + self.share) + fixed + hold.uneven * q.distance_max
+        self._extra = float(extra + 4 / D * (recurring + self._late * turns))
         self._spin = np.sqrt(3) * n
         widest = self._base[-1] + self.share * full * self._total + 2 * full * self._steps[0]
         self.widest = self._spread(widest, self.share * full + 8 / D * self._late * full)
@@ -165,24 +165,24 @@ class ErrorTube:
         The thrust `before` (N, 3) [N] is given where the plans begin at another time than the call.
         """
         L, base, step = len(u), self._base, self._late
-        at = np.repeat(base[np.minimum(np.arange(L + 1), len(base) - 1), None], len(far), axis=1)
-        ever = np.repeat(base[-1:], len(far), axis=0)
-        missed = self.share * np.vstack([length(u), self._hold * far])
+        bounds = np.repeat(base[np.minimum(np.arange(L + 1), len(base) - 1), None], len(far), axis=1)
+        final = np.repeat(base[-1:], len(far), axis=0)
+        errors = self.share * np.vstack([length(u), self._hold * far])
         change = length(np.diff(u, axis=0, prepend=u[:1] if before is None else before[None]))
         change = np.vstack([change, length(u[-1]) + self._hold * far])
         for i, j in np.ndindex(len(far), 2 if self.share > 0 or step > 0 else 0):
-            at[1:, i, j] += np.convolve(missed[:-1, i], self._gains[:L, j])[:L]
-            at[1:, i, j] += np.convolve(change[:-1, i], self._steps[:L, j])[:L]
+            bounds[1:, i, j] += np.convolve(errors[:-1, i], self._gains[:L, j])[:L]
+            bounds[1:, i, j] += np.convolve(change[:-1, i], self._steps[:L, j])[:L]
         if self.share > 0 or step > 0:
-            ever += at[-1] - base[min(L, len(base) - 1)]
-            ever += missed[-1, :, None] * self._total + change[-1, :, None] * self._steps[0]
+            final += bounds[-1] - base[min(L, len(base) - 1)]
+            final += errors[-1, :, None] * self._total + change[-1, :, None] * self._steps[0]
         # Late or early, a change is between samples, before its own or after it.
-        missed = missed + 2 / self._period * step * (change + np.vstack([change[1:], change[-1:]]))
-        return self._spread(np.concatenate([np.maximum(at[1:], at[:-1]), ever[None]]), missed)
+        errors = errors + 2 / self._period * step * (change + np.vstack([change[1:], change[-1:]]))
+        return self._spread(np.concatenate([np.maximum(bounds[1:], bounds[:-1]), final[None]]), errors)
 
-    def _spread(self, error: Array, missed: Array | float) -> Array:
+    def _spread(self, error: Array, errors: Array | float) -> Array:
         """Bounds (..., 2) at samples, and what thrusters miss [m/s^2], made bounds of all between as well."""
-        between = error[..., 1] + self._spin * error[..., 0] + (missed + self._extra) * self._period / 2
+        between = error[..., 1] + self._spin * error[..., 0] + (errors + self._extra) * self._period / 2
         between = between * self._grow
         return np.stack([error[..., 0] + between * self._period / 2, between], axis=-1)
 

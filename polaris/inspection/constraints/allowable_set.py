@@ -36,7 +36,7 @@ def allowable(inspection: Inspection, x: Array, sun: ArrayLike) -> dict[str, Arr
         (i, j) and (j, i). Without phi7 and phi8 (passively safe manoeuvres), which are h7 and h8.
     """
     table, rows = _table(inspection)
-    every, sun = table.stack(x), np.asarray(sun, dtype=float)[..., None]
-    parts = [group.barrier.value(every[..., group.at, :], sun) for group in table.groups]
+    states, sun = table.stack(x), np.asarray(sun, dtype=float)[..., None]
+    parts = [group.barrier.value(states[..., group.at, :], sun) for group in table.groups]
     values = np.concatenate(parts, axis=-1)
     return {label: values[..., at].min(axis=-2) for label, at in rows.items()}

@@ -86,8 +86,8 @@ class Braking:
         v, push, D = motion.speed, motion.acceleration, motion.period
         nearest = distance - v * D
         near = np.maximum(nearest, CENTRE)
-        around = share * v**2 / near  # centripetal, pushes outwards
-        low, high = push + np.where(outside, 0.0, around), push + np.where(outside, around, 0.0)
+        centripetal = share * v**2 / near  # centripetal, pushes outwards
+        low, high = push + np.where(outside, 0.0, centripetal), push + np.where(outside, centripetal, 0.0)
         # third derivative: 3 v_t a_t / r - 3 r' v_t^2 / r^2 + jerk, and r' v_t^2 <= 2 / sqrt(27) v^3
         third = share * (3 * v * push / near + 1.155 * v**3 / near**2) + motion.jerk
         slowest, quickest = rate - low * D, rate + high * D
@@ -130,10 +130,10 @@ class Radial(Printed):
         p, v = z[..., :3], z[..., 3:]
         distance, toward = rounded_length(p, CENTRE)
         speed, slope = self.braking(self.side * (distance - self.radius))
-        away = dot(toward, v)
-        gradient = join(slope[..., None] * toward + turning(v, toward, away, distance), toward)
+        rate = dot(toward, v)
+        gradient = join(slope[..., None] * toward + turning(v, toward, rate, distance), toward)
         gradient *= np.asarray(self.side)[..., None]
-        return Evaluation(speed + self.side * away, gradient, 0.0)
+        return Evaluation(speed + self.side * rate, gradient, 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; see `Constraint.curvature`."""
@@ -203,25 +203,25 @@ class SunCone(Printed):
         """Evaluate at states of shape (..., 6)."""
         delta, normal, axis, outward, radius = self._geometry(z[..., :3], sun)
         speed, slope = self.braking(delta)
-        turned = z @ self._turn
-        slip = z[..., 3:] - turned[..., :3]  # velocity relative to the turning cone
+        rotation = z @ self._turn
+        slip = z[..., 3:] - rotation[..., :3]  # velocity relative to the turning cone
         forward = dot(slip, axis)
         across = slip - forward[..., None] * axis
-        away = dot(outward, across)
+        rate = dot(outward, across)
         c, s = self._opening
         by_position = slope[..., None] * normal + normal @ self._turn[:3, :3]
-        gradient = join(by_position + c * turning(across, outward, away, radius), normal)
-        return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
+        gradient = join(by_position + c * turning(across, outward, rate, radius), normal)
+        return Evaluation(speed + c * rate - s * forward, gradient, -dot(gradient, rotation))
 
     def curvature(self, z: Array, sun: ArrayLike, motion: MotionBound) -> Array:
         """Bound M; see `Constraint.curvature`."""
         n = self.mean_motion
         delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
         rate = dot(normal, z[..., 3:] - (z @ self._turn)[..., :3])
-        far = length(z[..., :3]) + motion.speed * motion.period
+        distance = length(z[..., :3]) + motion.speed * motion.period
         # Everything as seen from the turning cone.
-        slip = motion.speed + n * far
-        push = motion.acceleration + 2 * n * slip + n**2 * far
+        slip = motion.speed + n * distance
+        push = motion.acceleration + 2 * n * slip + n**2 * distance
         jerk = motion.jerk + n * motion.acceleration + 2 * n * push + n**2 * slip
-        seen = MotionBound(motion.period, slip, push, jerk, motion.thrust, motion.along)
-        return self.braking.curvature(delta, rate, radius, seen, np.cos(self.half_angle))
+        relative = MotionBound(motion.period, slip, push, jerk, motion.thrust, motion.along)
+        return self.braking.curvature(delta, rate, radius, relative, np.cos(self.half_angle))

@@ -115,11 +115,11 @@ class Constraint(ABC):
 
     def check(self) -> None:
         """Refuse attributes of another kind, and what does not evaluate states one by one."""
-        where = f"constraints.{self.label}"
+        key_path = f"constraints.{self.label}"
         for name, kind in (("label", str), ("family", str), ("pair", bool), ("alpha", Strengthening)):
-            of_kind(f"{where}.{name}", getattr(self, name), kind)
-        if whole(f"{where}.rank", self.rank, 0) > LAST:
-            raise ScenarioError(f"{where}.rank", self.rank, f"must be at most {LAST}")
+            of_kind(f"{key_path}.{name}", getattr(self, name), kind)
+        if whole(f"{key_path}.rank", self.rank, 0) > LAST:
+            raise ScenarioError(f"{key_path}.rank", self.rank, f"must be at most {LAST}")
         for word in (self.label, self.family or self.label):
             if not word or word in RESERVED or "[" in word or not word.isprintable():
                 rule = "must have labels, each different, and families: not the paper's, without brackets"
@@ -128,13 +128,13 @@ class Constraint(ABC):
         z.flags.writeable = False
         for form in dict.fromkeys((self, self.sampled())):
             try:
-                every, one = _evaluated(form, z), _evaluated(form, z[1:, 2:])
-                good = all(np.allclose(every[k][1:, -form.repeat :], one[k], equal_nan=True) for k in every)
+                batch, one = _evaluated(form, z), _evaluated(form, z[1:, 2:])
+                equal = all(np.allclose(batch[k][1:, -form.repeat :], one[k], equal_nan=True) for k in batch)
             except Exception as error:
                 rule = "must evaluate states of shape (2, 3, 6) in arrays of numbers"
-                raise ScenarioError(where, f"{type(error).__name__}: {error}", rule) from error
-            if not good:
-                raise ScenarioError(where, type(form).__name__, "must evaluate each state separately")
+                raise ScenarioError(key_path, f"{type(error).__name__}: {error}", rule) from error
+            if not equal:
+                raise ScenarioError(key_path, type(form).__name__, "must evaluate each state separately")
 
 
 def _evaluated(form: Constraint, z: Array) -> dict[str, Array]:

@@ -83,17 +83,17 @@ class Families(ConstraintTable):
         self.approach = approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
         beyond = np.inf if exact or sampled is not None else self._beyond(inspection, approach)
         super().__init__(inspection, without, approach, sampled is not None, beyond)
-        given = zip(self.family, self.constraints, strict=True)
-        numbers = [self.alpha.get(name, one.alpha).numbers for name, one in given]
+        members = zip(self.family, self.constraints, strict=True)
+        numbers = [self.alpha.get(name, one.alpha).numbers for name, one in members]
         self._alpha = tuple(np.array(numbers).T)
         self._rank = np.array([one.rank for one in self.constraints], dtype=np.intp)
         self._largest = np.sqrt(3) * inspection.thrust_max / inspection.mass  # acceleration by thrust
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
             self._fixed, self._about = self._for_loops(), approach.loops
-        own: list[ConstraintGroup] = [group for group in self.groups if group.rows.start >= self.known]
-        self._by_formulas = own if self.loops else self.groups
-        for group in own if sampled is not None else ():
+        custom: list[ConstraintGroup] = [group for group in self.groups if group.rows.start >= self.known]
+        self._by_formulas = custom if self.loops else self.groups
+        for group in custom if sampled is not None else ():
             if type(group.barrier).curvature is Constraint.curvature:
                 rule = "must have a curvature: conditions are to hold between samples"
                 raise ScenarioError("constraints", group.barrier.label, rule)
@@ -106,7 +106,7 @@ class Families(ConstraintTable):
         drift = 2 * q.distance_max * per_metre + 2 * np.sqrt(3) * q.speed_max * per_speed
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
 
-    def _by_loops(self, x: Array, sun: Array, held: Array | None) -> BarrierRows:
+    def _by_loops(self, x: Array, sun: Array, u: Array | None) -> BarrierRows:
         lead = x.shape[:-2]
         if x.ndim != 3 or sun.shape != lead:
             x, sun = x.reshape(-1, *x.shape[-2:]), np.broadcast_to(sun, lead).reshape(-1)
@@ -114,8 +114,8 @@ class Families(ConstraintTable):
         if self.sampled is None:
             about = self._about.approaches(x, pairs, numbers[10], self.approach.numbers)
         else:
-            given = np.empty((1, 0, 3)) if held is None else plain(held).reshape(len(x), -1, 3)
-            about = self._about.motions(x, pairs, given, numbers)
+            inputs = np.empty((1, 0, 3)) if u is None else plain(u).reshape(len(x), -1, 3)
+            about = self._about.motions(x, pairs, inputs, numbers)
         h, G, bound = self.loops.rows(x, plain(sun), about, *self._fixed)
         if len(lead) == 1:
             return BarrierRows(h, G, bound)
@@ -171,40 +171,40 @@ class Families(ConstraintTable):
         limit = self.inspection.thrust_max
         return np.minimum(np.maximum(desired, -limit), limit)  # quicker than np.clip
 
-    def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> BarrierRows:
+    def __call__(self, x: Array, sun: ArrayLike, u: Array | None = None) -> BarrierRows:
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
 
-        For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
+        For sampled data they hold for every thrust, or, if it is given, for a thrust `u` (..., N, 3) [N].
         """
         q, sun = self.inspection, np.asarray(sun, dtype=float)
         if x.shape[-2:] != (q.deputies, 6):
             raise ScenarioError("x", x.shape, f"must have shape (..., {q.deputies}, 6), one row per deputy")
-        parts = [self._by_loops(plain(x), sun, held)] if self.loops else []
+        parts = [self._by_loops(plain(x), sun, u)] if self.loops else []
         if self._by_formulas:
-            parts.append(self._by_formula(x, sun, held))
+            parts.append(self._by_formula(x, sun, u))
         if len(parts) == 1:
             return parts[0]
         both = zip(*((rows.h, rows.G, rows.bound) for rows in parts), strict=True)
         return BarrierRows(*(np.concatenate(pair, axis=x.ndim - 2) for pair in both))
 
-    def _by_formula(self, x: Array, sun: Array, held: Array | None) -> BarrierRows:
+    def _by_formula(self, x: Array, sun: Array, u: Array | None) -> BarrierRows:
         """Rows of the groups that loops have not."""
         q, first = self.inspection, self._by_formulas[0].rows.start
-        every = self.stack(x)
-        drift = every @ q.system.A.T
+        states = self.stack(x)
+        drift = states @ q.system.A.T
         sun = sun[..., None]
-        motion = self._motion(every, drift, held)
+        motion = self._motion(states, drift, u)
         shape = (*x.shape[:-2], len(self.family) - first)
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)
         G = np.empty((*shape, 3))
         for group in self._by_formulas:
-            barrier, where = group.barrier, slice(group.rows.start - first, group.rows.stop - first)
-            rows = (..., where)
-            z, moved = every[..., group.at, :], drift[..., group.at, :]
+            barrier, columns = group.barrier, slice(group.rows.start - first, group.rows.stop - first)
+            rows = (..., columns)
+            z, z_dot = states[..., group.at, :], drift[..., group.at, :]
             h[rows], gradient, change = barrier(z, sun)
-            G[..., where, :] = gradient[..., 3:]
-            moved = np.repeat(moved, barrier.repeat, axis=-2) if barrier.repeat > 1 else moved
-            rate[rows] = dot(gradient, moved) + change
+            G[..., columns, :] = gradient[..., 3:]
+            z_dot = np.repeat(z_dot, barrier.repeat, axis=-2) if barrier.repeat > 1 else z_dot
+            rate[rows] = dot(gradient, z_dot) + change
             if motion is not None:
                 M[rows] = barrier.curvature(z, sun, motion[group.at])
         G *= 1 / q.mass
@@ -215,23 +215,23 @@ class Families(ConstraintTable):
             linear = np.maximum(h, 0.0) * (self.sampled.share / D)
             bound = bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (D / 2)
         # What one's own constraint cannot say of a state no input satisfies; the other rows are kept.
-        lost = np.isnan(bound) | ~np.isfinite(h) | ~np.isfinite(G).all(axis=-1)
-        lost[..., : max(self.known - first, 0)] = False
-        G[lost], bound[lost] = 0.0, np.inf
+        invalid = np.isnan(bound) | ~np.isfinite(h) | ~np.isfinite(G).all(axis=-1)
+        invalid[..., : max(self.known - first, 0)] = False
+        G[invalid], bound[invalid] = 0.0, np.inf
         return BarrierRows(h, G, bound)
 
-    def _motion(self, every: Array, drift: Array, held: Array | None) -> MotionBound | None:
+    def _motion(self, states: Array, drift: Array, u: Array | None) -> MotionBound | None:
         """Return the motion that is possible within a period; None if not sampled."""
         if self.sampled is None:
             return None
         q = self.inspection
-        if held is not None:
-            push = self.stack(held) / q.mass
+        if u is not None:
+            push = self.stack(u) / q.mass
             rates = drift + np.concatenate([np.zeros_like(push), push], axis=-1)
-            return self.sampled.motion(every, rates, q.mean_motion, np.sqrt(dot(push, push)), known=True)
-        thrust = np.full(every.shape[-2], self._largest)
+            return self.sampled.motion(states, rates, q.mean_motion, np.sqrt(dot(push, push)), known=True)
+        thrust = np.full(states.shape[-2], self._largest)
         thrust[q.deputies :] *= 2
-        return self.sampled.motion(every, drift, q.mean_motion, thrust)
+        return self.sampled.motion(states, drift, q.mean_motion, thrust)
 
 
 def _checked(

@@ -47,10 +47,10 @@ class Passive(Printed):
         nearest = self.approach(z, exact)
         near, gradient = nearest.distance <= exact, np.zeros(z.shape)
         if near.any():
-            outward, when = rounded_length(nearest.place[near], 1e-9)[1], nearest.when[near][:, None]
-            still, drift, circle, across = (outward @ part for part in self.approach.parts)
-            angle = self.approach.mean_motion * when
-            gradient[near] = still + drift * when + circle * np.cos(angle) + across * np.sin(angle)
+            outward, time = rounded_length(nearest.place[near], 1e-9)[1], nearest.when[near][:, None]
+            constant, drift, circle, across = (outward @ part for part in self.approach.parts)
+            angle = self.approach.mean_motion * time
+            gradient[near] = constant + drift * time + circle * np.cos(angle) + across * np.sin(angle)
         return Evaluation(nearest.distance - self.radius, gradient, 0.0)
 
 
@@ -120,6 +120,6 @@ class PassiveSegments(Passive):
         M = motion.acceleration[..., None] * gain_a + motion.jerk[..., None] * gain_j
         # In free flight the amplitude does not change; thrust moves the turning vectors at this rate.
         rate = np.linalg.norm(to_circle[:, 3:], 2) * motion.thrust
-        least = np.maximum(self._amplitude(z)[0] - rate * motion.period, margin)
-        M += (per_amplitude * (rate**2 / least + self.approach.mean_motion * rate))[..., None]
+        lower = np.maximum(self._amplitude(z)[0] - rate * motion.period, margin)
+        M += (per_amplitude * (rate**2 / lower + self.approach.mean_motion * rate))[..., None]
         return M.reshape(*M.shape[:-2], -1)

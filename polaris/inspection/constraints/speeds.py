@@ -37,8 +37,8 @@ class Speed(Printed):
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
-        limit, outward, speed, ahead = self._parts(z)
-        return Evaluation(limit - speed, join(self.slope * outward, -ahead), 0.0)
+        limit, outward, speed, direction = self._parts(z)
+        return Evaluation(limit - speed, join(self.slope * outward, -direction), 0.0)
 
 
 class SpeedInSquares(Speed):

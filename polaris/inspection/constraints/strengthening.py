@@ -44,11 +44,11 @@ class Strengthening:
     push: Annotated[float, Key("push", "unit of h per second", NonNegative)] = 0.0
 
     def __post_init__(self) -> None:
-        given = self.coefficients
+        coefficients = self.coefficients
         check_fields(self)
         object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
         if not any(self.coefficients):
-            raise ScenarioError("coefficients", given, "must be three numbers >= 0, not all zero")
+            raise ScenarioError("coefficients", coefficients, "must be three numbers >= 0, not all zero")
 
     def __call__(self, h: ArrayLike) -> Array:
         """The values alpha(h), same shape as h."""

@@ -82,8 +82,8 @@ class ConstraintTable:
         sampled: bool = False,
         beyond: float = np.inf,
     ) -> None:
-        own = inspection.constraints
-        families = (*FAMILIES, *(one.family or one.label for one in own))
+        custom = inspection.constraints
+        families = (*FAMILIES, *(one.family or one.label for one in custom))
         if isinstance(without, str) or not isinstance(without, Collection):
             raise ScenarioError("without", without, "must be a collection of names of families")
         for name in without:
@@ -93,13 +93,13 @@ class ConstraintTable:
         self.everyone = np.concatenate([np.stack([alone, np.full_like(alone, -1)], axis=1), inspection.pairs])
         self.groups: list[ConstraintGroup] = []
         self._rows: list[tuple[Constraint, int]] = []
-        alike: dict[type, list[Constraint]] = {}
+        by_type: dict[type, list[Constraint]] = {}
         for one in printed(inspection, approach, beyond):
-            alike.setdefault(type(one), []).append(one)
-        for members in alike.values():
+            by_type.setdefault(type(one), []).append(one)
+        for members in by_type.values():
             self._add([one.sampled() if sampled else one for one in members if one.family not in without])
         self.known = len(self._rows)
-        for single in own:
+        for single in custom:
             if (single.family or single.label) not in without:
                 self._add([single.sampled() if sampled else single])
         if not self._rows:
@@ -126,8 +126,8 @@ class ConstraintTable:
                 name: _column([getattr(one, name) for one in members], size) for name in barrier.COLUMNS
             }
             barrier = replace(barrier, **columns)
-        straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
-        at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
+        contiguous = np.array_equal(place, np.arange(place[0], place[-1] + 1))
+        at = slice(int(place[0]), int(place[-1]) + 1) if contiguous else place
         start = len(self._rows)
         of_each = [one for one, count in zip(members, size, strict=True) for _ in range(count)]
         for one, k in zip(of_each, place.tolist(), strict=True):

@@ -59,33 +59,33 @@ class ActiveSetFilter(CallByCall):
         self._nobody.flags.writeable = False
         super().__init__(self.inspection, None if sampled is None else sampled.period)
         if filtering.loops:  # what compiles them, or reads them from disk, is not left to the first decision
-            still = np.zeros((1, self.inspection.deputies, 6))
-            filtered = filtering.batch(still, np.zeros(1), still[..., :3].copy())
+            at_rest = np.zeros((1, self.inspection.deputies, 6))
+            filtered = filtering.batch(at_rest, np.zeros(1), at_rest[..., :3].copy())
             self._active(filtered.rows, np.zeros_like(filtered.u[0]))
 
     def reset(self) -> None:
         """Forget the last states: a new flight begins."""
         self._receiver.forget()
 
-    def decide(self, got: FilterInput) -> RawDecision:
+    def decide(self, call: FilterInput) -> RawDecision:
         """Answer a call that has been received, by this filter or by one that rests on it."""
         notes: list[str] = []
-        desired, on_backup, regular = got.wanted, self._nobody, got.whole
+        desired, on_backup, regular = call.wanted, self._nobody, call.whole
         if not regular:
-            if not got.estimated.all():
-                return RawDecision(np.zeros_like(got.u), ~on_backup, on_backup, ~on_backup, {}, [])
-            on_backup = ~(got.given & got.known)
+            if not call.estimated.all():
+                return RawDecision(np.zeros_like(call.u), ~on_backup, on_backup, ~on_backup, {}, [])
+            on_backup = ~(call.given & call.known)
             if on_backup.any():
-                desired = np.where(on_backup[:, None], self._backed_up(self.backup, got, notes), desired)
-        sun = np.array([self.sun_start - self.inspection.mean_motion * got.t])
-        filtered = self.filtering.batch(got.x[None], sun, desired[None])
+                desired = np.where(on_backup[:, None], self._backed_up(self.backup, call, notes), desired)
+        sun = np.array([self.sun_start - self.inspection.mean_motion * call.t])
+        filtered = self.filtering.batch(call.x[None], sun, desired[None])
         u, status, rows = filtered.u[0], filtered.status[0], filtered.rows
         worst, changed = max(status.tolist()), status > DESIRED
         failed = self._nobody
         if worst == FAILED:
             failed, regular = status == FAILED, False
             notes.append("the program failed")
-            u = np.where(failed[:, None], self._backed_up(self.backup, got, notes), u)
+            u = np.where(failed[:, None], self._backed_up(self.backup, call, notes), u)
         if worst > FILTERED or not regular:
             changed = (u != desired).any(axis=1) | on_backup
             on_backup = on_backup | failed
@@ -115,8 +115,8 @@ class ActiveSetFilter(CallByCall):
         if self.filtering.loops:
             tight = self.filtering.loops.tight(G, bound, families.first, families.second, u, TIGHT, full)
         else:
-            met = dot(G, families.relative(u)) - bound <= TIGHT * np.abs(G).sum(axis=1)
-            tight = np.flatnonzero(np.append(met, np.abs(u).max(axis=1) >= full))
+            equality = dot(G, families.relative(u)) - bound <= TIGHT * np.abs(G).sum(axis=1)
+            tight = np.flatnonzero(np.append(equality, np.abs(u).max(axis=1) >= full))
         return tuple(dict.fromkeys([self._words[k] for k in tight.tolist()]))
 
 

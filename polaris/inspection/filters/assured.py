@@ -102,27 +102,27 @@ class Assured(CallByCall):
         self.plan, self._followed = plan, np.ones(self.inspection.deputies, dtype=bool)
 
     @abstractmethod
-    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, call: FilterInput, valid: Some, backup: Array) -> tuple[Array, Some]:
         """Thrust (N, 3) and whose of it is to be tried; the others fly their plan."""
 
-    def _refused(self, got: FilterInput, who: Some, reason: str) -> None:
+    def _refused(self, call: FilterInput, deputies: Some, reason: str) -> None:
         """Take note of those whose proposal is not proven."""
         return
 
-    def _answer(self, got: FilterInput) -> RawDecision:
+    def _answer(self, call: FilterInput) -> RawDecision:
         notes: list[str] = []
-        now, (got, kept, within) = got, self._kept(got, notes)
-        if kept is None and not got.estimated.any():
+        received, (call, prior, within) = call, self._kept(call, notes)
+        if prior is None and not call.estimated.any():
             self.take_over(None)
-            every = np.ones(len(got.u), dtype=bool)
-            return RawDecision(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
-        alone = kept is None and self.planner.mixed
-        kept = kept or self.planner.find(got.t, got.x)
-        x = np.where((got.known | self._sure)[:, None], got.x, kept.plan[0])
-        backup = self.brake.follow(x, kept.plan)
-        able = got.known & got.given
-        proposed, who = self._proposal(got, able, backup)
-        u, proven, flown = self._tried(got, now, x, proposed, who & able, backup, kept)
+            everyone = np.ones(len(call.u), dtype=bool)
+            return RawDecision(np.zeros_like(call.u), everyone, ~everyone, everyone, {}, notes, unproven=True)
+        alone = prior is None and self.planner.mixed
+        prior = prior or self.planner.find(call.t, call.x)
+        x = np.where((call.known | self._sure)[:, None], call.x, prior.plan[0])
+        backup = self.brake.follow(x, prior.plan)
+        valid = call.known & call.given
+        proposed, group = self._proposal(call, valid, backup)
+        u, proven, passed = self._tried(call, received, x, proposed, group & valid, backup, prior)
         # Nobody who begins anew is sure of others, who may go on as before.
         sure = proven.good and not alone and bool(within.all())
         if not sure:
@@ -135,76 +135,76 @@ class Assured(CallByCall):
         self.take_over(later if proven.good else None)
         self._followed = within
         if proven.good:
-            none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
-            answer = RawDecision(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+            none, intervened = np.zeros(len(u), dtype=bool), (u != call.wanted).any(axis=1) | ~valid
+            answer = RawDecision(u, intervened, ~passed, none, margins, notes, active, unproven=not sure)
         else:
-            recovery = self.recovery.decide(now)
+            recovery = self.recovery.decide(received)
             notes += recovery.notes
             answer = replace(recovery, margins=margins, notes=notes, active=active, unproven=True)
         self._applied = answer.u
         return answer
 
-    def _kept(self, got: FilterInput, notes: list[str]) -> tuple[FilterInput, Proven | None, Some]:
+    def _kept(self, call: FilterInput, notes: list[str]) -> tuple[FilterInput, Proven | None, Some]:
         """Return the call as of the time at which it was due, the plan, and who is surely within its tube.
 
         No plan where there is none, the call is out of time, or a state is known not to be within the tube.
         A state is sure if it is known, or follows exactly from one that was, by calls in time (lemma B2).
         """
         plan, unknown = self.plan, self.brake.uncertainty
-        in_time = plan is not None and abs(got.t - plan.t) <= max(unknown.jitter, 1e-6 * self.period)
-        follows = self._sure & got.estimated & (in_time and unknown.exact)
-        self._sure = (got.known | follows) & got.timed
+        in_time = plan is not None and abs(call.t - plan.t) <= max(unknown.jitter, 1e-6 * self.period)
+        follows = self._sure & call.estimated & (in_time and unknown.exact)
+        self._sure = (call.known | follows) & call.timed
         if plan is None or not in_time:
-            return got, None, self._sure
-        moved = got
-        if got.t != plan.t:  # where the thrust of the period before leads, or came from
-            Phi, Gamma = self.inspection.discretize(plan.t - got.t)
-            moved = replace(got, t=plan.t, x=got.x @ Phi.T + self._applied @ Gamma.T)
-        if not (self.near(moved.x, plan) | ~got.known).all():
+            return call, None, self._sure
+        shifted = call
+        if call.t != plan.t:  # where the thrust of the period before leads, or came from
+            Phi, Gamma = self.inspection.discretize(plan.t - call.t)
+            shifted = replace(call, t=plan.t, x=call.x @ Phi.T + self._applied @ Gamma.T)
+        if not (self.near(shifted.x, plan) | ~call.known).all():
             notes.append("a state is farther from its plan than is possible")
-            self._sure = got.known & got.timed  # motion or thrust is not exact
-            return got, None, self._sure
+            self._sure = call.known & call.timed  # motion or thrust is not exact
+            return call, None, self._sure
         within = self._sure & self._followed
-        return (got, None, self._sure) if self._sure.all() and not within.all() else (moved, plan, within)
+        return (call, None, self._sure) if self._sure.all() and not within.all() else (shifted, plan, within)
 
     def near(self, x: Array, plan: Proven) -> Some:
         """Return whose estimates (N, 6) are as near to their plans as what is not known allows."""
-        off, error = np.abs(x - plan.plan[0]), self.brake.estimate
-        near = length(off[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
-        return np.asarray(near & (length(off[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
+        gap, error = np.abs(x - plan.plan[0]), self.brake.estimate
+        near = length(gap[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
+        return np.asarray(near & (length(gap[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
 
     def _find(
-        self, got: FilterInput, now: FilterInput, x: Array, u: Array, kept: Proven, who: Some
+        self, call: FilterInput, received: FilterInput, x: Array, u: Array, prior: Proven, group: Some
     ) -> Proven:
         """A plan after thrust u; where nobody keeps the one there was, from the time of the call."""
-        if who.all() and not self.planner.mixed:
-            return self.planner.find(now.t, now.x, u)
-        before = None if now.t == got.t else self._applied
-        return self.planner.find(got.t, x, u, kept, ~who, before)
+        if group.all() and not self.planner.mixed:
+            return self.planner.find(received.t, received.x, u)
+        before = None if received.t == call.t else self._applied
+        return self.planner.find(call.t, x, u, prior, ~group, before)
 
     def _tried(
         self,
-        got: FilterInput,
-        now: FilterInput,
+        call: FilterInput,
+        received: FilterInput,
         x: Array,
         proposed: Array,
-        who: Some,
+        group: Some,
         backup: Array,
-        kept: Proven,
+        prior: Proven,
     ) -> Tried:
         """The proposal of as many as it is proven for."""
-        while who.any():
-            u = np.where(who[:, None], proposed, backup)
-            proven = self._find(got, now, x, u, kept, who)
+        while group.any():
+            u = np.where(group[:, None], proposed, backup)
+            proven = self._find(call, received, x, u, prior, group)
             if proven.good:
-                return u, proven, who
-            dropped = concerned(self.check, proven.margins < 0, len(who)) & who
-            dropped = dropped if dropped.any() else who
+                return u, proven, group
+            dropped = concerned(self.check, proven.margins < 0, len(group)) & group
+            dropped = dropped if dropped.any() else group
             worst = int(proven.margins.argmin())
             reason = f"{self.check.labels[worst]} would be {proven.margins[worst]:.3g}"
-            self._refused(got, dropped, reason)
-            who = who & ~dropped
-        return backup, kept, who
+            self._refused(call, dropped, reason)
+            group = group & ~dropped
+        return backup, prior, group
 
 
 class Implicit(Assured):
@@ -217,29 +217,29 @@ class Implicit(Assured):
         As of `Assured`.
     """
 
-    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
-        return np.where(able[:, None], got.u, backup), able
+    def _proposal(self, call: FilterInput, valid: Some, backup: Array) -> tuple[Array, Some]:
+        return np.where(valid[:, None], call.u, backup), valid
 
     def _tried(
         self,
-        got: FilterInput,
-        now: FilterInput,
+        call: FilterInput,
+        received: FilterInput,
         x: Array,
         proposed: Array,
-        who: Some,
+        group: Some,
         backup: Array,
-        kept: Proven,
+        prior: Proven,
     ) -> Tried:
-        u, proven, passed = super()._tried(got, now, x, proposed, who, backup, kept)
-        back = who & ~passed
+        u, proven, passed = super()._tried(call, received, x, proposed, group, backup, prior)
+        back = group & ~passed
         low, high = 0.0, 1.0
         for _ in range(HALVINGS if back.any() else 0):
             share = (low + high) / 2
             part = np.where(back[:, None], backup + share * (proposed - backup), proposed)
-            part = np.where(who[:, None], part, backup)
-            tried = self._find(got, now, x, part, kept, who)
+            part = np.where(group[:, None], part, backup)
+            tried = self._find(call, received, x, part, prior, group)
             if tried.good:
-                u, proven, passed, low = part, tried, who, share
+                u, proven, passed, low = part, tried, group, share
             else:
                 high = share
         self._cut = np.where(back, low, 1.0)  # how far towards it those were proven that were not all the way
@@ -264,11 +264,11 @@ class Explicit(Implicit):
         self.filtering, self._share = filtering, np.ones(self.inspection.deputies)
         self._cut = np.ones(self.inspection.deputies)
 
-    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
+    def _proposal(self, call: FilterInput, valid: Some, backup: Array) -> tuple[Array, Some]:
         q = self.inspection
-        wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
-        sun = q.sun_angle([got.t], self.check.sun_start)
-        answer = self.filtering.batch(got.x[None], sun, wanted[None])
+        goal = np.where(valid[:, None], np.clip(call.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
+        sun = q.sun_angle([call.t], self.check.sun_start)
+        answer = self.filtering.batch(call.x[None], sun, goal[None])
         good = np.isfinite(answer.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
         if not self.planner.mixed:
             self._share = np.minimum(self._share * self._cut + self.period / RETURN, 1.0)

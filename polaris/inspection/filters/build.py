@@ -87,8 +87,8 @@ def build_filter(
     one_of("kind", kind, KINDS)
     for name, value in options.items():
         if name not in OPTIONS[kind]:
-            named = [one for one in signature(build_filter).parameters if one != "options"]
-            rule = f"is no option of {kind!r}: must be one of {', '.join([*named[2:], *OPTIONS[kind]])}"
+            parameters = [one for one in signature(build_filter).parameters if one != "options"]
+            rule = f"is no option of {kind!r}: must be one of {', '.join([*parameters[2:], *OPTIONS[kind]])}"
             raise ScenarioError(name, value, rule)
     for name, flag in (("sampled", sampled), ("mixed", mixed)):
         of_kind(name, flag, bool)
@@ -100,22 +100,22 @@ def build_filter(
             raise ScenarioError(name, value, "must be left out with brake, which has its own")
     if brake is not None and brake.inspection != inspection:
         raise ScenarioError("brake", brake.inspection, "must be for the problem of the filter")
-    known = brake.uncertainty if brake else uncertainty or Uncertainty()
+    bounds = brake.uncertainty if brake else uncertainty or Uncertainty()
     length = brake.period if brake else positive("period", 1.0 if period is None else period, "s")
     default = "consensus" if kind == "decentralized" else CENTRALIZED
     chosen = default if sharing is None else sharing
-    ways = (CENTRALIZED, *SHARINGS)
-    one_of("sharing", chosen, {"centralized": ways[:1], "decentralized": SHARINGS}.get(kind, ways))
-    tightened = SampledData(length + 2 * known.jitter, share) if sampled else None
+    sharings = (CENTRALIZED, *SHARINGS)
+    one_of("sharing", chosen, {"centralized": sharings[:1], "decentralized": SHARINGS}.get(kind, sharings))
+    tightened = SampledData(length + 2 * bounds.jitter, share) if sampled else None
     filtering = make_filter(Families(inspection, strengthening, without, tightened), chosen)
     if kind in KINDS[:2]:
         if mixed:
             raise ScenarioError("mixed", mixed, f"must be false, as {kind!r} has no plans")
         return ActiveSetFilter(filtering, sun_start=sun_start, **options)
-    planner = BackupPlanner(AllTime(brake or Brake(inspection, length, known), sun_start, without), mixed)
+    planner = BackupPlanner(AllTime(brake or Brake(inspection, length, bounds), sun_start, without), mixed)
     if kind == "explicit":
         return Explicit(planner, filtering, **options)
     if kind == "simplex_explicit":
         options["families"] = Families(inspection, strengthening, without)
-    made = SIMPLEX.get(kind, Implicit)
-    return made(planner, recovery=filtering, **options)
+    filter_class = SIMPLEX.get(kind, Implicit)
+    return filter_class(planner, recovery=filtering, **options)

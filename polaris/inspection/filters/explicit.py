@@ -73,33 +73,33 @@ class Centralized:
 
     def _tighten(self, batch: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, desired: Array) -> None:
         """Solve some runs again, curvature bounded by the thrust chosen, until answers meet their rows."""
-        families, held = self.families, np.zeros_like(desired[runs])
+        families, u = self.families, np.zeros_like(desired[runs])
         bound: Array = np.full(batch.rows.bound[runs].shape, -np.inf)
         for _ in range(TRIES):
-            rows = families(x[runs], sun[runs], held)
+            rows = families(x[runs], sun[runs], u)
             bound = np.maximum(bound, rows.bound)
-            held, status = self.project(BarrierRows(rows.h, rows.G, bound), desired[runs])
+            u, status = self.project(BarrierRows(rows.h, rows.G, bound), desired[runs])
             solved = status.max(axis=1) < SHORT
             if not solved.any():
                 return
-            own = families(x[runs], sun[runs], np.where(np.isfinite(held), held, 0.0))
-            met = np.einsum("rmv,rmv->rm", own.G, families.relative(held)) >= own.bound - MET
-            good = solved & met.all(axis=1)
-            for whole, part in ((batch.u, held), (batch.status, status), (batch.rows.bound, bound)):
-                whole[runs[good]] = part[good]
-            left = solved & ~good
-            runs, bound, held = runs[left], bound[left], held[left]
+            actual = families(x[runs], sun[runs], np.where(np.isfinite(u), u, 0.0))
+            satisfied = np.einsum("rmv,rmv->rm", actual.G, families.relative(u)) >= actual.bound - MET
+            good = solved & satisfied.all(axis=1)
+            for target, update in ((batch.u, u), (batch.status, status), (batch.rows.bound, bound)):
+                target[runs[good]] = update[good]
+            pending = solved & ~good
+            runs, bound, u = runs[pending], bound[pending], u[pending]
             if not len(runs):
                 return
 
     def project(self, rows: BarrierRows, desired: Array) -> tuple[Array, Statuses]:
         """Inputs nearest to the clipped ones that satisfy all rows, shapes (R, N, 3) and (R, N)."""
         families, limit = self.families, self.families.inspection.thrust_max
-        who = families.first, families.second
+        deputies = families.first, families.second
         if self.loops:
             G, bound, desired = plain(rows.G), plain(rows.bound), plain(desired)
-            u, status, left = self.loops.coupled(G, bound, *who, desired, limit)
-            if not left:
+            u, status, unsolved = self.loops.coupled(G, bound, *deputies, desired, limit)
+            if not unsolved:
                 return u, status
             runs = np.flatnonzero(status[:, 0] == LEFT)
         else:
@@ -109,7 +109,7 @@ class Centralized:
             runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
-            solution = project_coupled(G, bound, u[runs], limit, *who, rank)
+            solution = project_coupled(G, bound, u[runs], limit, *deputies, rank)
             u[runs] = solution.u
             worse = solution.status[:, None]
             status[runs] = np.where(worse > FILTERED, worse, _unchanged(solution.u, desired[runs]))
@@ -147,11 +147,11 @@ class Decentralized:
         rows, limit = self.families(x, sun), self.families.inspection.thrust_max
         bounds, agreed = self._shares(rows, desired.shape[1])
         if self.loops:
-            which = self._mine, self._sign, plain(desired)
-            u, status, left = self.loops.alone(rows.G, bounds, *which, limit)
-            if agreed is None and not left:
+            arguments = self._mine, self._sign, plain(desired)
+            u, status, unsolved = self.loops.alone(rows.G, bounds, *arguments, limit)
+            if agreed is None and not unsolved:
                 return Filtered(u, status, rows)
-            run, who = np.nonzero(status == LEFT)
+            run, deputy = np.nonzero(status == LEFT)
         else:
             u = self.families.clip_inputs(desired)
             status = _unchanged(u, desired)
@@ -159,14 +159,14 @@ class Decentralized:
         bound = np.where(self._as_second, bounds[-1][:, self._mine], bounds[0][:, self._mine])
         if not self.loops:
             signed = rows.G[:, self._mine] * self._sign[..., None]
-            met = np.einsum("rnmv,rnv->rnm", signed, u)
-            run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
+            products = np.einsum("rnmv,rnv->rnm", signed, u)
+            run, deputy = np.nonzero((~(products >= bound)).any(axis=2))  # nan: not met
         if len(run):
-            signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
-            rank = self.families.rank(rows.h)[:, self._mine][run, who]
-            solution = project(signed, bound[run, who], u[run, who], limit, rank)
-            u[run, who] = solution.u  # clipping alone counts as filtering, too
-            status[run, who] = np.maximum(solution.status, _unchanged(solution.u, desired[run, who]))
+            signed = rows.G[run[:, None], self._mine[deputy]] * self._sign[deputy][..., None]
+            rank = self.families.rank(rows.h)[:, self._mine][run, deputy]
+            solution = project(signed, bound[run, deputy], u[run, deputy], limit, rank)
+            u[run, deputy] = solution.u  # clipping alone counts as filtering, too
+            status[run, deputy] = np.maximum(solution.status, _unchanged(solution.u, desired[run, deputy]))
         if agreed is not None:
             status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan

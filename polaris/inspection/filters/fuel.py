@@ -75,49 +75,49 @@ class FuelLimit(CallByCall):
         self._due = np.inf
         self._applied = np.zeros((q.deputies, 3))
 
-    def _answer(self, got: FilterInput) -> RawDecision:
-        q, able = self.inspection, got.known & got.given
-        self._count_delay(got.t)
-        reserve = np.full(len(got.x), np.nan)
-        asked = np.flatnonzero(~self.latched & able)
-        if len(asked):
-            reserve[asked], reasons = self._look_ahead(got, asked)
-            for i, reason in zip(asked, reasons, strict=True):
+    def _answer(self, call: FilterInput) -> RawDecision:
+        q, valid = self.inspection, call.known & call.given
+        self._count_delay(call.t)
+        reserve = np.full(len(call.x), np.nan)
+        unlatched = np.flatnonzero(~self.latched & valid)
+        if len(unlatched):
+            reserve[unlatched], reasons = self._look_ahead(call, unlatched)
+            for i, reason in zip(unlatched, reasons, strict=True):
                 if reason:
                     self.latched[i] = True
-                    self.log.append(Switch(got.t, int(i), "backup", reason))
-        u = self._thrust(got)
+                    self.log.append(Switch(call.t, int(i), "backup", reason))
+        u = self._thrust(call)
         allowed = self._affordable(u)
-        exhausted = (allowed < 1) & got.known
+        exhausted = (allowed < 1) & call.known
         self._applied = u = u * allowed[:, None]
         self.spent = self.spent + np.abs(u).sum(axis=1) * self.law.period / q.mass
-        latched = ~able | self.latched
+        latched = ~valid | self.latched
         margins = {f"phi12[{i}]": float(q.delta_v_max - self.spent[i]) for i in range(q.deputies)}
         margins |= {f"reserve[{i}]": float(reserve[i]) for i in range(q.deputies)}
         active = tuple(f"latched[{i}]" for i in np.flatnonzero(self.latched))
         active += tuple(f"phi12[{i}]" for i in np.flatnonzero(exhausted))
         notes = [f"fuel exhausted: deputy {listed(exhausted)}"] if exhausted.any() else []
-        intervened = latched | got.clipped | exhausted
-        return RawDecision(u, intervened, latched, exhausted | ~got.known, margins, notes, active)
+        intervened = latched | call.clipped | exhausted
+        return RawDecision(u, intervened, latched, exhausted | ~call.known, margins, notes, active)
 
-    def _look_ahead(self, got: FilterInput, asked: NDArray[np.intp]) -> tuple[Array, list[str]]:
+    def _look_ahead(self, call: FilterInput, deputies: NDArray[np.intp]) -> tuple[Array, list[str]]:
         """Condition (*) for some: reserves [m/s], and why the backup must take over ('' if it need not)."""
         q, D = self.inspection, self.law.period
         Phi, Gamma = self.law.motion
-        x, u = got.x[asked], got.u[asked]
+        x, u = call.x[deputies], call.u[deputies]
         after = x @ Phi.T + u @ Gamma.T
         flight = self.predicted = fly_backup(self.law, after, self.steps)
-        coming = np.abs(u).sum(axis=1) * D / q.mass
-        reserve = q.delta_v_max - self.spent[asked] - coming - flight.delta_v(q.mass, D)
+        cost = np.abs(u).sum(axis=1) * D / q.mass
+        reserve = q.delta_v_max - self.spent[deputies] - cost - flight.delta_v(q.mass, D)
         nearest = clearance(flight, x, self.law) if self.keep_clear else np.full(len(x), np.inf)
         reasons, coming_flight = [], "the backup flight after this period"
-        for left, room, settled in zip(reserve, nearest, flight.outlook.settled, strict=True):
+        for surplus, gap, settled in zip(reserve, nearest, flight.outlook.settled, strict=True):
             if not settled:
                 reasons.append("the backup flight does not settle within the horizon")
-            elif left < 0:
-                reasons.append(f"fuel: {coming_flight} would exceed the limit by {-left:.3g} m/s")
-            elif room < 0:
-                reasons.append(f"chief: {coming_flight} would come {-room:.3g} m too near")
+            elif surplus < 0:
+                reasons.append(f"fuel: {coming_flight} would exceed the limit by {-surplus:.3g} m/s")
+            elif gap < 0:
+                reasons.append(f"chief: {coming_flight} would come {-gap:.3g} m too near")
             else:
                 reasons.append("")
         return reserve, reasons
@@ -132,21 +132,21 @@ class FuelLimit(CallByCall):
             self._on_backup = np.zeros_like(self._on_backup)
         self._due = t + D
 
-    def _thrust(self, got: FilterInput) -> Array:
+    def _thrust(self, call: FilterInput) -> Array:
         """Desired, backup, or none where the state is not known."""
-        passed = got.known & got.given & ~self.latched
-        backed = got.known & ~passed
-        memory = np.where(self._on_backup[:, None], self._memory, self.law.start(got.x))
-        held, self._memory = self.law.thrust(got.x, memory)
+        passed = call.known & call.given & ~self.latched
+        backed = call.known & ~passed
+        memory = np.where(self._on_backup[:, None], self._memory, self.law.start(call.x))
+        backup, self._memory = self.law.thrust(call.x, memory)
         self._on_backup = backed  # of the others, the backup takes over anew when it is needed next
-        return np.where(passed[:, None], got.u, np.where(backed[:, None], held, 0.0))
+        return np.where(passed[:, None], call.u, np.where(backed[:, None], backup, 0.0))
 
     def _affordable(self, u: Array) -> Array:
         """Share of a thrust that the fuel allows, shape (N,)."""
         q = self.inspection
         cost = np.abs(u).sum(axis=1) * self.law.period / q.mass
-        left = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
-        return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
+        remaining = np.maximum(q.delta_v_max - self.spent, 0.0) * (1 - 1e-12)
+        return np.where(cost > remaining, remaining / np.where(cost > 0, cost, 1.0), 1.0)
 
 
 def clearance(flight: BackupFlight, x: Array, law: BackupTracker) -> Array:

@@ -82,42 +82,42 @@ class Member:
     def message(self, x: Array, wanted: Array) -> Message:
         """Return the message to all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
         plan, tube = self._flown[:2]
-        given = np.array(x, dtype=float), np.array(wanted, dtype=float)
-        return Message(self._due, *given, plan, tube, self.rule.settings)
+        copies = np.array(x, dtype=float), np.array(wanted, dtype=float)
+        return Message(self._due, *copies, plan, tube, self.rule.settings)
 
-    def decide(self, t: float, told: Sequence[Message | None]) -> Array:
+    def decide(self, t: float, messages: Sequence[Message | None]) -> Array:
         """Thrust (3,) [N] of the period that begins at t [s]; messages of all, the own among them, by number.
 
         None stands for one that has not arrived; one of another period or rule counts as such.
         """
-        own, D = told[self.me], self.brake.period
-        if own is None:
-            raise ScenarioError("told", self.me, "must be the number of another deputy")
-        sent = [message for message in told if message is not None]
-        alike = [message for message in sent if message.rule == self.rule.settings]
-        heard = [message for message in alike if abs(message.t - t) <= 1e-6 * D]
-        self.unproven |= len(alike) < len(sent)
-        seen, flown = _known(own.x), self._flown
+        own_message, D = messages[self.me], self.brake.period
+        if own_message is None:
+            raise ScenarioError("messages", self.me, "must be the number of another deputy")
+        sent = [message for message in messages if message is not None]
+        same_rule = [message for message in sent if message.rule == self.rule.settings]
+        current = [message for message in same_rule if abs(message.t - t) <= 1e-6 * D]
+        self.unproven |= len(same_rule) < len(sent)
+        measured, proven = _known(own_message.x), self._flown
         on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
-        self._lost = 0.0 if seen else self._lost + D
-        known = on_time and (seen or (self.brake.uncertainty.exact and self._lost <= MEMORY))
-        x = own.x if seen else self._next if known else flown.plan[0, 0]
-        if on_time and len(heard) == len(told) and all(_known(message.x) for message in heard):
-            plans = [Proven(message.plan, message.tube, np.zeros(0), t) for message in heard]
+        self._lost = 0.0 if measured else self._lost + D
+        known = on_time and (measured or (self.brake.uncertainty.exact and self._lost <= MEMORY))
+        x = own_message.x if measured else self._next if known else proven.plan[0, 0]
+        if on_time and len(current) == len(messages) and all(_known(message.x) for message in current):
+            plans = [Proven(message.plan, message.tube, np.zeros(0), t) for message in current]
             count = max(len(each.plan) for each in plans)
             longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
-            now = heard[0].t  # clocks may differ by rounding; all who move go by the same
-            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none, now))
-            states, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
-            decision = self.rule.filter(now, states, wanted)
+            time = current[0].t  # clocks may differ by rounding; all who move go by the same
+            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none, time))
+            states, desired = np.array([m.x for m in current]), np.array([m.wanted for m in current])
+            decision = self.rule.filter(time, states, desired)
             if self.rule.plan is not None:  # it has been proven
                 self.moved, self._flown = True, self._part(self.rule.plan)
                 self.unproven &= bool(decision.on_backup[self.me])
                 return self._applied(x, decision.u[self.me])
-        self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, flown).all())
-        later = self.rule.planner.extended(flown, 3)
+        self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, proven).all())
+        later = self.rule.planner.extended(proven, 3)
         self._flown = Proven(later[0][1:], later[1][1:], self._none, self._due)
-        return self._applied(x, self.brake.follow(x[None], flown.plan)[0])
+        return self._applied(x, self.brake.follow(x[None], proven.plan)[0])
 
     def _applied(self, x: Array, u: Array) -> Array:
         """Return a thrust (3,) [N], and note where it leads from a state (6,)."""
@@ -127,8 +127,8 @@ class Member:
 
     def _part(self, proven: Proven) -> Proven:
         """The part of the plans of all that is this deputy's."""
-        mine = slice(self.me, self.me + 1)
-        return Proven(proven.plan[:, mine], proven.tube[:, mine], self._none, proven.t)
+        deputy = slice(self.me, self.me + 1)
+        return Proven(proven.plan[:, deputy], proven.tube[:, deputy], self._none, proven.t)
 
 
 def _known(x: Array) -> bool:

@@ -29,33 +29,33 @@ class _Latching(Assured):
         self._clear_since = np.full(self.inspection.deputies, np.nan)
 
     @abstractmethod
-    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, call: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or to their release; what."""
 
-    def _proposal(self, got: FilterInput, able: Some, backup: Array) -> tuple[Array, Some]:
-        proposed = np.where(able[:, None], got.u, backup)
-        clear = self.latched & able
+    def _proposal(self, call: FilterInput, valid: Some, backup: Array) -> tuple[Array, Some]:
+        proposed = np.where(valid[:, None], call.u, backup)
+        clear = self.latched & valid
         if clear.any():
-            clear &= ~self._troubled(got, proposed, spare=True)[0]
-        if not got.steady:
+            clear &= ~self._troubled(call, proposed, spare=True)[0]
+        if not call.steady:
             self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
-        since = np.where(np.isnan(self._clear_since), got.t, self._clear_since)
+        since = np.where(np.isnan(self._clear_since), call.t, self._clear_since)
         self._clear_since = np.where(clear, since, np.nan)
-        self._switch(clear & (got.t - since >= self.dwell), got.t, "desired", f"clear for {self.dwell:g} s")
-        while (who := able & ~self.latched).any():
-            troubled, what = self._troubled(got, np.where(who[:, None], proposed, backup), spare=False)
+        self._switch(clear & (call.t - since >= self.dwell), call.t, "desired", f"clear for {self.dwell:g} s")
+        while (group := valid & ~self.latched).any():
+            troubled, reason = self._troubled(call, np.where(group[:, None], proposed, backup), spare=False)
             if not troubled.any():
                 break
-            self._switch(troubled & who if (troubled & who).any() else who, got.t, "backup", what)
-        return proposed, who
+            self._switch(troubled & group if (troubled & group).any() else group, call.t, "backup", reason)
+        return proposed, group
 
-    def _refused(self, got: FilterInput, who: Some, reason: str) -> None:
-        self._switch(who, got.t, "backup", reason)
+    def _refused(self, call: FilterInput, deputies: Some, reason: str) -> None:
+        self._switch(deputies, call.t, "backup", reason)
 
-    def _switch(self, who: Some, t: float, to: str, reason: str) -> None:
-        self.latched[who] = to == "backup"
-        self._clear_since[who] = np.nan
-        self.log += [Switch(t, int(i), to, reason) for i in np.flatnonzero(who)]
+    def _switch(self, deputies: Some, t: float, to: str, reason: str) -> None:
+        self.latched[deputies] = to == "backup"
+        self._clear_since[deputies] = np.nan
+        self.log += [Switch(t, int(i), to, reason) for i in np.flatnonzero(deputies)]
 
 
 class SimplexExplicit(_Latching):
@@ -96,13 +96,13 @@ class SimplexExplicit(_Latching):
         self._parts = self.period * np.arange(1, looks + 1) / looks
         self._moves = [self.inspection.discretize(float(part)) for part in self._parts]
 
-    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, call: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         rows = self.families
-        states = np.stack([got.x @ Phi.T + u @ Gamma.T for Phi, Gamma in self._moves])
-        h = rows(states, self.inspection.sun_angle(got.t + self._parts, self.check.sun_start)).h.min(axis=0)
+        states = np.stack([call.x @ Phi.T + u @ Gamma.T for Phi, Gamma in self._moves])
+        h = rows(states, self.inspection.sun_angle(call.t + self._parts, self.check.sun_start)).h.min(axis=0)
         worst = int(h.argmin())
-        bad = ~(h >= self._least[spare])
-        return concerned(rows, bad, len(u)), f"{rows.labels[worst]} would be {h[worst]:.3g}"
+        violated = ~(h >= self._least[spare])
+        return concerned(rows, violated, len(u)), f"{rows.labels[worst]} would be {h[worst]:.3g}"
 
 
 class SimplexImplicit(_Latching):
@@ -133,8 +133,8 @@ class SimplexImplicit(_Latching):
         self._release = np.where(self.check.about_speed, speed, distance)
         self._release[self.check.about_thrust] = 0.0
 
-    def _troubled(self, got: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
+    def _troubled(self, call: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
         if not spare:
             return np.zeros(len(u), dtype=bool), ""  # what is not proven is refused
-        proven = self.planner.find(got.t, got.x, u)
+        proven = self.planner.find(call.t, call.x, u)
         return concerned(self.check, ~(proven.margins >= self._release), len(u)), ""

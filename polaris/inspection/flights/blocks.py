@@ -43,8 +43,8 @@ class BlockOutcome:
     @property
     def least(self) -> dict[str, Array]:
         """Least value of each constraint that is judged, shape (R,)."""
-        every = {name[6:]: values for name, values in self.columns.items() if name.startswith("least_")}
-        return {name: values for name, values in every.items() if not np.isnan(values).all()}
+        minima = {name[6:]: values for name, values in self.columns.items() if name.startswith("least_")}
+        return {name: values for name, values in minima.items() if not np.isnan(values).all()}
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -60,21 +60,21 @@ class BlockOutcome:
         """Every failure: run, what, deputies, time [s], value (nan for a program without solution)."""
         columns, short = self.columns, self.columns["short_s"]
         none = np.full(len(short), np.nan)
-        whats = [("no solution", ~np.isnan(short), columns["short_deputies"], short, none)]
-        whats += [
+        rows = [("no solution", ~np.isnan(short), columns["short_deputies"], short, none)]
+        rows += [
             (name, least < 0, columns[f"deputies_{name}"], columns[f"time_{name}_s"], least)
             for name, least in self.least.items()
         ]
         return [
             {
                 "run": run,
-                "what": what,
-                "deputies": tuple(map(int, who[run].split())),
-                "time": float(when[run]),
+                "what": kind,
+                "deputies": tuple(map(int, deputies[run].split())),
+                "time": float(time[run]),
                 "value": float(value[run]),
             }
             for run in np.flatnonzero(~self.success).tolist()
-            for what, failed, who, when, value in whats
+            for kind, failed, deputies, time, value in rows
             if failed[run]
         ]
 
@@ -123,14 +123,14 @@ class Recorder:
             "short_s": self.short,
             "short_deputies": np.array(self.short_deputies),
             "interventions_share": self.changed / self.steps,
-            **{f"delta_v_{i}_m_s": spent for i, spent in enumerate(self.delta_v.T)},
+            **{f"delta_v_{i}_m_s": delta_v for i, delta_v in enumerate(self.delta_v.T)},
         }
         for name in dict.fromkeys((*CONSTRAINTS, *self.keepers)):
-            kept = self.keepers.get(name)
-            columns[f"least_{name}"] = nothing if kept is None else kept.value
-            columns[f"time_{name}_s"] = nothing if kept is None else kept.time
-            who = nobody if kept is None else np.array([" ".join(map(str, kept.who(r))) for r in range(runs)])
-            columns[f"deputies_{name}"] = who
+            log = self.keepers.get(name)
+            columns[f"least_{name}"] = nothing if log is None else log.value
+            columns[f"time_{name}_s"] = nothing if log is None else log.time
+            names = nobody if log is None else np.array([" ".join(map(str, log.who(r))) for r in range(runs)])
+            columns[f"deputies_{name}"] = names
         return BlockOutcome(columns)
 
 

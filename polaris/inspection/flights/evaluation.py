@@ -56,10 +56,10 @@ class LeastRecorder:
         least, place = flat.min(axis=1), flat.argmin(axis=1)
         if sampled:
             self.at_samples = np.minimum(self.at_samples, least)
-        k, who = np.divmod(place, values.shape[2])
-        better = least < self.value
-        self.value, self.time = np.where(better, least, self.value), np.where(better, t[k], self.time)
-        self.deputies = np.where(better[:, None], self.places[who], self.deputies)
+        k, column = np.divmod(place, values.shape[2])
+        improved = least < self.value
+        self.value, self.time = np.where(improved, least, self.value), np.where(improved, t[k], self.time)
+        self.deputies = np.where(improved[:, None], self.places[column], self.deputies)
         self.violated += (values < 0).any(axis=2).sum(axis=1)
         self.seen += len(t)
 
@@ -75,12 +75,12 @@ class LeastRecorder:
 
 def keepers(families: Families, runs: int = 1) -> dict[str, LeastRecorder]:
     """Return a keeper for each constraint that the families keep, by name."""
-    alone, pairs = np.split(families.everyone, [families.inspection.deputies])
-    own = families.inspection.constraints
-    every = [(name, kind.family, kind.pair) for name, kind in KINDS.items()]
-    every += [(one.label, one.family or one.label, one.pair) for one in own]
-    kept = [(name, pair) for name, family, pair in every if family in families.family]
-    return {name: LeastRecorder(pairs if pair else alone, runs) for name, pair in kept}
+    deputies, pairs = np.split(families.everyone, [families.inspection.deputies])
+    custom = families.inspection.constraints
+    constraints = [(name, kind.family, kind.pair) for name, kind in KINDS.items()]
+    constraints += [(one.label, one.family or one.label, one.pair) for one in custom]
+    judged = [(name, pair) for name, family, pair in constraints if family in families.family]
+    return {name: LeastRecorder(pairs if pair else deputies, runs) for name, pair in judged}
 
 
 def least_values(run: InspectionRun, families: Families, between: int) -> EvaluatedRun:

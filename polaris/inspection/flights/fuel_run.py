@@ -104,28 +104,28 @@ def fly_fuel_limit(
     x, u, desired = np.empty((count + 1, 6)), np.empty((count, 3)), np.empty((count, 3))
     x[0], delta_v = vector("x0", x0, 6), np.empty(count + 1)
     delta_v[0] = filtering.spent[0]
-    asked, exhausted = sorted(predict_at), False
+    instants, exhausted = sorted(predict_at), False
     times: list[float] = []
-    kept: list[Prediction] = []
+    flights: list[Prediction] = []
     for k in range(count):
         desired[k], before = primary(t[k], x[None, k : k + 1])[0, 0], bool(filtering.latched[0])
         begin = perf_counter()
         decision = filtering.filter(t[k], x[k : k + 1], desired[k : k + 1])
         if not before:
             times.append(perf_counter() - begin)
-        if not before and (filtering.latched[0] or (asked and t[k] >= asked[0])):
-            kept.append(_predict(law, t[k], x[k], delta_v[k], filtering.steps))
-            asked = [instant for instant in asked if instant > t[k]]
+        if not before and (filtering.latched[0] or (instants and t[k] >= instants[0])):
+            flights.append(_predict(law, t[k], x[k], delta_v[k], filtering.steps))
+            instants = [instant for instant in instants if instant > t[k]]
         exhausted = exhausted or "phi12[0]" in decision.active
         u[k] = decision.u[0]
         x[k + 1] = Phi @ x[k] + Gamma @ u[k]
         delta_v[k + 1] = filtering.spent[0]
-    when, why = (filtering.log[0].t, filtering.log[0].reason) if filtering.log else (None, None)
-    return FuelRun(q, t, x, u, desired, delta_v, when, tuple(kept), why, exhausted, np.array(times))
+    t_latch, reason = (filtering.log[0].t, filtering.log[0].reason) if filtering.log else (None, None)
+    return FuelRun(q, t, x, u, desired, delta_v, t_latch, tuple(flights), reason, exhausted, np.array(times))
 
 
-def _predict(law: BackupTracker, t: float, x: Array, spent: float, steps: int) -> Prediction:
+def _predict(law: BackupTracker, t: float, x: Array, delta_v: float, steps: int) -> Prediction:
     flight = fly_backup(law, x[None], steps, ENDED)
     each = np.abs(flight.u).sum(axis=(1, 2)) * law.period / law.inspection.mass
     instants = np.asarray(t + np.arange(len(flight.x)) * law.period, dtype=float)
-    return Prediction(instants, flight.x[:, 0], spent + np.append(0.0, np.cumsum(each)))
+    return Prediction(instants, flight.x[:, 0], delta_v + np.append(0.0, np.cumsum(each)))

@@ -74,8 +74,8 @@ class SampledErrors:
 
     def acting(self, u: Array) -> Array:
         """Return the force [N] of a period for commanded thrust (..., 3), with errors and the disturbance."""
-        q, way = self.inspection, self._rng.normal(size=u.shape)
-        push = self.unknown.disturbance * q.mass * way / length(way)[..., None]
+        q, direction = self.inspection, self._rng.normal(size=u.shape)
+        push = self.unknown.disturbance * q.mass * direction / length(direction)[..., None]
         return np.asarray(u + self.unknown.thrusters.error(u) * self._signs(u.shape) + push)
 
 
@@ -160,14 +160,14 @@ def fly(flights: FlightBatch, filtering: BatchFilter, *observers: Observer, betw
     moves = [q.discretize(period * (b + 1) / parts) for b in range(parts)]
     for k in range(count):
         t = k * period
-        sun, seen = q.sun_angle(t, flights.sun), x if flights.errors is None else flights.errors.estimated(x)
-        desired = flights.primary(t, seen)
-        lost = np.asarray(~np.isfinite(desired).all(axis=2))
-        begun = perf_counter()
-        filtered = filtering.batch(seen, sun, np.where(lost[..., None], 0.0, desired))
-        seconds = perf_counter() - begun
+        sun, x_hat = q.sun_angle(t, flights.sun), x if flights.errors is None else flights.errors.estimated(x)
+        desired = flights.primary(t, x_hat)
+        invalid = np.asarray(~np.isfinite(desired).all(axis=2))
+        start = perf_counter()
+        filtered = filtering.batch(x_hat, sun, np.where(invalid[..., None], 0.0, desired))
+        seconds = perf_counter() - start
         filtered.u[filtered.status == FAILED] = 0.0
-        filtered.status[lost] = FAILED
+        filtered.status[invalid] = FAILED
         if flights.errors is not None:
             filtered = replace(filtered, u=flights.errors.acting(filtered.u))
         after = np.stack([x @ Phi.T + filtered.u @ Gamma.T for Phi, Gamma in moves])
@@ -238,9 +238,9 @@ def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:
 
 def fly_one(flights: FlightBatch, filtering: BatchFilter, *observers: Observer) -> InspectionRun:
     """Fly one run (R = 1) and keep all of it; further observers are as in `fly`."""
-    kept = RunRecorder(flights)
-    fly(flights, filtering, kept, *observers, between=0)
-    return kept.flight()
+    recorder = RunRecorder(flights)
+    fly(flights, filtering, recorder, *observers, between=0)
+    return recorder.flight()
 
 
 class RunRecorder:
@@ -252,8 +252,8 @@ class RunRecorder:
 
     def __call__(self, step: BatchStep) -> None:
         """Take in one control period."""
-        given = (step.x, step.filtered.u, step.desired, step.filtered.status, step.filtered.rows.h)
-        parts = (values[self.run].copy() for values in given)
+        arrays = (step.x, step.filtered.u, step.desired, step.filtered.status, step.filtered.rows.h)
+        parts = (values[self.run].copy() for values in arrays)
         self.steps.append((np.array(step.t), np.array(step.seconds), *parts))
         self.last = step.after[-1, self.run]
 

@@ -98,23 +98,23 @@ class ObserverErrors:
         system, observer, bounds = self.system, self.observer, list[Array]()
         flow = LinearFlow.continuous(system.A, system.D, w_max, self.h / IN_PERIOD, E)
         for j, (gain, rest) in enumerate(zip((observer.gain, *observer.after), observer.rests, strict=True)):
-            pushed = flow.disturbance_support(
+            forced = flow.disturbance_support(
                 (self.error_maps @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1)
             )[-1]
-            bounds.append(pushed.reshape(self.error_maps.shape[:2]) + np.abs(self.error_maps @ gain) @ noise)
+            bounds.append(forced.reshape(self.error_maps.shape[:2]) + np.abs(self.error_maps @ gain) @ noise)
         return bounds
 
-    def _summed(self, come: list[Array], known: Array) -> Array:
-        """Bound errors that updates add in the worst pattern, by periods, first ones in `known`, (., n)."""
+    def _summed(self, added: list[Array], prior: Array) -> Array:
+        """Bound errors that updates add in the worst pattern, by periods, first ones in `prior`, (., n)."""
         kinds, count = len(self.turned), self.count
         sums = np.zeros((count + kinds, self.system.n))
-        each = [more + off @ known for more, off in zip(come, self.turned, strict=True)]
+        each = [increase + extra @ prior for increase, extra in zip(added, self.turned, strict=True)]
         for age in range(count):
-            for j, more in enumerate(each):
-                sums[age + j + 1] = np.maximum(sums[age + j + 1], sums[age] + more[age])
+            for j, increase in enumerate(each):
+                sums[age + j + 1] = np.maximum(sums[age + j + 1], sums[age] + increase[age])
         return sums
 
-    def largest(self, come: list[Array]) -> Array:
+    def largest(self, added: list[Array]) -> Array:
         """Bound errors under those that updates add, long after the start, shape (n,).
 
         Just after a measurement, with every pattern of missed periods that may be.
@@ -124,20 +124,20 @@ class ObserverErrors:
         ScenarioError
             If errors are not forgotten.
         """
-        last, kinds = self._forgetting[1], len(come)
+        last, kinds = self._forgetting[1], len(added)
 
-        def worst(known: Array) -> Array:
-            """Errors if those so many periods before were within `known`, by the worst pattern."""
-            sums = self._summed(come, known)
-            sums[self.count :] += np.abs(self.error_maps[self.count :]) @ known
+        def worst(prior: Array) -> Array:
+            """Errors if those so many periods before were within `prior`, by the worst pattern."""
+            sums = self._summed(added, prior)
+            sums[self.count :] += np.abs(self.error_maps[self.count :]) @ prior
             return np.asarray(np.max(sums[self.count * (kinds == 1) :], axis=0) * (1 + ROUNDED))
 
         alone = np.linalg.solve(np.eye(self.system.n) - last, worst(np.zeros(self.system.n)))
         bound = np.asarray(alone * (1 + ROUNDED))
         for _ in range(ROUNDS if kinds > 1 else 0):
-            if np.all((more := worst(bound)) <= bound):
+            if np.all((enlarged := worst(bound)) <= bound):
                 return np.asarray(bound)
-            bound = np.maximum(bound, more * (1 + SPARE))
+            bound = np.maximum(bound, enlarged * (1 + SPARE))
         if kinds > 1:
             self._refuse()
         return np.asarray(bound)
@@ -146,19 +146,19 @@ class ObserverErrors:
         missed = len(self.observer.after)
         raise ScenarioError("timing.missed_periods", missed, "must be fewer for errors to decay")
 
-    def bounds_after(self, first: Array, periods: int, come: list[Array]) -> Array:
+    def bounds_after(self, first: Array, periods: int, added: list[Array]) -> Array:
         """Bound errors so many periods after they were within `first` (n,), shape (periods + 1, n).
 
-        Just after an update, by every pattern of missed periods, if updates add `come`.
+        Just after an update, by every pattern of missed periods, if updates add `added`.
         """
         bounds = np.abs(powers(self._forgetting[0], periods)) @ first * (1 + ROUNDED)
         for age in range(1, periods + 1):
             before = bounds[:age][::-1, :, None]  # at once, one period before, ...
-            each = [(off[: age - j] @ before[j:])[..., 0] for j, off in enumerate(self.turned[:age])]
+            each = [(extra[: age - j] @ before[j:])[..., 0] for j, extra in enumerate(self.turned[:age])]
             sums = np.zeros((age + 1, len(first)))
             for at in range(age):
-                for j, more in enumerate(each[: age - at]):
-                    np.maximum(sums[at + j + 1], sums[at] + come[j][at] + more[at], out=sums[at + j + 1])
+                for j, increase in enumerate(each[: age - at]):
+                    np.maximum(sums[at + j + 1], sums[at] + added[j][at] + increase[at], out=sums[at + j + 1])
             bounds[age] += sums[age] * (1 + ROUNDED)
         return bounds
 
@@ -167,8 +167,8 @@ class ObserverErrors:
 
         With `late` periods that may be missed. Raises what `largest` does.
         """
-        late, none = len(self.observer.after), [0 * self.error_maps[..., 0]] * len(self.turned)
-        bounds = self.bounds_after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
+        late, zeros = len(self.observer.after), [0 * self.error_maps[..., 0]] * len(self.turned)
+        bounds = self.bounds_after(settled, min(self.count, FOLLOWED) + late, zeros)  # late ones may follow
         shares = np.max(bounds / settled, axis=1)
         shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
         if not shares[-1] < 1:
@@ -182,38 +182,38 @@ class ObserverErrors:
         Shape (near + 2, n). By every pattern of missed periods; errors added meanwhile are apart. See
         `usual`.
         """
-        usual, none = self.usual(settled), [0 * self.error_maps[..., 0]] * len(self.turned)
+        usual, zeros = self.usual(settled), [0 * self.error_maps[..., 0]] * len(self.turned)
         near = len(usual) - 1 - len(self.observer.after)
-        bounds = self.bounds_after(first, len(usual) - 1, none)
+        bounds = self.bounds_after(first, len(usual) - 1, zeros)
         share = np.max(bounds[near:] / settled)
         return np.vstack([bounds[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
 
     def _fading_always_measured(self, first: Array, periods: int) -> Array:
         """Bound the rest without missed periods, so many periods later and ever after, (periods + 2, n)."""
         loop, last, count = self._forgetting
-        left = np.abs(powers(loop, periods + count)) @ first * (1 + ROUNDED)
-        ever = np.linalg.solve(np.eye(len(first)) - last, left[periods:].max(axis=0)) * (1 + ROUNDED)
-        return np.vstack([left[: periods + 1], ever])
+        remainder = np.abs(powers(loop, periods + count)) @ first * (1 + ROUNDED)
+        tail = np.linalg.solve(np.eye(len(first)) - last, remainder[periods:].max(axis=0)) * (1 + ROUNDED)
+        return np.vstack([remainder[: periods + 1], tail])
 
-    def alone(self, moved: Array | float = 0.0) -> list[Array]:
+    def alone(self, offset: Array | float = 0.0) -> list[Array]:
         """Return the errors that updates add if nothing is commanded, see `added`.
 
-        `moved` (n,) bounds by how much states are displaced when they are measured.
+        `offset` (n,) bounds by how much states are displaced when they are measured.
         """
         system, observer = self.system, self.observer
-        noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
+        noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(offset, (system.n,))
         return self.added(noise, system.w_max, system.error_map(system.thrusters.error(0 * system.u_max)))
 
-    def parts(self, moved: Array | float = 0.0) -> tuple[Array, Array]:
+    def parts(self, offset: Array | float = 0.0) -> tuple[Array, Array]:
         """Bound errors of estimates by all of `alone`, (n,), and by a unit of errors of thrusters, (n, m).
 
         Long after the start. Raises what `largest` does.
         """
-        total = self.largest(self.alone(moved))
+        total = self.largest(self.alone(offset))
         if not self.system.thrusters.proportional:
             return total, np.zeros((self.system.n, self.system.m))
-        none = 0 * self.observer.noise
-        units = [self.largest(self.added(none, 0.0, column[:, None])) for column in self.system.B.T]
+        zeros = 0 * self.observer.noise
+        units = [self.largest(self.added(zeros, 0.0, column[:, None])) for column in self.system.B.T]
         return total, np.column_stack(units)
 
     def by_age(self, settled: Array, units: Array, size: Array) -> tuple[tuple[int, ...], Array]:
@@ -223,14 +223,14 @@ class ObserverErrors:
         matter; `settled` (n,) is all.
         """
         late = len(self.observer.after)
-        left = np.stack([self.fading(column, settled) for column in units.T], axis=-1)
-        left = np.minimum(np.maximum.accumulate(left[::-1])[::-1], units)
-        shares = (left @ size / np.maximum(units @ size, 1e-300)).max(axis=1)
+        remainder = np.stack([self.fading(column, settled) for column in units.T], axis=-1)
+        remainder = np.minimum(np.maximum.accumulate(remainder[::-1])[::-1], units)
+        shares = (remainder @ size / np.maximum(units @ size, 1e-300)).max(axis=1)
         begins = sorted({int(np.argmax(shares <= share)) for share in FALLS if shares[-1] <= share} - {0})
         ages = (0, *(begin + late for begin in begins))  # the first update since may be so much later
-        return ages, np.array([units, *left[begins]])
+        return ages, np.array([units, *remainder[begins]])
 
-    def by_step(self, settled: Array, alone: Array, moved: Array | float) -> Array:
+    def by_step(self, settled: Array, alone: Array, offset: Array | float) -> Array:
         """Bound the part of first errors beyond `settled` ones (n,) in every step and ever after, (K + 1, n).
 
         Of all estimates that commands in a step may rest on; less than nothing where first errors are smaller
@@ -239,20 +239,20 @@ class ObserverErrors:
         (steps, periods), first = self.observer.horizon, np.asarray(self.observer.initial)
         late, total = len(self.observer.after), steps * periods
         if late:
-            left = self.fading(first, settled)
-            joint = self.bounds_after(first, len(left) - 2, self.alone(moved)) - alone
-            left[:-1] = np.minimum(left[:-1], joint)
+            decay = self.fading(first, settled)
+            joint = self.bounds_after(first, len(decay) - 2, self.alone(offset)) - alone
+            decay[:-1] = np.minimum(decay[:-1], joint)
         else:
-            left = self._fading_always_measured(first, total)
+            decay = self._fading_always_measured(first, total)
         nodes = np.maximum(np.arange(total)[:, None] - np.arange(late + 1), 0)
-        known = left[np.minimum(nodes, len(left) - 1)].max(axis=1).reshape(steps, periods, -1).max(axis=1)
-        return np.vstack([known, left[min(max(total - late, 0), len(left) - 1) :].max(axis=0)])
+        bounds = decay[np.minimum(nodes, len(decay) - 1)].max(axis=1).reshape(steps, periods, -1).max(axis=1)
+        return np.vstack([bounds, decay[min(max(total - late, 0), len(decay) - 1) :].max(axis=0)])
 
 
-def observing(system: Craft, observer: Observer, h: float, moved: Array | float = 0.0) -> Craft:
-    """Return the system whose estimates are those of an observer; `moved` as for `ObserverErrors.alone`."""
+def observing(system: Craft, observer: Observer, h: float, offset: Array | float = 0.0) -> Craft:
+    """Return the system whose estimates are those of an observer; `offset` as for `ObserverErrors.alone`."""
     filtering, observer = ObserverErrors(system, observer, h), replace(observer, ages=(), by_age=None)
-    alone, units = filtering.parts(moved)
+    alone, units = filtering.parts(offset)
     size = system.thrusters.part(system.u_max)
     error = (alone + units @ size) * (1 + ROUNDED)
     if observer.after:
@@ -262,8 +262,8 @@ def observing(system: Craft, observer: Observer, h: float, moved: Array | float 
             observer = replace(observer, ages=ages, by_age=by_age)
     if observer.initial is None:
         return replace(system, observer=observer, estimate_error=error)
-    left = filtering.by_step(error, alone, moved)
-    return replace(system, observer=replace(observer, settled=error, fading=left), error_by_step=error + left)
+    fade = filtering.by_step(error, alone, offset)
+    return replace(system, observer=replace(observer, settled=error, fading=fade), error_by_step=error + fade)
 
 
 def design(
@@ -299,12 +299,12 @@ def design(
 def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float) -> Observer:
     """Design an observer for errors of thrusters under a share of their limits, which forgets in time."""
     for unseen in UNSEEN:
-        made = _made(system, measures, noise, h, missed, share, unseen)
-        filtering = ObserverErrors(system, made, h)
+        observer = _made(system, measures, noise, h, missed, share, unseen)
+        filtering = ObserverErrors(system, observer, h)
         with suppress(ScenarioError):
-            if not missed or len(filtering.usual(_size(system, made, h))):
+            if not missed or len(filtering.usual(_size(system, observer, h))):
                 break
-    return made
+    return observer
 
 
 def _made(
@@ -327,13 +327,13 @@ def _made(
     for j in range(2, missed + 2):
         P = step @ P @ step.T + excited @ excited.T
         later.append(_kalman(P, measures, covariance))
-        whole = np.eye(system.n) - np.linalg.matrix_power(loop, j) @ expm(-system.A * h * j)
-        prompt.append(whole @ np.linalg.pinv(measures))
-    plain, candidates = _size(system, steady, h), list[tuple[float, Observer]]()
-    for after in (prompt, later):
-        observer = replace(steady, after=tuple(after))
+        combined = np.eye(system.n) - np.linalg.matrix_power(loop, j) @ expm(-system.A * h * j)
+        prompt.append(combined @ np.linalg.pinv(measures))
+    steady_size, candidates = _size(system, steady, h), list[tuple[float, Observer]]()
+    for gains in (prompt, later):
+        observer = replace(steady, after=tuple(gains))
         with suppress(ScenarioError):
-            size = _size(system, observer, h) / np.maximum(plain, 1e-300)
+            size = _size(system, observer, h) / np.maximum(steady_size, 1e-300)
             candidates.append((float(size.sum()), observer))
     return min(candidates, key=lambda each: each[0])[1] if candidates else observer
 

@@ -37,9 +37,9 @@ def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float
         return estimate
     E = system.error_map(thruster)
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS, E)
-    pushed = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
+    forced = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
     carried = np.abs(np.linalg.matrix_power(flow.phi, PARTS)) @ estimate
-    return np.asarray((carried + pushed) * (1 + ROUNDED))
+    return np.asarray((carried + forced) * (1 + ROUNDED))
 
 
 def unseen_by(system: Craft, tau: float) -> Array:
@@ -70,12 +70,12 @@ def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
     """
     A, B, m = system.A, system.B, system.m
     each = (fired * (h**power / by) for power, by in enumerate(PLACES[system.timing.pulse_place], 1))
-    speed, way, lasting = (part + system.thrusters.part(part) for part in each)
+    push, path, abs_path = (part + system.thrusters.part(part) for part in each)
     inverse = _spreading(system, h)
-    growth, bent = expm(np.abs(A) * h), A @ A @ B
-    shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
-    spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
-    within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
+    growth, AAB = expm(np.abs(A) * h), A @ A @ B
+    shape = np.abs(inverse @ AAB) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(AAB)
+    spread = (shape[:m] + shape[m:]) @ abs_path * (1 + ROUNDED)
+    within = np.abs(B) @ push + np.abs(A @ B) @ path + h * growth @ (np.abs(AAB) @ path + np.abs(B) @ spread)
     rounding = float(np.finfo(float).eps * fired.max())  # where next to nothing is left of larger numbers
     return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
 
@@ -93,11 +93,11 @@ def _spreading(system: Craft, h: float) -> Array:
     return np.linalg.pinv(moments)
 
 
-def when_measured(timing: Timing, h: float, away: Array) -> Array:
+def when_measured(timing: Timing, h: float, offset: Array) -> Array:
     """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
-    off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
+    mid = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
     return np.asarray(
-        away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
+        offset + (1.0 if mid else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)
     )
 
 
@@ -110,32 +110,32 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         If the system is so unstable that nothing bounds a prediction.
     """
     h, exact = period or 0.0, system.thrusters
-    late = 0.0 if timing.pulse_thrust or not timing.jitter else 2 * timing.jitter / h
+    jitter = 0.0 if timing.pulse_thrust or not timing.jitter else 2 * timing.jitter / h
     layout = None if system.nozzles is None else system.m
-    thrusters, timing = exact.stretched(late, layout), replace(timing, on_time=exact, period=h)
-    if late and layout:  # which make more than is commanded of what they have left
-        thrusters = thrusters.raised(2 * late * timing.carried_impulse / h * (1 + ROUNDED))
+    thrusters, timing = exact.stretched(jitter, layout), replace(timing, on_time=exact, period=h)
+    if jitter and layout:  # which make more than is commanded of what they have left
+        thrusters = thrusters.raised(2 * jitter * timing.carried_impulse / h * (1 + ROUNDED))
     system = replace(system, timing=timing, thrusters=thrusters)
-    away = moved = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
+    measured_offset = state_offset = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
     if timing.pulse_thrust:
-        bit, within = pulse_error(system, np.array(timing.pulse_thrust), h)
+        pulse_bit, within = pulse_error(system, np.array(timing.pulse_thrust), h)
         timing = replace(timing, intersample_offset=tuple(within.tolist()), lead=lead_of(system, h))
-        away, moved = when_measured(timing, h, moved), moved + within
-        system = replace(system, thrusters=exact.raised(bit))
-    timing = replace(timing, state_offset=tuple(moved.tolist()))
+        measured_offset, state_offset = when_measured(timing, h, state_offset), state_offset + within
+        system = replace(system, thrusters=exact.raised(pulse_bit))
+    timing = replace(timing, state_offset=tuple(state_offset.tolist()))
     system = replace(system, timing=timing)
     if system.observer is not None:  # of the motion under inputs that are held
-        system = observing(system, system.observer, h, away)
+        system = observing(system, system.observer, h, measured_offset)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
     timing = replace(timing, measured_error=tuple(np.max(steps, axis=0).tolist()))
     least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     hidden = int(np.ceil((ages[-1] / h) * (1 - WHOLE))) if h > 0 else 0
     older, full = _older(system, ages.tolist()), system.proportional_errors(system.u_max)
     steps = steps - (0.0 if system.observer is None else system.observer.by_command(full[: system.m]))
-    known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
-    still = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))
+    starts, of_step = np.unique(steps + measured_offset, axis=0, return_inverse=True)
+    idle = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))
     try:
-        errors = [[prediction_error(still, each, least, age) for each in known] for age in ages.tolist()]
+        errors = [[prediction_error(idle, each, least, age) for each in starts] for age in ages.tolist()]
         unseen = unseen_by(system, ages[-1])
     except ReachError as error:
         rule = f"must be shorter: a prediction of this system over {ages[-1]:g} s has no bound ({error})"

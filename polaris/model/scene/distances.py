@@ -34,8 +34,8 @@ def signed_distances(
     the whole state need states (..., n) of the system for p, and count as their slack.
     """
     out = np.empty((len(obstacles), *np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])))
-    whole = system is not None and system.n != system.d and np.shape(p)[-1] == system.n
-    place = np.asarray(p) @ system.position.T if whole and system is not None else p
+    of_state = system is not None and system.n != system.d and np.shape(p)[-1] == system.n
+    place = np.asarray(p) @ system.position.T if of_state and system is not None else p
     for o, obstacle in enumerate(obstacles):
         at = p if isinstance(obstacle, StateLimit) else place
         out[o] = obstacle.signed_distance(t, at, system, (states or {}).get(obstacle.name))
@@ -87,10 +87,10 @@ def closest(distances: ArrayLike, t: ArrayLike) -> SampledApproach:
             np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64)
         )
     nearest = values.min(axis=0)
-    when = np.argmin(nearest, axis=-1)[..., None]
-    which = np.take_along_axis(np.argmin(values, axis=0), when, axis=-1)[..., 0]
-    distance = np.take_along_axis(nearest, when, axis=-1)[..., 0]
-    return SampledApproach(distance, np.take_along_axis(times, when, axis=-1)[..., 0], which.astype(np.int64))
+    node = np.argmin(nearest, axis=-1)[..., None]
+    which = np.take_along_axis(np.argmin(values, axis=0), node, axis=-1)[..., 0]
+    distance = np.take_along_axis(nearest, node, axis=-1)[..., 0]
+    return SampledApproach(distance, np.take_along_axis(times, node, axis=-1)[..., 0], which.astype(np.int64))
 
 
 def _durations(t: ArrayLike, count: int) -> Array:

@@ -58,8 +58,8 @@ def drift_ttc(
     x = np.asarray(x, dtype=float)
     if x.ndim == 0 or x.shape[-1] != system.n:
         raise ScenarioError("x", x.shape, f"its last axis must be the {system.n} states of the system")
-    for name, given in (("t", np.asarray(t, dtype=float)), ("x", x)):
-        if not np.all(np.isfinite(given)):
+    for name, values in (("t", np.asarray(t, dtype=float)), ("x", x)):
+        if not np.all(np.isfinite(values)):
             raise ScenarioError(name, "nan or inf", "must be finite numbers")
     shape = np.broadcast_shapes(np.shape(t), x.shape[:-1])
     search = _Search(system, horizon, tolerance)
@@ -100,30 +100,30 @@ class _Search:
         intersample = self.h**2 / 8 * np.linalg.norm(np.abs(states[:, :-1]) @ self.curvature.T, axis=-1)
         path = np.linalg.norm(np.diff(p, axis=1), axis=-1)
         open_ = (distance[:, :-1] + distance[:, 1:] - path) / 2 - intersample <= 0
-        point, left = np.nonzero(open_ & (s[:-1] < entry[:, None]))
+        point, interval = np.nonzero(open_ & (s[:-1] < entry[:, None]))
         if len(point) == 0:
             return np.asarray(entry)
-        ends = np.stack([p[point, left], p[point, left + 1]])
-        gaps = np.stack([distance[point, left], distance[point, left + 1]])
-        bent, start, h = intersample[point, left], s[left], self.h
-        halvings = int(np.clip(np.ceil(np.log2(max(bent.max() / self.tolerance, 1.0)) / 2), 0, MOST_HALVINGS))
-        near = powers(expm(self.A * self.h / 2**halvings), 2**halvings)
-        cell, offset = left, np.zeros(len(left), dtype=int)
+        ends = np.stack([p[point, interval], p[point, interval + 1]])
+        gaps = np.stack([distance[point, interval], distance[point, interval + 1]])
+        sag, start, h = intersample[point, interval], s[interval], self.h
+        halvings = int(np.clip(np.ceil(np.log2(max(sag.max() / self.tolerance, 1.0)) / 2), 0, MOST_HALVINGS))
+        fine = powers(expm(self.A * self.h / 2**halvings), 2**halvings)
+        cell, offset = interval, np.zeros(len(interval), dtype=int)
         for level in range(1, halvings + 1):
-            h, bent = h / 2, bent / 4
+            h, sag = h / 2, sag / 4
             half = offset + 2 ** (halvings - level)
-            state = np.einsum("Nij,Nj->Ni", near[half], states[point, cell])
+            state = np.einsum("Nij,Nj->Ni", fine[half], states[point, cell])
             middle = state @ self.C.T - c[point] - v[point] * (start + h)[:, None]
             gap = shape.signed_distance(middle)
             np.minimum.at(entry, point[gap <= 0], (start + h)[gap <= 0])
             ends = np.concatenate([np.stack([ends[0], middle]), np.stack([middle, ends[1]])], axis=1)
             gaps = np.concatenate([np.stack([gaps[0], gap]), np.stack([gap, gaps[1]])], axis=1)
             start, offset = np.concatenate([start, start + h]), np.concatenate([offset, half])
-            point, cell, bent = np.tile(point, 2), np.tile(cell, 2), np.tile(bent, 2)
+            point, cell, sag = np.tile(point, 2), np.tile(cell, 2), np.tile(sag, 2)
             path = np.linalg.norm(ends[1] - ends[0], axis=-1)
-            kept = ((gaps[0] + gaps[1] - path) / 2 - bent <= 0) & (start < entry[point])
+            kept = ((gaps[0] + gaps[1] - path) / 2 - sag <= 0) & (start < entry[point])
             ends, gaps, start, offset = ends[:, kept], gaps[:, kept], start[kept], offset[kept]
-            point, cell, bent = point[kept], cell[kept], bent[kept]
+            point, cell, sag = point[kept], cell[kept], sag[kept]
         time = shape.entry_time(ends[0], (ends[1] - ends[0]) / h)
         inside = time <= h * (1 + 1e-9)
         np.minimum.at(entry, point[inside], (start + time)[inside])

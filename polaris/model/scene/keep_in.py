@@ -130,9 +130,9 @@ class KeepIn(Anchored):
         """One unsafe halfspace ``n p >= b`` per facet, named ``name[f]``."""
         self._check_cells(system, delta, cells, len(self.anchor))
         H, b = self.inside.H, self.inside.b
-        kept = -b + ROUNDING * (np.abs(b) + np.abs(H) @ np.abs(self.anchor))
+        limit = -b + ROUNDING * (np.abs(b) + np.abs(H) @ np.abs(self.anchor))
         return tuple(
-            TimedPolytope(f"{self.name}[{f}]", -H[f : f + 1], np.full((cells, 2, 1), kept[f]), keep_in=True)
+            TimedPolytope(f"{self.name}[{f}]", -H[f : f + 1], np.full((cells, 2, 1), limit[f]), keep_in=True)
             for f in range(len(b))
         )
 
@@ -166,17 +166,17 @@ class KeepInPolytope(Faceted, KeepIn):
         holds = during(self.begins, self.ends, np.arange(cells, dtype=float) * delta, delta)
         if holds.all() and self.ends == np.inf:
             return timed
-        known = all(when < cells * delta for when in (self.begins, self.ends) if when != np.inf)
+        static = all(limit < cells * delta for limit in (self.begins, self.ends) if limit != np.inf)
         factor = np.where(holds, 1.0, FAR)[:, None, None]
-        return tuple(replace(one, offsets=one.offsets * factor, static=known) for one in timed)
+        return tuple(replace(one, offsets=one.offsets * factor, static=static) for one in timed)
 
-    def signed_distance(self, t: ArrayLike, p: ArrayLike, *known: Any) -> Array:
+    def signed_distance(self, t: ArrayLike, p: ArrayLike, *args: Any) -> Array:
         """As of all obstacles; inf while it does not hold."""
-        return self._while(t, super().signed_distance(t, p, *known))
+        return self._while(t, super().signed_distance(t, p, *args))
 
-    def entry_time(self, t: ArrayLike, p: ArrayLike, v: ArrayLike, *known: Any) -> Array:
+    def entry_time(self, t: ArrayLike, p: ArrayLike, v: ArrayLike, *args: Any) -> Array:
         """As of all obstacles; inf while it does not hold."""
-        return self._while(t, super().entry_time(t, p, v, *known))
+        return self._while(t, super().entry_time(t, p, v, *args))
 
     def _while(self, t: ArrayLike, distances: Array) -> Array:
         holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
@@ -240,11 +240,11 @@ class KeepInCone(KeepIn):
     def _inflated(self, radius: float) -> "KeepInCone":
         """The cone of the points at least the radius from its sides: its apex moves along the axis."""
         inwards = radius / np.sin(self.half_angle_rad)
-        left = None if self.length is None else self.length - radius - inwards
-        if left is not None and left <= 0:
+        length = None if self.length is None else self.length - radius - inwards
+        if length is not None and length <= 0:
             rule = f"must leave something of {self.path}, which is {self.length:g} m long"
             raise ScenarioError("chaser.radius_m", radius, rule)
-        return replace(self, apex=self.anchor + inwards * np.asarray(self.axis), length=left)
+        return replace(self, apex=self.anchor + inwards * np.asarray(self.axis), length=length)
 
     @property
     def anchor(self) -> Array:

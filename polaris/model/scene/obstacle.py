@@ -48,20 +48,20 @@ class Obstacle(ABC):
         """
         if not radius > 0:
             return self
-        grown = self._inflated(radius)
-        object.__setattr__(grown, "chaser_radius", self.chaser_radius + radius)
-        return grown
+        obstacle = self._inflated(radius)
+        object.__setattr__(obstacle, "chaser_radius", self.chaser_radius + radius)
+        return obstacle
 
     def _inflated(self, radius: float) -> Self:
         rule = f"must be left out: {type(self).__name__} does not say how it is inflated (_inflated)"
         raise ScenarioError("chaser.radius_m", radius, rule)
 
-    def blurred(self, clock: float, moved: float) -> Self:
-        """The set at every time within `clock` [s] of the one that is asked for, grown by `moved` [m]."""
+    def blurred(self, clock: float, margin: float) -> Self:
+        """The set at every time within `clock` [s] of the one that is asked for, grown by `margin` [m]."""
         if clock > 0:
             rule = f"must be 0 with {self.path}, whose place at other times is not bounded"
             raise ScenarioError("timing.clock_error_s", clock, rule)
-        return self._inflated(moved) if moved > 0 else self
+        return self._inflated(margin) if margin > 0 else self
 
     @property
     def path(self) -> str:
@@ -139,8 +139,8 @@ class Obstacle(ABC):
         if array.ndim == 0 or array.shape[-1] != d:
             raise ScenarioError(name, array.shape, f"must end with {d} axes, as {self.path} has")
         if not np.all(np.isfinite(array)):
-            where = np.argwhere(~np.isfinite(array))[0].tolist()
-            raise ScenarioError(name, float(array[tuple(where)]), f"must be finite numbers (entry {where})")
+            index = np.argwhere(~np.isfinite(array))[0].tolist()
+            raise ScenarioError(name, float(array[tuple(index)]), f"must be finite numbers (entry {index})")
         return array
 
     def _check_cells(self, system: LinearSystem, delta: float, cells: int, d: int) -> None:
@@ -162,9 +162,9 @@ class Anchored(Obstacle):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor))
 
-    def blurred(self, clock: float, moved: float) -> Self:
+    def blurred(self, clock: float, margin: float) -> Self:
         """Grown by how far it moves meanwhile, too."""
-        return super().blurred(0.0, moved + clock * float(np.linalg.norm(self._v)) * (1 + ROUNDING))
+        return super().blurred(0.0, margin + clock * float(np.linalg.norm(self._v)) * (1 + ROUNDING))
 
     def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
@@ -265,13 +265,13 @@ def directions(d: int, facets: int | None = None, path: str = "facets") -> Array
             raise ScenarioError(path, count, "must be at most 360")
         angle = 2 * np.pi * np.arange(count) / count
         return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    wanted: dict[object, tuple[int, ...]] = {6: (1,), 14: (1, 3), 18: (1, 2), 26: (1, 2, 3), None: (1, 2, 3)}
-    if facets not in wanted or isinstance(facets, float):
+    counts: dict[object, tuple[int, ...]] = {6: (1,), 14: (1, 3), 18: (1, 2), 26: (1, 2, 3), None: (1, 2, 3)}
+    if facets not in counts or isinstance(facets, float):
         raise ScenarioError(path, facets, "must be 6, 14, 18 or 26 in three dimensions")
     grid = np.array(list(product((1.0, 0.0, -1.0), repeat=3)))
-    kept = grid[np.isin(np.abs(grid).sum(axis=1), wanted[facets])]
-    kept = kept[np.argsort(np.abs(kept).sum(axis=1), kind="stable")]
-    return np.asarray(kept / np.linalg.norm(kept, axis=1, keepdims=True))
+    normals = grid[np.isin(np.abs(grid).sum(axis=1), counts[facets])]
+    normals = normals[np.argsort(np.abs(normals).sum(axis=1), kind="stable")]
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def solid(path: str, H: ArrayLike, b: ArrayLike) -> PolytopeShape:

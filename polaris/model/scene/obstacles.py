@@ -151,10 +151,10 @@ def perceive(
     Each facet of a keep-in set becomes one set with ``keep_in=True``. `ScenarioError` if two share a name, or
     one does not fit the system.
     """
-    seen: set[str] = set()
+    names: set[str] = set()
     for obstacle in obstacles:
-        if obstacle.name in seen:
+        if obstacle.name in names:
             raise ScenarioError(f"{obstacle.path}.name", obstacle.name, "must differ from the other names")
-        seen.add(obstacle.name)
+        names.add(obstacle.name)
     sets = [obstacle.timed_polytopes(system, delta, cells) for obstacle in obstacles]
     return tuple(polytope for several in sets for polytope in several)

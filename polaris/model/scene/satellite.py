@@ -78,11 +78,11 @@ class SatelliteObstacle(Obstacle):
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
         normals = self._normals(system)
-        wanted, parts, intersample = max(1e-3, 1e-4 * self.radius), 1, np.inf
+        tolerance, parts, intersample = max(1e-3, 1e-4 * self.radius), 1, np.inf
         rule = f"must stay finite when propagated over {cells * delta:g} s"
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                while not intersample <= wanted and parts <= MOST_PARTS:
+                while not intersample <= tolerance and parts <= MOST_PARTS:
                     offsets, intersample, _ = self._cover(
                         system, normals @ system.position, delta, cells, parts
                     )
@@ -108,23 +108,23 @@ class SatelliteObstacle(Obstacle):
         chord of its nodes, lifted until it is above them all.
         """
         A, h = system.A, delta / parts
-        far, near = powers(expm(A * delta), cells - 1), powers(expm(A * h), parts)
-        carried = rows @ far[:, None] @ near  # (cells, parts+1, F, n)
-        half, grown = np.asarray(self.state_half_widths), growth(A, h)
+        coarse, fine = powers(expm(A * delta), cells - 1), powers(expm(A * h), parts)
+        carried = rows @ coarse[:, None] @ fine  # (cells, parts+1, F, n)
+        half, exp_bound = np.asarray(self.state_half_widths), growth(A, h)
         middle = carried @ self._x0
-        nominal = np.abs((near @ (far @ self._x0)[:, None, :, None])[:, :-1, :, 0])
-        bent = np.abs(carried[:, :-1] @ A @ A) @ grown
-        intersample = h**2 / 8 * (bent @ half + nominal @ (np.abs(rows @ A @ A) @ grown).T)
+        nominal = np.abs((fine @ (coarse @ self._x0)[:, None, :, None])[:, :-1, :, 0])
+        curvature = np.abs(carried[:, :-1] @ A @ A) @ exp_bound
+        intersample = h**2 / 8 * (curvature @ half + nominal @ (np.abs(rows @ A @ A) @ exp_bound).T)
         node = middle + np.abs(carried) @ half + self.radius
         size = np.abs(carried) @ (np.abs(self._x0) + half) + self.radius
         for M, accel in self.pushes(system):
             rate = accel * np.linalg.norm(carried @ M, axis=-1)
-            excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
+            excess = h**3 / 12 * accel * np.linalg.norm(curvature @ np.abs(M), axis=-1)
             each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(rows))
-            gained = np.vstack([np.zeros(len(rows)), np.cumsum(each, axis=0)])
+            integral = np.vstack([np.zeros(len(rows)), np.cumsum(each, axis=0)])
             steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
-            node = node + gained[steps]
-            size = size + gained[steps]
+            node = node + integral[steps]
+            size = size + integral[steps]
             intersample = intersample + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
         node = node + ROUNDING * size
         lifted = node.copy()
@@ -173,16 +173,16 @@ class SatelliteObstacle(Obstacle):
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Position [m] and velocity [m/s]: of the true `state` (..., n) if given, else of the nominal one."""
-        known, system = self._known(t, system, state)
-        return np.asarray(known @ system.position.T), np.asarray(known @ system.velocity.T)
+        states, system = self._known(t, system, state)
+        return np.asarray(states @ system.position.T), np.asarray(states @ system.velocity.T)
 
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
         """Return the relative state: both drift under the same dynamics, so their difference does."""
-        known, _ = self._known(t, system, state)
-        still = np.zeros(system.d)
-        return x - known, still, still
+        states, _ = self._known(t, system, state)
+        zero = np.zeros(system.d)
+        return x - states, zero, zero
 
     def outline(self, t: float, system: LinearSystem) -> Array:
         """Vertices [m] of the over-approximating polytope at time t, shape (V, d)."""
@@ -204,11 +204,11 @@ class SatelliteObstacle(Obstacle):
             raise ScenarioError(f"{self.path}.system", None, "must be given to propagate another satellite")
         if state is None:
             return self.nominal(t, system), system
-        known = np.asarray(state, dtype=float)
-        if known.ndim == 0 or known.shape[-1] != system.n or not np.all(np.isfinite(known)):
+        states = np.asarray(state, dtype=float)
+        if states.ndim == 0 or states.shape[-1] != system.n or not np.all(np.isfinite(states)):
             rule = f"must be finite, its last axis the {system.n} states of the system"
-            raise ScenarioError(f"{self.path}.state", known.shape, rule)
-        return known, system
+            raise ScenarioError(f"{self.path}.state", states.shape, rule)
+        return states, system
 
     def _fits(self, system: LinearSystem) -> None:
         if len(self._x0) != system.n:
@@ -233,11 +233,11 @@ def free_motion(A: Array, x0: Array, t: Array) -> Array:
     h = span / count
     nodes = powers(expm(A * h), count) @ (expm(A * low) @ x0)
     index = np.minimum(((flat - low) / h).astype(int), count) if span > 0 else np.zeros(flat.size, dtype=int)
-    rest = (flat - low - index * h)[:, None]
+    elapsed = (flat - low - index * h)[:, None]
     total = nodes[index]
     term = total
     for k in range(1, 100):
-        term = term @ A.T * (rest / k)
+        term = term @ A.T * (elapsed / k)
         total = total + term
         if not np.abs(term).max() > 1e-17 * np.abs(total).max():
             break
@@ -258,19 +258,19 @@ def true_states(
         spread = rng.uniform(-1.0, 1.0, (runs, system.n))
         spread[: runs - runs // 2] = np.where(spread[: runs - runs // 2] < 0, -1.0, 1.0)
         x0 = np.asarray(satellite.state) + spread * np.asarray(satellite.state_half_widths)
-        way = rng.normal(size=(runs, system.d))
+        direction = rng.normal(size=(runs, system.d))
         share = np.ones((runs, 1))
         share[runs - runs // 2 :] = rng.random((runs // 2, 1))
         free = powers(discretize(system.A, system.D, h)[0], len(times) - 1)
         states = np.einsum("tij,rj->rti", free, x0)
         for M, bound in satellite.pushes(system):
             # What accelerates the position in that direction; any input, if none accelerates it at once.
-            push = way @ system.velocity @ M
+            push = direction @ system.velocity @ M
             idle = np.linalg.norm(push, axis=1) == 0
             push[idle] = rng.normal(size=(int(idle.sum()), push.shape[1]))
             push *= bound * share / np.linalg.norm(push, axis=1, keepdims=True)
-            held = discretize(system.A, M, h)[1]
-            forced = np.concatenate([np.zeros((1, *held.shape)), np.cumsum(free[:-1] @ held, axis=0)])
+            Bd = discretize(system.A, M, h)[1]
+            forced = np.concatenate([np.zeros((1, *Bd.shape)), np.cumsum(free[:-1] @ Bd, axis=0)])
             states = states + np.einsum("tij,rj->rti", forced, push)
         out[satellite.name] = states
     return out

@@ -49,9 +49,9 @@ def _in_time(path: Array, speed: Array) -> Array:
         return np.where((path < np.inf) & (speed > 0), path / speed, np.inf)
 
 
-def _in_parts(measure: Callable[..., Array], width: int, *given: Array) -> Array:
+def _in_parts(measure: Callable[..., Array], width: int, *vectors: Array) -> Array:
     """Measure stacks of vectors (..., d), so many at a time that `CHUNK` numbers are held, shape (...)."""
-    stacks = [np.asarray(one, dtype=float) for one in given]
+    stacks = [np.asarray(one, dtype=float) for one in vectors]
     shape = np.broadcast_shapes(*(one.shape[:-1] for one in stacks))
     flat = [np.broadcast_to(one, shape + one.shape[-1:]).reshape(-1, one.shape[-1]) for one in stacks]
     step, out = max(1, CHUNK // width), np.empty(len(flat[0]))
@@ -118,19 +118,19 @@ class PolytopeShape:
 
     def _distance(self, p: Array) -> Array:
         r = p @ self.H.T - self.b
-        worst = np.asarray(r.max(axis=1))
-        outside = worst > 0
-        worst[outside] = self._outside(r[outside], worst[outside])
-        return worst
+        largest = np.asarray(r.max(axis=1))
+        outside = largest > 0
+        largest[outside] = self._outside(r[outside], largest[outside])
+        return largest
 
-    def _outside(self, r: Array, best: Array) -> Array:
+    def _outside(self, r: Array, bound: Array) -> Array:
         # Two facets or more matter only where two are violated or the pair bends outwards; testing
         # all faces is as fast as sorting the points first.
-        square = best**2
+        square = bound**2
         for index, inverse in self._faces:
-            own = r[:, index]
-            multipliers = np.einsum("cij,ncj->nci", inverse, own)
-            value = np.einsum("nci,nci->nc", multipliers, own)
+            residuals = r[:, index]
+            multipliers = np.einsum("cij,ncj->nci", inverse, residuals)
+            value = np.einsum("nci,nci->nc", multipliers, residuals)
             value[np.any(multipliers < 0, axis=-1)] = 0.0
             square = np.maximum(square, value.max(axis=1))
         return np.asarray(np.sqrt(square))
@@ -154,9 +154,9 @@ class PolytopeShape:
                 continue
             index = np.array(sorted(sets))
             gram = np.einsum("cid,cjd->cij", self.H[index], self.H[index])
-            keep = np.linalg.eigvalsh(gram)[:, 0] > 1e-11
-            if np.any(keep):
-                faces.append((index[keep], np.linalg.inv(gram[keep])))
+            independent = np.linalg.eigvalsh(gram)[:, 0] > 1e-11
+            if np.any(independent):
+                faces.append((index[independent], np.linalg.inv(gram[independent])))
         return faces
 
     @cached_property
@@ -191,10 +191,10 @@ class PolytopeShape:
         cost = np.r_[np.zeros(self.d), -1.0]
         rows = np.c_[self.H, np.ones(len(self.b))]
         bounds = [(None, None)] * self.d + [(None, 1.0)]
-        answer = linprog(cost, A_ub=rows, b_ub=self.b / scale, bounds=bounds, method="highs")
-        if answer.status != 0:
+        solved = linprog(cost, A_ub=rows, b_ub=self.b / scale, bounds=bounds, method="highs")
+        if solved.status != 0:
             return np.zeros(self.d), -np.inf
-        return np.asarray(answer.x[:-1] * scale), float(answer.x[-1] * scale)
+        return np.asarray(solved.x[:-1] * scale), float(solved.x[-1] * scale)
 
     @cached_property
     def bounded(self) -> bool:
@@ -204,19 +204,19 @@ class PolytopeShape:
         if np.linalg.matrix_rank(self.H, tol=1e-10) < self.d:
             return False
         count = len(self.b)
-        answer = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
-        return bool(answer.status == 0)
+        solved = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
+        return bool(solved.status == 0)
 
     def vertices(self) -> Array:
         """Vertices of a bounded set, shape (V, d), counter-clockwise in the plane."""
         if not self.bounded:
             raise ScenarioError("polytope", self.H.tolist(), "must be bounded to be drawn")
         points, tolerance = self._minimal_faces
-        keep: list[Array] = []
+        distinct: list[Array] = []
         for point in points:
-            if all(np.abs(point - other).max() > 10 * tolerance for other in keep):
-                keep.append(point)
-        corners = np.array(keep).reshape(-1, self.d)
+            if all(np.abs(point - other).max() > 10 * tolerance for other in distinct):
+                distinct.append(point)
+        corners = np.array(distinct).reshape(-1, self.d)
         if self.d == 2:
             centred = corners - corners.mean(axis=0)
             corners = corners[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
@@ -258,9 +258,9 @@ class PolytopeShape:
         """Depth [m] of the deepest point of a zonotope; if all are outside, the widest gap at a facet."""
         from scipy.optimize import linprog
 
-        apart = float(np.max(-place.support(-self.H) - self.b))  # one facet has all of it beyond
-        if apart > 0:
-            return -apart
+        gap = float(np.max(-place.support(-self.H) - self.b))  # one facet has all of it beyond
+        if gap > 0:
+            return -gap
         g, clearance = place.order_count, self.b - self.H @ place.c
         if g == 0:
             return float(np.min(clearance))

@@ -90,15 +90,15 @@ class StateLimit(Obstacle):
         """
         self._check_cells(system, delta, cells, system.d)
         holds = self.steps(delta, cells)
-        known, timed = max(self.begins, self.ends or 0.0) <= cells * delta, []
-        moved = system.state_offset if isinstance(system, Craft) else np.zeros(system.n)
+        static, timed = max(self.begins, self.ends or 0.0) <= cells * delta, []
+        state_offset = system.state_offset if isinstance(system, Craft) else np.zeros(system.n)
         for i, part in enumerate(self.polytopes(system)):
             rows, b = self._measured(*part, system)
-            grown = b + np.abs(rows) @ moved + ROUNDING * np.abs(b)
-            away = -(FAR**2) * (FAR + np.abs(b))
-            offsets = np.where(holds[:, None, None], grown, away) + np.zeros((cells, 2, 1))
+            active = b + np.abs(rows) @ state_offset + ROUNDING * np.abs(b)
+            inactive = -(FAR**2) * (FAR + np.abs(b))
+            offsets = np.where(holds[:, None, None], active, inactive) + np.zeros((cells, 2, 1))
             name = f"{self.name}[{i}]" if self.inside else self.name
-            timed.append(TimedPolytope(name, rows, offsets, self.inside, known, of_state=True))
+            timed.append(TimedPolytope(name, rows, offsets, self.inside, static, of_state=True))
         return tuple(timed)
 
     def steps(self, delta: float, cells: int) -> NDArray[np.bool_]:
@@ -116,8 +116,8 @@ class StateLimit(Obstacle):
         holds = (self.begins <= t) & (t < (np.inf if self.ends is None else self.ends))
         return np.asarray(np.where(holds, slack, np.inf))
 
-    def blurred(self, clock: float, moved: float) -> Self:
-        """Return the limit: it counts by the schedule's clock; its polytopes grow by what is `moved`."""
+    def blurred(self, clock: float, margin: float) -> Self:
+        """Return the limit: it counts by the schedule's clock; its polytopes grow by what is `margin`."""
         return self
 
     def _inflated(self, radius: float) -> Self:

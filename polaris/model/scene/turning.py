@@ -91,32 +91,32 @@ class TurningKeepIn(StateLimit):
         """
         self._check_cells(system, delta, cells, np.asarray(self.H).shape[1])
         steps = np.flatnonzero(self.steps(delta, cells))
-        clock, moved = 0.0, np.zeros(system.n)
+        clock, offset = 0.0, np.zeros(system.n)
         if isinstance(system, Craft):
-            clock, moved = system.timing.clock, system.state_offset
+            clock, offset = system.timing.clock, system.state_offset
         late: Array = np.asarray((steps + 1) * delta + clock, dtype=float)
-        wide = abs(self.rate) * (delta / 2 + clock) + self.angle_error_rad + self.rate_error * late
-        if np.any(wide > WIDEST):
+        half_angle = abs(self.rate) * (delta / 2 + clock) + self.angle_error_rad + self.rate_error * late
+        if np.any(half_angle > WIDEST):
             rule = f"must turn by at most {WIDEST:g} rad about the middle of a step, errors included: here"
             raise ScenarioError(
-                f"{self.path}.rate", self.rate, f"{rule} {wide.max():.3g}; take shorter steps"
+                f"{self.path}.rate", self.rate, f"{rule} {half_angle.max():.3g}; take shorter steps"
             )
         middle: Array = np.asarray(self.rate * (steps + 0.5) * delta, dtype=float)
-        along, turned = self._turned(middle)
-        sides = [along + self._turned(middle + way)[1] for way in (-wide, wide)]
-        corners = np.stack([*sides, along + turned / np.cos(wide)[:, None, None]])  # (3, k, F, d)
+        along, across = self._turned(middle)
+        sides = [along + self._turned(middle + angle)[1] for angle in (-half_angle, half_angle)]
+        corners = np.stack([*sides, along + across / np.cos(half_angle)[:, None, None]])  # (3, k, F, d)
         timed, far, each = [], FAR**3, np.arange(len(steps))
         for f, b in enumerate(np.asarray(self.b)):
             for i in range(CORNERS):
                 rows = -corners[i, :, f] @ system.position
                 offsets = np.full((cells, 2, max(len(steps), 1)), -far)
                 offsets[steps] = far
-                kept = -b + np.abs(rows) @ moved + ROUNDING * abs(b)
-                offsets[steps, :, each] = kept[:, None]
+                bound = -b + np.abs(rows) @ offset + ROUNDING * abs(b)
+                offsets[steps, :, each] = bound[:, None]
                 rows = rows if len(steps) else np.ones((1, system.n))
                 name = f"{self.name}[{CORNERS * f + i}]"
-                known = self.ends <= cells * delta
-                timed.append(TimedPolytope(name, rows, offsets, True, known, of_state=True))
+                static = self.ends <= cells * delta
+                timed.append(TimedPolytope(name, rows, offsets, True, static, of_state=True))
         return tuple(timed)
 
     def signed_distance(
@@ -129,12 +129,12 @@ class TurningKeepIn(StateLimit):
         nominal = super().signed_distance(t, p, system, state)
         assert system is not None
         t, place = np.asarray(t, dtype=float), np.asarray(p, dtype=float) @ system.position.T
-        error, least = self.angle_error_rad + self.rate_error * t, np.full(nominal.shape, np.inf)
+        error, distance = self.angle_error_rad + self.rate_error * t, np.full(nominal.shape, np.inf)
         for share in (-1.0, 0.0, 1.0):
-            along, turned = self._turned(self.rate * t + share * error)
-            slack = self.b - np.einsum("...fd,...d->...f", along + turned, place)
-            least = np.minimum(least, slack.min(axis=-1))
-        return np.asarray(np.where(np.isinf(nominal), np.inf, least))
+            along, across = self._turned(self.rate * t + share * error)
+            slack = self.b - np.einsum("...fd,...d->...f", along + across, place)
+            distance = np.minimum(distance, slack.min(axis=-1))
+        return np.asarray(np.where(np.isinf(nominal), np.inf, distance))
 
 
 def turned(H: Array, axis: ArrayLike | None, angles: Array) -> tuple[Array, Array]:

@@ -85,7 +85,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
     from ...runs.files.atomic import adding
     from . import comparison, flight, inspection
 
-    known: dict[str, Mapping[str, Figure]] = {
+    by_kind: dict[str, Mapping[str, Figure]] = {
         "schedule": FIGURES,
         "inspection": flight.FIGURES,
         "fuel_limit": inspection.FUEL_FIGURES,
@@ -96,8 +96,8 @@ def draw_run(folder: RunFolder) -> list[Path]:
     picture = folder.plot_data()
     if folder.kind.name == "mission":
         return [path for leg in picture.legs for path in draw_run(leg)]
-    with adding(folder.path, "figures") as beside:
-        names = [path.name for path in draw_figures(picture, beside, known[folder.kind.name])]
+    with adding(folder.path, "figures") as staging:
+        names = [path.name for path in draw_figures(picture, staging, by_kind[folder.kind.name])]
     return [folder.path / "figures" / name for name in names]
 
 

@@ -23,8 +23,8 @@ def draw_closeup(
     ax: Any, picture: PlotData, one: CloseUp, letter: str, aspect: float, width: float
 ) -> list[Any]:
     """Draw one close-up, wholly within `width` [in], as high as `aspect` times that; handles of its own."""
-    apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
-    place = f"{HERE} {seconds(one.time)} s: {apart} m"
+    distance = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
+    place = f"{HERE} {seconds(one.time)} s: {distance} m"
     place += " apart" if one.distance < 1000 and text_width(place + " apart") < width else ""
     title = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
     ax.locator_params(nbins=4)
@@ -67,19 +67,19 @@ def _in_plane(ax: Any, picture: PlotData, one: CloseUp, axes: list[int], aspect:
     ax.plot(*path[at, axes], marker="o", mfc="white", mec=BLACK, mew=0.7, ms=3, zorder=6)
     body = np.vstack([space.corners(one.obstacle, one.time), *([] if cover is None else [cover])]) - origin
     for u in alone(picture):  # where it is no further off in depth than the panel shows beside
-        flown = picture.positions(u.flights)
+        positions = picture.positions(u.flights)
         if moves(one.obstacle, picture):
-            flown = flown - one.obstacle.centre(u.flights.times, picture.system)
-        far = np.maximum(body.min(axis=0) - half.max() - flown, flown - body.max(axis=0) - half.max())
-        flown[np.any(np.delete(far, axes, axis=1) > 0, axis=1)] = np.nan
-        _alone(ax, flown[:, axes], u.colour)
+            positions = positions - one.obstacle.centre(u.flights.times, picture.system)
+        far = np.maximum(body.min(axis=0) - half.max() - positions, positions - body.max(axis=0) - half.max())
+        positions[np.any(np.delete(far, axes, axis=1) > 0, axis=1)] = np.nan
+        _alone(ax, positions[:, axes], u.colour)
     return [] if cover is None else [Line2D([], [], color=DULL_RED, lw=0.7, label=LOOKS["cover"].legend)]
 
 
-def _alone(ax: Any, flown: Array, colour: str) -> None:
+def _alone(ax: Any, path: Array, colour: str) -> None:
     """Draw the path of U alone, where there is any."""
-    if np.isfinite(flown).any():
-        ax.plot(*flown.T, color=colour, lw=0.9, ls=DASHES, zorder=3.5)
+    if np.isfinite(path).any():
+        ax.plot(*path.T, color=colour, lw=0.9, ls=DASHES, zorder=3.5)
 
 
 def _over_time(ax: Any, picture: PlotData, one: CloseUp) -> list[Any]:

@@ -87,7 +87,7 @@ def _tradeoffs(methods: Methods) -> Any:
 
 def _paths(results: ComparisonData) -> Any:
     """Every method's run that came closest."""
-    picture, methods, shown = results.run.plot_data(), _available(results.table["methods"]), results.shown
+    picture, methods, flights = results.run.plot_data(), _available(results.table["methods"]), results.shown
     if picture.system.d == 1:
         return None
     bare = replace(picture, tube=None, slices=None)
@@ -104,7 +104,7 @@ def _paths(results: ComparisonData) -> Any:
     cut: list[Any] = []
     for ax, method in zip(grid.flat, methods, strict=False):
         frame_axes(ax, view)
-        one = shown.get(method["key"])
+        one = flights.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         words = "not flown" if one is None else f"minimum distance {float(one.nearest[0].min()):.3g} m"
         title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{words}"
@@ -118,11 +118,11 @@ def _paths(results: ComparisonData) -> Any:
         shown_sets = describe(replace(bare, flights={} if one is None else {"polaris": one}))
         draw_unsafe(ax, replace(shown_sets, low=view.low, high=view.high), named=False)
         if one is not None:
-            flown = (one.states[0] @ picture.system.position.T)[:, flat]
+            path = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
                 chosen = one.modes[0] > 0 if mode > 0 else one.modes[0] == mode
                 if chosen.any():
-                    ax.plot(*under_mode(flown, chosen).T, color=colour, lw=1.1, zorder=4)
+                    ax.plot(*under_mode(path, chosen).T, color=colour, lw=1.1, zorder=4)
         cut = mark_cuts(ax) or cut
     figure.supxlabel(frame.labels[0], fontsize=7)
     figure.supylabel(frame.labels[1], fontsize=7)
@@ -157,21 +157,21 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     figure = new_figure(2.7 + 0.07 * len(places), 1.4 * WIDTH)
     ax = figure.add_subplot()
     ax.margins(0.1)
-    spent = [place[0] for place in places]
-    if max(spent) > SPREAD * min(spent) > 0:
+    costs = [place[0] for place in places]
+    if max(costs) > SPREAD * min(costs) > 0:
         ax.set_xscale("log")
         ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
         ax.xaxis.set_major_formatter("{x:g}")
         ax.xaxis.set_minor_locator(NullLocator())
-    front = sorted(place for place, here in places.items() if any(one["non_dominated"] for one in here))
+    front = sorted(place for place, group in places.items() if any(one["non_dominated"] for one in group))
     ax.plot([place[0] for place in front], [place[1] for place in front], color=BLACK, lw=0.9, zorder=2)
-    for (x, y, _), here in places.items():
+    for (x, y, _), group in places.items():
         ax.plot(x, y, "o", color=BLACK if (x, y, _) in front else GREY, ms=4, zorder=3)
-        if any(one["value"] is None for one in here):
+        if any(one["value"] is None for one in group):
             ax.plot(x, y, "D", color=PURPLE, ms=8, mfc="none", mew=1.0, zorder=4)
-    known = sorted(point["value"] for point in points if point["value"] is not None)
-    for (x, y, switches), here in places.items():
-        name(ax, f"{_prices(here, known)}, {counted(switches, 'switch', 'switches')}", [[x, y]], BLACK)
+    prices = sorted(point["value"] for point in points if point["value"] is not None)
+    for (x, y, switches), group in places.items():
+        name(ax, f"{_prices(group, prices)}, {counted(switches, 'switch', 'switches')}", [[x, y]], BLACK)
     weighted = any(point["share"] != point["weighted_share"] for point in points)
     ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
     ax.set_xlabel("Delta-v, mean over runs (m/s)")
@@ -182,14 +182,14 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     return figure
 
 
-def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
+def _prices(group: Sequence[Mapping[str, Any]], all_prices: Sequence[float]) -> str:
     """Prices of the points at one place, three or more in a row of all that are known as from and to."""
-    prices = sorted(one["value"] for one in here if one["value"] is not None)
+    prices = sorted(one["value"] for one in group if one["value"] is not None)
     names = [f"{price:g}" for price in prices]
-    if len(prices) > 2 and prices == [price for price in known if prices[0] <= price <= prices[-1]]:
+    if len(prices) > 2 and prices == [price for price in all_prices if prices[0] <= price <= prices[-1]]:
         names = [f"{names[0]} to {names[-1]}"]
     words = [f"price {', '.join(names)}"] if names else []
-    return ", ".join(words + ["printed"] * (len(here) > len(prices)))
+    return ", ".join(words + ["printed"] * (len(group) > len(prices)))
 
 
 FIGURES = {"tradeoffs": lambda shown: _tradeoffs(shown.table["methods"]), "paths": _paths}
@@ -207,19 +207,19 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
     fields = list(dict.fromkeys(point["field"] for point in points))
     figure = new_figure(0.4 + 1.7 * len(fields), 1.4 * WIDTH)
     for ax, field in zip(figure.subplots(len(fields), squeeze=False)[:, 0], fields, strict=True):
-        mine = sorted((one for one in points if one["field"] == field), key=lambda one: float(one["value"]))
-        values, beside = np.array([one["value"] for one in mine], dtype=float), ax.twinx()
+        rows = sorted((one for one in points if one["field"] == field), key=lambda one: float(one["value"]))
+        values, twin = np.array([one["value"] for one in rows], dtype=float), ax.twinx()
         if values.min() > 0 and values.max() > SPREAD * values.min():
             ax.set_xscale("log")
         for key, (colour, scale, _) in LINES.items():
-            heights = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
-            one = ax if key == "share" else beside
+            heights = np.array([np.nan if row[key] is None else scale * row[key] for row in rows])
+            one = ax if key == "share" else twin
             one.plot(values, heights, "o-", color=colour, ms=3, lw=0.9)
-        none = values[[row["guarantee"] == "infeasible" for row in mine]]
-        if len(none):
-            ax.plot(none, 0 * none, "x", color=RED, ms=5, clip_on=False)
+        infeasible = values[[row["guarantee"] == "infeasible" for row in rows]]
+        if len(infeasible):
+            ax.plot(infeasible, 0 * infeasible, "x", color=RED, ms=5, clip_on=False)
         ax.set(ylim=(0, 105), xlabel=field, ylabel="Share of U (%)")
-        beside.set(ylim=(0, None), ylabel="Delta-v (m/s)")
+        twin.set(ylim=(0, None), ylabel="Delta-v (m/s)")
         ax.grid(True)
     handles = [dot("o", colour, 4, name) for colour, _, name in LINES.values()]
     handles.append(dot("x", RED, 4, "infeasible"))

@@ -24,22 +24,22 @@ PALE = 0.75  # a colour lighter than this is not seen as a mark
 def mark_cuts(ax: Any) -> list[Any]:
     """Mark where the frame cuts lines and sets by markers that point on; return a handle of them, if any."""
     limits = np.array([ax.get_xlim(), ax.get_ylim()])
-    apart = APART * np.ptp(limits, axis=1)
+    spacing = APART * np.ptp(limits, axis=1)
     to_data, places = ax.transData.inverted(), {side: list[tuple[float, str]]() for side in MARKERS}
     drawn = [one for one in (*ax.lines, *ax.collections, *ax.patches) if not isinstance(one, PathCollection)]
     drawn = [one for one in drawn if all(one.get_transform().contains_branch_seperately(ax.transData))]
     for artist in sorted(drawn, key=_is_face):  # a face has the mark of its edge
         closed, colour, face = not isinstance(artist, LINES), _colour(artist), _is_face(artist)
         parts = [to_data.transform(part) for part in polylines(artist)]
-        for (axis, side), known in places.items():
+        for (axis, side), marks in places.items():
             ends = limits[axis, side], limits[1 - axis]
             for at in sorted(at for part in parts for at in _crossings(part, axis, side, *ends, closed)):
-                near = [mark for other, mark in known if abs(at - other) <= apart[1 - axis]]
+                near = [mark for other, mark in marks if abs(at - other) <= spacing[1 - axis]]
                 if not (near if face else colour in near):
-                    known.append((at, colour))
+                    marks.append((at, colour))
     look: dict[str, Any] = {"ms": 3.5, "mec": "white", "mew": 0.3, "clip_on": False, "zorder": 6.5}
-    for (axis, side), known in places.items():
-        for at, colour in known:
+    for (axis, side), marks in places.items():
+        for at, colour in marks:
             point = (at, limits[axis, side]) if axis else (limits[axis, side], at)
             ax.plot(*point, MARKERS[axis, side], color=colour, gid="cut", **look)
     return [dot(">", GREY, 3.5, OUT_OF_FRAME)] if any(places.values()) else []

@@ -31,10 +31,10 @@ def _over_time(name: str, height: float, run: InspectionRun) -> Any:
 
 
 def _overview(run: InspectionRun) -> Any:
-    figure, known, controllers = new_figure(7.2, 2 * WIDTH), diagrams(run), deputies(run)
-    thrust = known["thrust"]
+    figure, by_name, controllers = new_figure(7.2, 2 * WIDTH), diagrams(run), deputies(run)
+    thrust = by_name["thrust"]
     both = replace(thrust[0], label="Thrust", series=list(chain(*(panel.series for panel in thrust))))
-    chosen = [None, *(known.get(name) for name in ("separation", "sun", "deputy_sun")), None, [both]]
+    chosen = [None, *(by_name.get(name) for name in ("separation", "sun", "deputy_sun")), None, [both]]
     for letter, ax, panels in zip("abcdef", figure.subplots(3, 2).ravel(), chosen, strict=True):
         if letter in "ae":
             (_speed if letter == "a" else _passive)(ax, run)

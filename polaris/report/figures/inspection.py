@@ -30,9 +30,9 @@ def initial_conditions(picture: CampaignData) -> Any:
     size = 9.0 if len(order) * order.shape[1] < 1500 else 3.0
     studies = zip(axes, picture.studies, picture.success, picture.failed, strict=False)
     for ax, name, success, failed in studies:
-        for chosen, shown, wide, level in ((~failed, tint(SKY, 0.75), size, 2), (failed, RED, 4 * size, 3)):
+        for chosen, fill, wide, level in ((~failed, tint(SKY, 0.75), size, 2), (failed, RED, 4 * size, 3)):
             p = order[chosen]
-            ax.scatter(p[:, 1], p[:, 0], s=wide, marker="*", color=shown, lw=0, zorder=level, rasterized=True)
+            ax.scatter(p[:, 1], p[:, 0], s=wide, marker="*", color=fill, lw=0, zorder=level, rasterized=True)
         ax.plot([0], [0], "o", color=BLACK, ms=3, zorder=4)
         ax.set_title(f"{name}\n{success.mean():.2%} of {len(success)} runs safe", fontsize=7)
         ax.set(xlim=(-limit, limit), ylim=(-limit, limit))
@@ -54,9 +54,9 @@ def failures(picture: CampaignData) -> Any:
     ax = figure.add_subplot()
     rows = np.arange(len(picture.studies))[::-1]
     height = 0.8 / max(len(picture.whats), 1)
-    for k, what in enumerate(picture.whats):
+    for k, failure in enumerate(picture.whats):
         place = rows + 0.4 - height * (k + 0.5)
-        look = {"height": 0.85 * height, "color": BAR_COLOURS[k % 8], "lw": 0, "label": what, "zorder": 2}
+        look = {"height": 0.85 * height, "color": BAR_COLOURS[k % 8], "lw": 0, "label": failure, "zorder": 2}
         ax.bar_label(ax.barh(place, picture.counts[:, k], **look), fmt=" %d", fontsize=6.5)
     ax.set_yticks(rows, picture.studies)
     ax.set(xlabel="Runs", ylim=(-0.55, len(rows) - 0.45))
@@ -108,8 +108,8 @@ def _path(run: FuelRun) -> Any:
 def _fuel(run: FuelRun) -> Any:
     """Draw the velocity change spent, its limit, and that of the predicted backup flights."""
     timeline = fuel_timeline(run)
-    spent = timeline.panels[0]
-    panel = replace(spent, series=[*spent.series, *predicted_fuel(run)])
+    fuel_panel = timeline.panels[0]
+    panel = replace(fuel_panel, series=[*fuel_panel.series, *predicted_fuel(run)])
     return timeline_figure([panel], timeline.controllers, timeline.marks, 2.0)
 
 

@@ -38,8 +38,8 @@ def name(ax: Any, text: str, points: Any, colour: Any) -> None:
         labels = ax.add_artist(Labels(zorder=7.9))
         labels.set_in_layout(False)
         labels.set_clip_on(False)
-    where, look = (0.5, 0.5), {"ha": "center", "va": "center", "fontsize": 7, "zorder": 8}
-    drawn = ax.text(*where, text, color=colour, transform=ax.transAxes, **look)
+    centre, look = (0.5, 0.5), {"ha": "center", "va": "center", "fontsize": 7, "zorder": 8}
+    drawn = ax.text(*centre, text, color=colour, transform=ax.transAxes, **look)
     drawn.set_in_layout(False)
     drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
     labels.known.append((drawn, np.atleast_2d(np.asarray(points, dtype=float))))
@@ -110,12 +110,12 @@ class Labels(Artist):
         drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
         inside = np.all((drawn >= low) & (drawn < high), axis=1)
         free_space = _Map(low, high, cell, drawn[inside])
-        own = {text for text, _ in self.known}
-        others = [text for text in ax.texts if text not in own and text.get_visible() and text.get_text()]
+        names = {text for text, _ in self.known}
+        others = [text for text in ax.texts if text not in names and text.get_visible() and text.get_text()]
         free_space.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
         leaders = []
-        for text, named in self.known:
-            points = _display(ax, named)
+        for text, coords in self.known:
+            points = _display(ax, coords)
             inside = np.all((points >= low) & (points <= high), axis=1) if len(points) > 1 else [True]
             text.set_visible(bool(np.isfinite(points).all() and len(points)))
             if not text.get_visible():
@@ -139,8 +139,8 @@ def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
     The leader (2, 2) goes from the text to the nearest anchor; nan if the text stands beside it. All in [px].
     """
     chosen = anchors[np.unique(np.linspace(0, len(anchors) - 1, ANCHORS).astype(int))]
-    beside = [np.array(SIDES) * (size / 2 + GAP * point + ring * size[1]) for ring in RINGS]
-    places = (chosen[:, None] + np.concatenate(beside)).reshape(-1, 2)
+    offsets = [np.array(SIDES) * (size / 2 + GAP * point + ring * size[1]) for ring in RINGS]
+    places = (chosen[:, None] + np.concatenate(offsets)).reshape(-1, 2)
     middle, extent = (outline.min(axis=0) + outline.max(axis=0)) / 2, np.ptp(outline, axis=0)
     within = middle + np.array(WITHIN) * extent if np.all(extent > 1.5 * size) else np.zeros((0, 2))
     across = [
@@ -148,8 +148,8 @@ def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
         for a, b, length in zip(free_space.low, free_space.high, size, strict=True)
     ]
     anywhere = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
-    for some in (np.vstack([within, places]), anywhere):
-        at = np.maximum(np.minimum(some, free_space.high - size / 2), free_space.low + size / 2)
+    for candidates in (np.vstack([within, places]), anywhere):
+        at = np.maximum(np.minimum(candidates, free_space.high - size / 2), free_space.low + size / 2)
         low, high = at - size / 2, at + size / 2
         clash = free_space.clashes(low, high, GAP * point)
         if np.any(clash == 0):
@@ -158,7 +158,7 @@ def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
     gaps = np.linalg.norm(chosen - ends, axis=2)
     near, rows = np.argmin(gaps, axis=1), np.arange(len(at))
     leaders, gap = np.stack([ends[rows, near], chosen[near]], axis=1), gaps[rows, near]
-    inside = (rows < len(within)) & (some is not anywhere)
+    inside = (rows < len(within)) & (candidates is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
     crossed = free_space.crossed(at, size + 2 * point)

@@ -33,19 +33,19 @@ def scene_figure(picture: PlotData, new: Callable[[float], Any] = new_figure) ->
     """A figure of the scene with the close-ups it needs; `new` makes an empty one of some height [in]."""
     scene = describe(picture)
     closeups = scene.closeups
-    wide = 1 if len(closeups) == 1 else 2
-    rows = -(-len(closeups) // wide)
+    columns = 1 if len(closeups) == 1 else 2
+    rows = -(-len(closeups) // columns)
     figure = new(3.0)
     # One close-up is as wide as the figure.
-    panel = 1.15 if wide == 2 else 1.3
-    grid = figure.add_gridspec(1 + rows, wide, height_ratios=[3.0, *[panel] * rows])
+    panel = 1.15 if columns == 2 else 1.3
+    grid = figure.add_gridspec(1 + rows, columns, height_ratios=[3.0, *[panel] * rows])
     ax, handles = figure.add_subplot(grid[0, :]), []
     for i, one in enumerate(closeups):
-        last = wide == 2 and i == len(closeups) - 1 and i % 2 == 0
-        place = grid[1 + i // wide, :] if last else grid[1 + i // wide, i % wide]
-        across = 2.8 if wide == 1 or last else 1.25
-        own = figure.add_subplot(place)
-        handles += draw_closeup(own, picture, one, LETTERS[i], panel / across, across)
+        last = columns == 2 and i == len(closeups) - 1 and i % 2 == 0
+        place = grid[1 + i // columns, :] if last else grid[1 + i // columns, i % columns]
+        width = 2.8 if columns == 1 or last else 1.25
+        panel_ax = figure.add_subplot(place)
+        handles += draw_closeup(panel_ax, picture, one, LETTERS[i], panel / width, width)
     top = draw_scene(ax, scene, handles, lettered=True)
     main = 2.9 / 3.5 * WIDTH * _aspect(scene)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
@@ -106,20 +106,20 @@ def _slices(ax: Any, scene: Scene) -> list[Any]:
         low, high = ends.min(axis=1), ends.max(axis=1)
         colour = edge = tint(look.colour, 0.6)
         ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
-        seen = bool(np.any((high > scene.low[1]) & (low < scene.high[1])))
+        in_view = bool(np.any((high > scene.low[1]) & (low < scene.high[1])))
     else:
         outlines = [one.outline for one in printed]
         ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
-        seen = any(len(scene.seen(outline)) for outline in outlines)
+        in_view = any(len(scene.seen(outline)) for outline in outlines)
     for one in printed:
-        rim, when = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
+        rim, instant = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
         outline = one.outline
         if scene.over_time:
-            outline = np.column_stack([np.repeat(when, len(outline)), outline])
+            outline = np.column_stack([np.repeat(instant, len(outline)), outline])
         _outline(ax, outline, 0.35 if one.mode is None else 0.7, "-", rim, 1.1)
-        at = scene.placed(one.place[None], when)
+        at = scene.placed(one.place[None], instant)
         ax.plot(*at.T, "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
-    if not seen:
+    if not in_view:
         return []
     chaser = style.dot("o", look.colour, 2.6, "chaser at hand-over", mec=DARK_OLIVE, mew=0.6)
     return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend), *[chaser] * bool(printed)]
@@ -127,7 +127,7 @@ def _slices(ax: Any, scene: Scene) -> list[Any]:
 
 def _tube(ax: Any, scene: Scene) -> list[Any]:
     """The tube by mode; the handle is of the mode that can be seen best beside the path."""
-    seen: dict[int, Any] = {}
+    handles: dict[int, Any] = {}
     inch = (scene.high - scene.low) / AXES_WIDTH / (1, _aspect(scene))
     for item in scene.with_roles("tube"):
         outlines = np.stack([shape.points for shape in item.shapes if shape])
@@ -138,10 +138,10 @@ def _tube(ax: Any, scene: Scene) -> list[Any]:
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
             size = np.ptp(chosen, axis=1) / inch
-            wide = int(np.sum((size[:, 1] if scene.over_time else size.min(axis=1)) > 4 / 72))
-            if wide:  # else hidden under the path
-                seen[wide] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
-    return [seen[max(seen)]] if seen else []
+            visible = int(np.sum((size[:, 1] if scene.over_time else size.min(axis=1)) > 4 / 72))
+            if visible:  # else hidden under the path
+                handles[visible] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
+    return [handles[max(handles)]] if handles else []
 
 
 def _aspect(scene: Scene) -> float:
@@ -196,12 +196,12 @@ def _paths(ax: Any, scene: Scene) -> list[Any]:
         ax.plot(*path.T, zorder=3.5, **look)
         if scene.contains(path).sum() > 1:
             handles.append(Line2D([], [], label=one.short, **look))
-    picture, flown = scene.picture, scene.safe_path()
-    for mode in draw_safe_path(ax, picture, flown):
+    picture, safe_path = scene.picture, scene.safe_path()
+    for mode in draw_safe_path(ax, picture, safe_path):
         look = {"color": mode_colour(mode), "lw": 1.5}
         handles.append(Line2D([], [], label=f"under {picture.mode_name(mode)}", **look))
     if not scene.over_time:
-        for text, marker, place in (("start", "o", flown[0]), ("end", "s", flown[-1])):
+        for text, marker, place in (("start", "o", safe_path[0]), ("end", "s", safe_path[-1])):
             ax.plot(*place, marker=marker, color=BLACK, ms=2.6, zorder=6)
             label(ax, scene, text, place[None], BLACK)
     return handles
@@ -259,8 +259,8 @@ def _keep_in(ax: Any, scene: Scene, item: Item, named: bool) -> None:
     """Draw a keep-in set and write its name at the line, as far as it is in view."""
     if item.shape is not None:
         ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
-    called, _, inside = item.name.rpartition(" (")
-    text = f"{shortened(called, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
+    title, _, inside = item.name.rpartition(" (")
+    text = f"{shortened(title, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
     points = item.marks[0].shape.points if item.marks else scene.seen(item.points[:-1])
     if named and len(points):
         label(ax, scene, text, points, RED)

@@ -153,14 +153,14 @@ def shortened(text: str, width: float) -> str:
 def legend_rows(handles: Any, width: float, count: int) -> tuple[int, list[str]]:
     """Columns, at most `count`, in which handles fit into a width [in], and their labels."""
     point = _STYLE["legend.fontsize"] / 72
-    own = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
+    key_width = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
     names = [str(handle.get_label()) for handle in handles]
     for columns in range(min(count, len(names)), 0, -1):
         parts = np.array_split(names, columns)  # as matplotlib does
         gaps = (len(parts) - 1) * _STYLE["legend.columnspacing"] * point + point
-        if sum(own + max(map(text_width, part)) for part in parts) + gaps <= width:
+        if sum(key_width + max(map(text_width, part)) for part in parts) + gaps <= width:
             return columns, names
-    return 1, [shortened(name, width - own - point) for name in names]
+    return 1, [shortened(name, width - key_width - point) for name in names]
 
 
 def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
@@ -168,8 +168,8 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     if not handles:
         return 0.0
     ticks = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks())
-    beside = 0.46 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
-    width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - beside
+    axis_width = 0.46 + max((text_width(text) for text in ticks), default=0.0)  # ticks and label of the axis
+    width = ax.get_position(original=True).width / 0.775 * ax.figure.get_figwidth() - axis_width
     columns, names = legend_rows(handles, width, columns)
     ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
     return 0.145 * -(-len(names) // columns)
@@ -180,14 +180,12 @@ def dot(marker: str, colour: Any, size: float, name: str, **look: Any) -> Any:
     return Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=name, **look)
 
 
-def draw_safe_path(
-    ax: Any, picture: PlotData, shown: Array, span: tuple[int, int] | None = None
-) -> list[int]:
+def draw_safe_path(ax: Any, picture: PlotData, path: Array, span: tuple[int, int] | None = None) -> list[int]:
     """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
     if "polaris" not in picture.flights:
-        ax.plot(*shown[slice(*(span or (0, len(shown))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
+        ax.plot(*path[slice(*(span or (0, len(path))))].T, color=GREY, lw=1.1, ls=DOTS, zorder=4.5)
         return []
-    pieces = by_mode(picture, shown, span)
+    pieces = by_mode(picture, path, span)
     for order, (mode, piece) in enumerate(pieces.items()):
         look = {"lw": 1.5, "zorder": 4 + 0.01 * order, "solid_capstyle": "butt"}
         ax.plot(*piece.T, color=mode_colour(mode), **look)

@@ -42,9 +42,9 @@ def timeline_figure(
     """Draw diagrams over each other, each of a height [in], and marks at instants [s]."""
     figure = new_figure(0.8 + height * len(panels))
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
-    named: set[str] = set()
+    labelled: set[str] = set()
     for ax, panel in zip(axes, panels, strict=True):
-        draw_panel(ax, panel, controllers, named)
+        draw_panel(ax, panel, controllers, labelled)
         ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
         for t, text in marks:  # after T a line is not seen
             ax.axvline(t, color=GREEN, lw=1.2, ls=GOAL_DASHES)
@@ -54,32 +54,32 @@ def timeline_figure(
     return figure
 
 
-def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], named: set[str] | None = None) -> None:
-    """Draw one diagram of the first runs; its legend has the lines that have not been `named` above."""
-    known, named = {one.key: one for one in controllers}, set() if named is None else named
+def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], labelled: set[str] | None = None) -> None:
+    """Draw one diagram of the first runs; its legend has the lines that have not been `labelled` above."""
+    actors, labelled = {one.key: one for one in controllers}, set() if labelled is None else labelled
     # Inputs of pilots that are not shown at first would hide those that are.
     lines = [
-        one for one in panel.series if one.controller is None or known[one.controller].on or not one.step
+        one for one in panel.series if one.controller is None or actors[one.controller].on or not one.step
     ]
     heavy = [one for one in controllers if one.on] if not all(one.on for one in controllers) else []
     end = max(float(one.times[-1]) for one in [controller.flights for controller in controllers] or lines)
-    low, high = _range(panel, lines, known)
+    low, high = _range(panel, lines, actors)
     handles: dict[str, Any] = {}
     for order, line in enumerate(lines):
-        own = line if line.controller is None else known[line.controller]
-        label = own.name if isinstance(own, Series) else own.short
+        source = line if line.controller is None else actors[line.controller]
+        label = source.name if isinstance(source, Series) else source.short
         step: Any = {"step": "post"} if line.step else {}
         if line.fill or line.band is not None and np.all(np.isfinite(line.band)):
             ends = line.band if line.band is not None else (np.minimum(0, line.values), line.values)
-            ax.fill_between(line.times, *ends, color=tint(own.colour, 0.22), lw=0, zorder=2, **step)
+            ax.fill_between(line.times, *ends, color=tint(source.colour, 0.22), lw=0, zorder=2, **step)
         look: Any = {"drawstyle": "steps-post"} if line.step else {}
-        look |= {"color": own.colour, "ls": DASHES[own.dash], "zorder": 3 + 0.01 * order}
-        look["lw"] = 1.6 if line.controller and own in heavy else 1.0
+        look |= {"color": source.colour, "ls": DASHES[source.dash], "zorder": 3 + 0.01 * order}
+        look["lw"] = 1.6 if line.controller and source in heavy else 1.0
         values = first_run(line)
         (handles[label],) = ax.plot(line.times, values, label=label, **look)
         if np.any(values > high):
             at, text = int(np.argmax(values > high)), f"{label}: {values[-1]:.3g} {panel.unit} at the end"
-            name(ax, text, [[line.times[at], high]], own.colour)
+            name(ax, text, [[line.times[at], high]], source.colour)
     if panel.log:
         ax.set_yscale("log")
     ax.set(xlim=(0, end), ylim=(low, high), xlabel="Time (s)", ylabel=f"{panel.label} ({panel.unit})")
@@ -87,8 +87,8 @@ def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], named: set[s
         _draw_limit(ax, limit, (low, high), end)
     ax.grid(True)
     mark_cuts(ax)
-    unique = [one for label, one in handles.items() if label and label not in named]
-    named.update(handles)
+    unique = [one for label, one in handles.items() if label and label not in labelled]
+    labelled.update(handles)
     if len(unique) <= MOST_NAMED and (len(controllers) > 1 or not all(line.controller for line in lines)):
         legend_above(ax, unique, 5)
 
@@ -98,7 +98,7 @@ def first_run(line: Series) -> Array:
     return line.values if line.values.ndim == 1 else line.values[0]
 
 
-def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Actor]) -> tuple[float, float]:
+def _range(panel: Panel, lines: Sequence[Series], actors: Mapping[str, Actor]) -> tuple[float, float]:
     """Return the ends of the axis: all that is drawn, but for lines that would make the others flat."""
     limits = [limit.y for limit in panel.limits]
 
@@ -109,9 +109,9 @@ def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Actor]) ->
         return np.array([values.min(initial=np.inf), values.max(initial=-np.inf)])
 
     low, high = ends(lines)
-    shown = ends([one for one in lines if one.controller is None or known[one.controller].on])
-    if 0 < FAR * np.ptp(shown) < high - min(shown):
-        high = shown[1]
+    visible = ends([one for one in lines if one.controller is None or actors[one.controller].on])
+    if 0 < FAR * np.ptp(visible) < high - min(visible):
+        high = visible[1]
     if panel.log:
         return 0.6 * low, 1.6 * high
     pad = PAD * (high - low) or 1e-9 + abs(high)
@@ -173,9 +173,9 @@ def margin_figure(picture: PlotData) -> Any:
     ax.axhline(0, color=BLACK, lw=0.6)
     names = np.array([limit_group(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
-    for wanted, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
-        own = [one for one in dict.fromkeys(names) if (one in picture.system.input_names) == wanted]
-        for one, shade in zip(own, shades(ends, len(own)), strict=True):
+    for is_input, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
+        group = [one for one in dict.fromkeys(names) if (one in picture.system.input_names) == is_input]
+        for one, shade in zip(group, shades(ends, len(group)), strict=True):
             _bars(ax, picture, names == one, (place, height), shade)
             handles.append(Patch(facecolor=shade, label=one))
     _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")

@@ -60,8 +60,8 @@ def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
             picture.shown[method["key"]],
         )
         controllers.append(Actor(str(method["key"]), name, name, *look, flights, len(controllers) < FIRST))
-    known = [one.flights for one in controllers[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
-    least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
+    envelopes = [one.flights for one in controllers[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
+    least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in envelopes]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
     return schedule_data(
         replace(picture.run.plot_data(), slices=None), controllers, proved, by="pilot", opened=opened
@@ -79,9 +79,9 @@ def _tradeoffs(methods: Methods) -> Markup:
     return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), caption))
 
 
-def _claim(method: Mapping[str, Any], why: str = "") -> Cell:
+def _claim(method: Mapping[str, Any], reason: str = "") -> Cell:
     kind = str(method["guarantee"])
-    return Cell(kind, kind, words=True, why=why, badge=kind)
+    return Cell(kind, kind, words=True, why=reason, badge=kind)
 
 
 def _methods(methods: Methods) -> Markup:
@@ -89,9 +89,9 @@ def _methods(methods: Methods) -> Markup:
     rows = []
     for method in methods:
         values, name = method.get("metrics") or {}, str(method["name"])
-        there = "" if method.get("available", True) else " (not available)"
+        note = "" if method.get("available", True) else " (not available)"
         cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
-        rows.append([Cell(name + there, name), _claim(method, method.get("reach") or ""), *cells])
+        rows.append([Cell(name + note, name), _claim(method, method.get("reach") or ""), *cells])
     caption = (
         "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
     )
@@ -128,8 +128,8 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
         cells[one["metric"]] = _difference(one)
     tables = []
     for against, others in groups.items():
-        known = dict.fromkeys(key for cells in others.values() for key in cells)
-        measures = [Measure.from_key(key) for key in known]
+        keys = dict.fromkeys(key for cells in others.values() for key in cells)
+        measures = [Measure.from_key(key) for key in keys]
         rows = [
             [Cell(name := names.get(key, key), name), *(cells.get(one.key, Cell("")) for one in measures)]
             for key, cells in others.items()
@@ -163,7 +163,7 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
     def alike(row: Mapping[str, Any]) -> tuple[Any, Any]:
         return row["mode"], row.get("reason")
 
-    return {key: [list(group) for _, group in groupby(own, alike)] for key, own in rows.items()}
+    return {key: [list(group) for _, group in groupby(decisions, alike)] for key, decisions in rows.items()}
 
 
 def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
@@ -171,15 +171,15 @@ def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
     if not path.is_file():
         return Markup("<p>This folder has no log of decisions.</p>")
     logged = stretches(read_text(path).split("\n"))
-    logs = Markup("\n").join(details(names.get(key, key), _log(own)) for key, own in logged.items())
+    logs = Markup("\n").join(details(names.get(key, key), _log(groups)) for key, groups in logged.items())
     return logs or Markup("<p>The log is empty.</p>")
 
 
-def _log(own: Sequence[Decisions]) -> Markup:
+def _log(groups: Sequence[Decisions]) -> Markup:
     rows = []
-    for alike in own[:MOST_STRETCHES]:
-        first, last = alike[0], alike[-1]
-        least = min((one["margin"] for one in alike if one.get("margin") is not None), default=None)
+    for group in groups[:MOST_STRETCHES]:
+        first, last = group[0], group[-1]
+        least = min((one["margin"] for one in group if one.get("margin") is not None), default=None)
         margin = value_cell(least)
         if least is not None and np.isfinite(least):
             margin = Cell(directed(least, ".4g"), least)  # a share of clearance left is rounded down
@@ -187,13 +187,13 @@ def _log(own: Sequence[Decisions]) -> Markup:
             [
                 Cell(f"{number(first['t'])} to {number(last['t'])} s", first["t"]),
                 words({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
-                value_cell(len(alike)),
+                value_cell(len(group)),
                 margin,
                 words(first.get("reason") or "none"),
             ]
         )
-    total, changes = sum(map(len, own)), len(own)
+    total, changes = sum(map(len, groups)), len(groups)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(Table(f"{total} decisions in {changes} stretches of the same reason", heads, rows))
-    more = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
-    return body + (Markup(macros().items(more)) if more else "")
+    notes = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
+    return body + (Markup(macros().items(notes)) if notes else "")

@@ -17,8 +17,8 @@ def mission_page(folder: RunFolder) -> Page:
     """Return the report of a mission."""
     summary, picture = folder.summary, folder.plot_data()
     claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
-    spent = claim["delta_v_max_m_s"]
-    text = "no bound" if spent is None else f"{directed(spent, '.4g', up=True)} m/s"
+    delta_v = claim["delta_v_max_m_s"]
+    text = "no bound" if delta_v is None else f"{directed(delta_v, '.4g', up=True)} m/s"
     cards = (
         (
             "Is it safe?",
@@ -38,12 +38,14 @@ def mission_page(folder: RunFolder) -> Page:
         ("flights", "Flights", table(flights)),
     ]
     for name, leg in zip(names, picture.legs, strict=True):
-        own = leg.summary
+        leg_summary = leg.summary
         link = Markup(
             '<p><a href="{0}/report.html">Interactive report of this leg</a>, in the folder {0}.</p>'
         )
         text = (
-            answers(own, leg.plot_data()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
+            answers(leg_summary, leg.plot_data())
+            + link.format(leg.path.name)
+            + guarantee_section(leg_summary["guarantee"])
         )
         sections.append((f"leg-{name}", f"Leg {name}", text))
     return Page(str(summary["title"]), lead, (*sections, reading(summary)), {}, summary)

@@ -34,8 +34,8 @@ MOST = 4  # columns of a table that have room on any screen
 def template(name: str) -> Template:
     """A template of this package; whatever is not markup already is escaped in it."""
     loader = PackageLoader("polaris.report.html", "static")
-    how: dict[str, Any] = {"autoescape": True, "undefined": StrictUndefined, "finalize": _visible}
-    return Environment(loader=loader, **how).get_template(name)
+    options: dict[str, Any] = {"autoescape": True, "undefined": StrictUndefined, "finalize": _visible}
+    return Environment(loader=loader, **options).get_template(name)
 
 
 def macros(name: str = "parts.html") -> Any:
@@ -43,14 +43,14 @@ def macros(name: str = "parts.html") -> Any:
     return template(name).module
 
 
-def table(shown: Table) -> Markup:
+def table(contents: Table) -> Markup:
     """Return a table as HTML."""
     parts = macros()
 
     def cell(one: Cell) -> Markup:
         return Markup(parts.cell(one, badge(one.badge) if one.badge else ""))
 
-    return Markup(parts.table(shown, cell, len(shown.heads) > MOST))
+    return Markup(parts.table(contents, cell, len(contents.heads) > MOST))
 
 
 def badge(kind: Any) -> Markup:
@@ -96,8 +96,8 @@ def page_html(page: Page) -> str:
 
 def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, Markup]:
     """The section that says how to read the page: a note, and what each metric means, as the folder says."""
-    known = summary.get("definitions", {})
-    meanings = [f"{Measure.from_key(key).title} ({key}): {text}" for key, text in known.items()]
+    definitions = summary.get("definitions", {})
+    meanings = [f"{Measure.from_key(key).title} ({key}): {text}" for key, text in definitions.items()]
     return "reading", "How to read this", Markup(macros().reading(note, meanings))
 
 

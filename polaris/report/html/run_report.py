@@ -60,13 +60,13 @@ def run_page(folder: RunFolder) -> Page:
 
 
 def schedule_data(
-    picture: PlotData, controllers: Sequence[Actor], proved: bool, **how: Any
+    picture: PlotData, controllers: Sequence[Actor], proved: bool, **options: Any
 ) -> dict[str, Any]:
     """Return the plot data of a schedule and its pilots; see `schedule_timeline`."""
     C = picture.system.position
     paths = [one.flights.states[0] @ C.T for one in controllers]
     scene = describe(picture, paths, shown_axes(picture, paths))
-    data = page_data(scene, schedule_timeline(picture, controllers, proved, **how), C)
+    data = page_data(scene, schedule_timeline(picture, controllers, proved, **options), C)
     data["panels"].insert(min(len(picture.obstacles), 1), _margins(picture))
     return data
 
@@ -79,25 +79,25 @@ def _margins(picture: PlotData) -> dict[str, Any]:
     series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
     series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}
     title, limits = "Margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
-    named = {"key": "margin", "title": title, "unit": "share of clearance"}
-    return named | {"limits": limits, "series": [series]}
+    panel = {"key": "margin", "title": title, "unit": "share of clearance"}
+    return panel | {"limits": limits, "series": [series]}
 
 
 def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
-    claim, flown, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
+    claim, flights, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
     end, proved = claim["goal"], claim["kind"] == "proved"
-    within, spent = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
+    within, delta_v = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
     arrives = ("no claim", "the guarantee is not proved")
-    cost = f"mean of {counted(flown['runs'], 'simulated run')}"
+    cost = f"mean of {counted(flights['runs'], 'simulated run')}"
     if proved:
         word = "not proven" if end["reached"] == "not_proven" else "no"
         arrives = (word, f"at best within {within} m; the tolerance is {end['tolerance_m']:.4g} m")
         if end["reached"] is True:
             near = f"proven, within {within} m of the goal (the tolerance is {end['tolerance_m']:.4g} m)"
             arrives = (f"at {_time(end['by_s'])}", f"{near}; S must fly on to stay there")
-        then = "to the goal" if end["reached"] is True else "until it is nearest"
-        cost += f"; proven {then}: at most {spent} m/s"
+        endpoint = "to the goal" if end["reached"] is True else "until it is nearest"
+        cost += f"; proven {endpoint}: at most {delta_v} m/s"
     if "safety" in summary:
         cost += "; S alone " + Measure.from_key("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
     share, switches = (
@@ -107,10 +107,10 @@ def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
     cards = (
         ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
-        ("What does it cost?", Measure.from_key("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
+        ("What does it cost?", Measure.from_key("delta_v_m_s").text(flights["delta_v_m_s"]), cost),
         ("Who flies when?", "U " + share, f"{counted(switches, 'switch', 'switches')}; {_when(picture)}"),
     )
-    runs = [(len(list(own)), mode_colour(mode)) for mode, own in groupby(picture.modes.tolist())]
+    runs = [(len(list(stretch)), mode_colour(mode)) for mode, stretch in groupby(picture.modes.tolist())]
     return Markup(macros("run.html").answers(cards, runs, _time(picture.duration)))
 
 
@@ -135,11 +135,11 @@ def guarantee_section(claim: Mapping[str, Any]) -> Markup:
 
 def aborts(claim: Mapping[str, Any]) -> Markup:
     """Return the table of aborts with thrust; steps with one branch and time, or one failure, share a row."""
-    rows, known = [], claim.get("powered_abort", {}).get("steps", ())
-    for (leaves, by, why), group in groupby(known, itemgetter("leaves_s", "by_s", "why")):
+    rows, abort_steps = [], claim.get("powered_abort", {}).get("steps", ())
+    for (leaves, by, why), group in groupby(abort_steps, itemgetter("leaves_s", "by_s", "why")):
         steps = list(group)
-        spent = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
-        cost = why or f"{directed(spent, '.4g', up=True)} m/s"
+        delta_v = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
+        cost = why or f"{directed(delta_v, '.4g', up=True)} m/s"
         cells = f"{steps[0]['step']} to {steps[-1]['step']}", *(("", "") if why else map(_time, (leaves, by)))
         rows.append([Cell(text) for text in (*cells, cost)])
     heads = ["in steps", "leaves the reference", "on the orbit by", "delta-v at most, or reason for none"]

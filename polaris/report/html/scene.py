@@ -117,8 +117,8 @@ def _slices(scene: Scene) -> list[Layer]:
         for t, mode in scene.picture.hand_overs.items()
         for i in np.flatnonzero(np.isclose(slices.times, t, rtol=1e-9)).tolist()
     ]
-    own = {"opacity": AREAS["slice"], "pilot": "polaris", "over": over}
-    return [head | own | {"t": plain(slices.times), "frames": frames}]
+    fields = {"opacity": AREAS["slice"], "pilot": "polaris", "over": over}
+    return [head | fields | {"t": plain(slices.times), "frames": frames}]
 
 
 def _corners(shape: DrawnShape | None) -> dict[str, Any]:

@@ -53,10 +53,10 @@ def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples
 def _pilot(one: Actor, scene: View, position: Array, chosen: Samples) -> dict[str, Any]:
     runs, times = one.flights, one.flights.times[chosen]
     paths = scene.placed(runs.states[:, chosen] @ position.T, times)
-    flown = zip(paths, modes_per_node(runs)[:, chosen[:-1]], strict=True)
+    pairs = zip(paths, modes_per_node(runs)[:, chosen[:-1]], strict=True)
     fields = {key: getattr(one, key) for key in ("key", "name", "colour", "dash", "on")}
-    shown = [{"p": plain(path.T), "modes": plain(who)} for path, who in flown]
-    return fields | {"labels": list(runs.labels), "t": plain(times), "runs": shown}
+    entries = [{"p": plain(path.T), "modes": plain(modes)} for path, modes in pairs]
+    return fields | {"labels": list(runs.labels), "t": plain(times), "runs": entries}
 
 
 def _panel(one: Panel, chosen: dict[str, Samples]) -> dict[str, Any]:

@@ -140,8 +140,8 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> DrawnShape | Non
 
 def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Return True for each line or triangle (N, corners, 3) that lies in a side of a box [m]."""
-    apart = np.abs(np.stack([parts - low, parts - high]))
-    return np.asarray(np.any(np.all(apart <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
+    gaps = np.abs(np.stack([parts - low, parts - high]))
+    return np.asarray(np.any(np.all(gaps <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
 
 
 def edges(points: Array) -> Array:
@@ -155,5 +155,5 @@ def edges(points: Array) -> Array:
     sides = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
     kinds, place = np.unique(sides, axis=0, return_inverse=True)
     first, second = np.argsort(place, kind="stable").reshape(-1, 2).T // 3  # the two triangles beside each
-    bent = np.abs(np.sum(normal[first] * normal[second], axis=1)) < 1 - 1e-9
-    return np.asarray(surface.points[kinds[bent]])
+    sharp = np.abs(np.sum(normal[first] * normal[second], axis=1)) < 1 - 1e-9
+    return np.asarray(surface.points[kinds[sharp]])

@@ -76,11 +76,11 @@ def fuel_timeline(run: FuelRun) -> Timeline:
     backup = (run.t[:-1] >= latched).astype(int)
     thrust = Series(run.t, step_edges(run.u)[None], "deputy0")
     fuel = Limit(q.delta_v_max, "fuel limit", "above")
-    spent = [Series(run.t, run.delta_v[None], "deputy0")]
+    delta_v = [Series(run.t, run.delta_v[None], "deputy0")]
     return Timeline(
         [_pilot(0, "deputy", run.t, run.x, run.u, backup)],
         [
-            Panel("fuel", "Delta-v so far", "Delta-v", "m/s", [fuel], spent),
+            Panel("fuel", "Delta-v so far", "Delta-v", "m/s", [fuel], delta_v),
             *input_panels(THRUSTS, "N", [q.thrust_max] * 3, [thrust]),
         ],
         modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
@@ -118,11 +118,11 @@ def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
         "delta_v": [panel("Delta-v", "m/s", [], _of_deputies(run, run.delta_v))],
     }
     if q.deputies > 1:
-        least, apart = q.deputy_separation, _of_pairs(run, values["phi2"] + q.deputy_separation)
-        collision = [Limit(least, "collision", "below")]
-        panels["separation"] = [panel("Distance of deputies", "m", collision, apart, log=True)]
-        seen = _of_pairs(run, np.degrees(values["phi5"]) + half)
-        panels["deputy_sun"] = [panel("Deputy to sun", "degrees", sun, seen)]
+        minimum, distances = q.deputy_separation, _of_pairs(run, values["phi2"] + q.deputy_separation)
+        collision = [Limit(minimum, "collision", "below")]
+        panels["separation"] = [panel("Distance of deputies", "m", collision, distances, log=True)]
+        sun_angles = _of_pairs(run, np.degrees(values["phi5"]) + half)
+        panels["deputy_sun"] = [panel("Deputy to sun", "degrees", sun, sun_angles)]
     return panels
 
 
@@ -149,10 +149,10 @@ def _margin_panels(t: Array, margins: Mapping[str, Array]) -> list[Panel]:
     """Return one diagram per unit, with a line per constraint: the least over deputies or pairs."""
     panels = []
     for unit in dict.fromkeys(unit for _, unit in MEANING.values()):
-        known = [name for name in MEANING if MEANING[name][1] == unit and np.size(margins.get(name, ()))]
+        names = [name for name in MEANING if MEANING[name][1] == unit and np.size(margins.get(name, ()))]
         series = [
             Series(t, margins[name].min(axis=1), name=name, meaning=MEANING[name][0], colour=colour)
-            for name, colour in zip(known, cycle(palette.MARGIN_COLOURS))
+            for name, colour in zip(names, cycle(palette.MARGIN_COLOURS))
         ]
         if series:
             title, limits = "Least margin over all deputies", [Limit(0.0, "violated", "below")]
@@ -162,9 +162,9 @@ def _margin_panels(t: Array, margins: Mapping[str, Array]) -> list[Panel]:
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:
     """Return the time at which a deputy is closest to a limit on a distance [s]."""
-    known = {name: rows for name, rows in margins.items() if rows.shape[1]}
-    own = [rows.min(axis=1) for name, rows in known.items() if MEANING.get(name, ("", ""))[1] == "m"]
-    return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])
+    nonempty = {name: rows for name, rows in margins.items() if rows.shape[1]}
+    minima = [rows.min(axis=1) for name, rows in nonempty.items() if MEANING.get(name, ("", ""))[1] == "m"]
+    return float(t[np.argmin(np.min(minima, axis=0))] if minima else 0.0) or float(t[-1])
 
 
 def _instants(run: InspectionRun) -> NDArray[np.intp]:

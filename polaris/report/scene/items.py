@@ -78,11 +78,11 @@ class View:
 
     def placed(self, positions: Array, times: Array) -> Array:
         """Positions (..., N, d) at times (N,) in the axes of the scene, shape (..., N, dim)."""
-        shown = positions[..., self.axes]
+        coords = positions[..., self.axes]
         if not self.over_time:
-            return shown
-        along = np.broadcast_to(times[:, None], (*shown.shape[:-1], 1))
-        return np.concatenate([along, shown], axis=-1)
+            return coords
+        along = np.broadcast_to(times[:, None], (*coords.shape[:-1], 1))
+        return np.concatenate([along, coords], axis=-1)
 
     def with_roles(self, *roles: str) -> list[Item]:
         """Items of these roles, in their order."""
@@ -151,18 +151,18 @@ def modes_per_node(runs: FlightEnvelope) -> NDArray[np.int_]:
     return np.tile(one, (len(runs.labels), 1))
 
 
-def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
+def under_mode(path: Array, flags: NDArray[np.bool_]) -> Array:
     """The stretches of a path (N+1, d) flown under one mode, which `flags` (N,) tells from each point on."""
-    return gapped([flown[a : b + 1] for a, b in stretches(flags)], flown.shape[1])
+    return gapped([path[a : b + 1] for a, b in stretches(flags)], path.shape[1])
 
 
-def by_mode(picture: PlotData, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
+def by_mode(picture: PlotData, path: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
     """The first run under Polaris at places (N+1, dim) by mode, over nodes `span`: most flown first."""
-    a, b = (0, len(shown)) if span is None else span
-    who = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
-    modes, counts = np.unique(who, return_counts=True)
+    a, b = (0, len(path)) if span is None else span
+    mode_at = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
+    modes, counts = np.unique(mode_at, return_counts=True)
     order = modes[np.argsort(-counts, kind="stable")]
-    return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}
+    return {int(mode): under_mode(path[a:b], mode_at == mode) for mode in order}
 
 
 MOST = 6  # most close-ups of a figure: those that are passed nearest
@@ -211,20 +211,20 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
     gaps = [plane_gap(obstacle, picture, axes) for axes in planes] if hidden.any() else []
     passages = []
     while hidden.any():
-        at = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
-        best = int(np.argmax([gap[at] for gap in gaps]))
-        axes = planes[best] if gaps[best][at] > 0 else None
-        shows = distance > 0 if axes is None else gaps[best] > 0
-        cover = space.cover(obstacle, float(times[at]))
+        index = int(np.flatnonzero(hidden)[np.argmin(distance[hidden])])
+        widest = int(np.argmax([gap[index] for gap in gaps]))
+        axes = planes[widest] if gaps[widest][index] > 0 else None
+        shows = distance > 0 if axes is None else gaps[widest] > 0
+        cover = space.cover(obstacle, float(times[index]))
         if axes is not None and cover is not None:  # the one that is drawn, for all of the stretch
-            gone = obstacle.centre(times, picture.system) - obstacle.centre(times[at], picture.system)
-            shows &= outline_gap(flat_outline(cover[:, axes]), (path - gone)[:, axes]) > 0
-            shows[at] = True
-        span = next((a, b) for a, b in stretches(shows) if a <= at < b)
+            shift = obstacle.centre(times, picture.system) - obstacle.centre(times[index], picture.system)
+            shows &= outline_gap(flat_outline(cover[:, axes]), (path - shift)[:, axes]) > 0
+            shows[index] = True
+        span = next((a, b) for a, b in stretches(shows) if a <= index < b)
         hidden[slice(*span)] = False
         if cover is None:
-            at = span[0] + int(np.argmin(distance[slice(*span)]))
-        passages.append(CloseUp(obstacle, float(times[at]), float(distance[at]), axes, span))
+            index = span[0] + int(np.argmin(distance[slice(*span)]))
+        passages.append(CloseUp(obstacle, float(times[index]), float(distance[index]), axes, span))
     return passages
 
 
@@ -233,8 +233,8 @@ def is_flat(picture: PlotData, paths: Sequence[Array] = ()) -> bool:
     if picture.system.d < 3:
         return True
     space = Space.from_paths(picture)
-    shown = (*picture.path(), picture.safe_path()[1], *paths)
-    third = np.concatenate([path[:, picture.frame.axes[2]] for path in shown])
+    all_paths = (*picture.path(), picture.safe_path()[1], *paths)
+    third = np.concatenate([path[:, picture.frame.axes[2]] for path in all_paths])
     size = float(np.max((space.high - space.low)[picture.frame.flat]))
     return bool(np.ptp(third) <= FLAT * size) and not closeups(picture)
 

@@ -63,9 +63,9 @@ def _on_the_line(picture: PlotData, paths: Sequence[Array] | None) -> Scene:
     goal = np.unique(np.concatenate([part.points[:, 0] for part in parts])) if parts else np.zeros(0)
     sides = [_ends(obstacle, picture)[1].ravel() for obstacle in picture.obstacles]
     points, wide = np.concatenate([space.low, space.high, goal, *sides]), WIDEN * (space.high - space.low)
-    shown = points[(points >= space.low - wide) & (points <= space.high + wide)]
-    pad = 0.1 * float(np.ptp(shown))
-    low, high = np.array([0.0, shown.min() - pad]), np.array([end, shown.max() + pad])
+    nearby = points[(points >= space.low - wide) & (points <= space.high + wide)]
+    pad = 0.1 * float(np.ptp(nearby))
+    low, high = np.array([0.0, nearby.min() - pad]), np.array([end, nearby.max() + pad])
     labels = ("Time (s)", picture.frame.labels[0])
     scene = Scene([0], labels, low, high, over_time=True, picture=picture)
     items = [item for obstacle in picture.obstacles for item in _on_line(obstacle, scene)]
@@ -104,10 +104,10 @@ def _on_line(obstacle: Obstacle, scene: Scene) -> list[Item]:
         return [Item("unsafe", (band,), obstacle.name, marks=marks)]
     items = []
     for edge, side in zip((ends[0][0], ends[1][0]), (low, high), strict=True):
-        seen, near = low < edge < high, np.clip(edge, low, high)
-        mark = Mark(DrawnShape("points", np.array([[end / 2, near]])), "" if seen else f": {edge:.4g} m")
-        rim = DrawnShape("line", np.array([[0.0, edge], [end, edge]])) if seen else None
-        if seen or (np.isfinite(edge) and near == side):
+        inside, near = low < edge < high, np.clip(edge, low, high)
+        mark = Mark(DrawnShape("points", np.array([[end / 2, near]])), "" if inside else f": {edge:.4g} m")
+        rim = DrawnShape("line", np.array([[0.0, edge], [end, edge]])) if inside else None
+        if inside or (np.isfinite(edge) and near == side):
             items.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
     return items
 

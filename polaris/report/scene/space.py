@@ -35,14 +35,14 @@ class Space:
         reach = np.abs(start.G).sum(axis=-1)
         points = np.vstack([*picture.path(), picture.safe_path()[1], start.c - reach, start.c + reach])
         size = float(np.max(np.ptp(points[:, flat], axis=0)))
-        flown = map(picture.positions, picture.flights.values())
-        for path in flown if paths is None else paths:
+        flights = map(picture.positions, picture.flights.values())
+        for path in flights if paths is None else paths:
             beyond = np.maximum(points.min(axis=0) - path, path - points.max(axis=0))[:, flat]
             if np.all(beyond < NEAR * size):
                 points = np.vstack([points, path])
         low, high = points.min(axis=0), points.max(axis=0)
         reach = 0.3 * float(np.max((high - low)[flat]))
-        seen = [points]
+        point_sets = [points]
         for obstacle in picture.obstacles:
             if isinstance(obstacle, KeepIn):
                 continue
@@ -51,12 +51,12 @@ class Space:
                 outline = cls(picture, low, high).corners(obstacle, near.time)
             else:
                 outline = _within(obstacle, picture, near, reach)
-            seen.append(np.clip(outline, low - reach, high + reach))
+            point_sets.append(np.clip(outline, low - reach, high + reach))
         for one in picture.printed_slices() if len(flat) == 2 else ():
             outline = np.tile(one.place, (len(one.outline), 1))
             outline[:, flat] = one.outline
-            seen.append(np.clip(outline, low - reach, high + reach))
-        points = np.vstack(seen)
+            point_sets.append(np.clip(outline, low - reach, high + reach))
+        points = np.vstack(point_sets)
         low, high = points.min(axis=0), points.max(axis=0)
         pad = 0.05 * float(np.max((high - low)[flat])) + 1e-9 * (1 + float(np.abs(points).max()))
         low, high = low - pad, high + pad
@@ -71,10 +71,10 @@ class Space:
 
     def wider(self, share: float) -> "Space":
         """Return the space with more room on every side of the plane, as a share of its size."""
-        more = np.zeros(len(self.low))
+        margin = np.zeros(len(self.low))
         flat = self.picture.frame.flat
-        more[flat] = share * (self.high - self.low)[flat]
-        return Space(self.picture, self.low - more, self.high + more)
+        margin[flat] = share * (self.high - self.low)[flat]
+        return Space(self.picture, self.low - margin, self.high + margin)
 
     def corners(self, obstacle: Obstacle, t: float) -> Array:
         """Corners (V, d) of the true set at t (of a keep-in set the inside), cut to this space."""
@@ -118,17 +118,17 @@ class Space:
 
     def _allowed(self, goal: Goal) -> list[DrawnShape]:
         """Outermost positions that the conditions of a goal allow; none if they allow all."""
-        C, asked, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
+        C, conditions, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
 
-        def outermost(ray: Array, G: Array = asked.G, g: Array = asked.g) -> Array | None:
-            state = linprog(-ray @ C, G, g, asked.E, asked.e, bounds=(None, None)).x
+        def outermost(ray: Array, G: Array = conditions.G, g: Array = conditions.g) -> Array | None:
+            state = linprog(-ray @ C, G, g, conditions.E, conditions.e, bounds=(None, None)).x
             return None if state is None else C @ state
 
         free = np.array([outermost(ray) is None or outermost(-ray) is None for ray in eye])
         if np.all(free):
             return []
-        G = np.vstack([asked.G, eye[free] @ C, -eye[free] @ C])
-        g = np.concatenate([asked.g, self.high[free], -self.low[free]])
+        G = np.vstack([conditions.G, eye[free] @ C, -eye[free] @ C])
+        g = np.concatenate([conditions.g, self.high[free], -self.low[free]])
         rays = np.array(list(product((-1.0, 0.0, 1.0), repeat=len(C))))
         corners = np.array([outermost(ray, G, g) for ray in rays])
         size = np.ptp(corners, axis=0)
@@ -145,8 +145,8 @@ def _within(obstacle: Obstacle, picture: PlotData, near: ApproachData, depth: fl
         return np.zeros((0, picture.system.d))
     probes = near.place + 1e-3 * depth * np.vstack([np.eye(picture.system.d), -np.eye(picture.system.d)])
     ahead, behind = np.split(obstacle.signed_distance(near.time, probes, picture.system), 2)
-    away = (ahead - behind) / max(float(np.linalg.norm(ahead - behind)), 1e-300)
-    return np.asarray((near.place - (near.distance + 0.5 * depth) * away)[None])
+    outward = (ahead - behind) / max(float(np.linalg.norm(ahead - behind)), 1e-300)
+    return np.asarray((near.place - (near.distance + 0.5 * depth) * outward)[None])
 
 
 def moves(obstacle: Obstacle, picture: PlotData) -> bool:

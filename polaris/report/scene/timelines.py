@@ -82,9 +82,9 @@ class Timeline:
     marks: Sequence[tuple[float, str]] = ()
 
 
-def modes_present(present: ArrayLike, named: Callable[[int], tuple[str, str]]) -> list[tuple[int, str, str]]:
+def modes_present(present: ArrayLike, styles: Callable[[int], tuple[str, str]]) -> list[tuple[int, str, str]]:
     """Return number, name and colour of every mode that occurs."""
-    return [(mode, *named(mode)) for mode in np.unique(present).tolist()]
+    return [(mode, *styles(mode)) for mode in np.unique(present).tolist()]
 
 
 def schedule_timeline(
@@ -102,17 +102,17 @@ def schedule_timeline(
     def named(mode: int) -> tuple[str, str]:
         if mode == UNKNOWN:
             return "filtered input, or not known", "#9A9A9A"
-        known = 0 <= mode < len(picture.controllers)
-        return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
+        valid = 0 <= mode < len(picture.controllers)
+        return picture.mode_name(mode) if valid else f"controller {mode}", mode_colour(mode)
 
     runs = {one.key: one.flights for one in controllers}
-    spent = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
+    delta_v = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
     bound = picture.delta_v_max if proved else None
     text = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
     limits = [Limit(bound, text)] if bound else []
     label, names = input_labels(picture.system)
-    what, _, unit = label.rstrip(")").partition(" (")
-    titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
+    quantity, _, unit = label.rstrip(")").partition(" (")
+    titles = [f"{quantity}, {name}" if quantity != "Input" else f"Input: {name}" for name in names]
     inputs = []
     for key, each in runs.items():
         band = None if each.input_range is None else step_edges(each.input_range, 1)
@@ -120,7 +120,7 @@ def schedule_timeline(
     panels = [
         *([_distances(picture, runs, proved)] if picture.obstacles else []),
         *(_limit_panel(i, one, picture, runs, proved) for i, one in enumerate(picture.state_limits)),
-        Panel("spent", "Delta-v so far", "Delta-v", "m/s", limits, spent),
+        Panel("spent", "Delta-v so far", "Delta-v", "m/s", limits, delta_v),
         *input_panels(titles, unit, picture.system.u_max, inputs),
     ]
     present = np.concatenate([picture.modes, *(np.ravel(each.modes) for each in runs.values())])
@@ -178,35 +178,35 @@ def _limit_panel(
     What is proven may be far from what was flown: rows of states stand for the limit, and the reachable set
     for the flight.
     """
-    system, of_speed, top, more = picture.system, False, 0.0, 0.0
+    system, of_speed, top, slope = picture.system, False, 0.0, 0.0
     if isinstance(limit, SpeedLimit | SpeedPolygon):
-        of_speed, top, more = True, float(np.min(limit.top)), getattr(limit, "per_distance", 0.0)
+        of_speed, top, slope = True, float(np.min(limit.top)), getattr(limit, "per_distance", 0.0)
 
     def shown(slack: Array, distance: Array) -> Array:
-        return np.where(slack < FAR**2, top + more * distance - slack * RATE if of_speed else slack, np.nan)
+        return np.where(slack < FAR**2, top + slope * distance - slack * RATE if of_speed else slack, np.nan)
 
     series = []
     for key, each in runs.items():
         distance = np.linalg.norm(each.states @ system.position.T, axis=-1)
         slack = limit.signed_distance(each.times, each.states, system)
         series.append(Series(each.times, shown(slack, distance), key))
-    if more:
+    if slope:
         key, each = next(iter(runs.items()))
         far = np.linalg.norm(each.states[0] @ system.position.T, axis=-1)
         name = f"limit at the distance of {key}, run {each.labels[0]}"
-        series.append(Series(each.times, top + more * far, name=name, colour=RED, dash="dash"))
-    if proved and (known := proven_distance(picture, limit)) is not None and picture.tube is not None:
+        series.append(Series(each.times, top + slope * far, name=name, colour=RED, dash="dash"))
+    if proved and (bound := proven_distance(picture, limit)) is not None and picture.tube is not None:
         reach = np.abs(picture.tube.centre) + np.abs(picture.tube.generators).sum(axis=-1)
         distance = np.linalg.norm(
             np.maximum(reach[:, :-1], reach[:, 1:]) + _intersample(picture, picture.tube, system.position),
             axis=-1,
         )
         series.append(
-            _proven(picture, shown(known, distance), f"{'most' if of_speed else 'least'} that is proven")
+            _proven(picture, shown(bound, distance), f"{'most' if of_speed else 'least'} that is proven")
         )
     word, unit, side = ("Speed", "m/s", "above") if of_speed else ("Room", "m", "below")
     title = f"{word}, limit {limit.name}" + (f", 1 m/s as {1 / RATE:g} m" if not of_speed else "")
-    limits = [] if more else [Limit(float(top), "limit" if of_speed else "unsafe", side)]
+    limits = [] if slope else [Limit(float(top), "limit" if of_speed else "unsafe", side)]
     return Panel(f"limit{index}", title, f"{word}\n{limit.name}", unit, limits, series)
 
 
@@ -234,7 +234,7 @@ def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array
     if tube is None or not unsafe:
         return None
     q, intersample = tube.intersample.shape[1], _intersample(picture, tube, M)
-    gaps, twice = (
+    gaps, offset_parts = (
         [],
         np.stack([system.state_offset_at_nodes, system.state_offset - system.state_offset_at_nodes]),
     )
@@ -243,9 +243,9 @@ def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
         size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
         gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
-        apart = np.abs(rows @ M) @ twice[0] + np.abs(rows) @ np.abs(M) @ twice[1]
+        shift = np.abs(rows @ M) @ offset_parts[0] + np.abs(rows) @ np.abs(M) @ offset_parts[1]
         between = np.minimum(gap[:, :-1], gap[:, 1:]) - intersample @ np.abs(rows).T
-        gaps.append((between if timed.of_state else between + apart).max(axis=-1))
+        gaps.append((between if timed.of_state else between + shift).max(axis=-1))
     return np.asarray(np.maximum(np.min(gaps, axis=0), 0.0))
 
 
@@ -254,5 +254,5 @@ def _intersample(picture: PlotData, tube: TubeData, M: Array) -> Array:
     q, system, reference = tube.intersample.shape[1], picture.system, picture.reference
     inputs = (reference.nu[: picture.planned] @ system.B.T)[:, None, :]
     rate = reference.fine(q)[: picture.planned, :-1] @ system.A.T + inputs
-    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
-    return np.asarray(tube.intersample + (reference.delta / q) ** 2 / 8 * grown @ np.abs(M @ system.A).T)
+    rate_max = np.abs(rate) @ growth(system.A, reference.delta / q).T
+    return np.asarray(tube.intersample + (reference.delta / q) ** 2 / 8 * rate_max @ np.abs(M @ system.A).T)

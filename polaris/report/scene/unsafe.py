@@ -41,20 +41,20 @@ def unsafe_items(space: Space, axes: list[int], passages: Sequence[CloseUp]) -> 
 def _body(obstacle: Obstacle, space: Space, axes: list[int], closeups: Sequence[CloseUp]) -> list[Item]:
     """The true set: once, and the way it goes; a moving wall cut to the scene at every instant."""
     system, end = space.picture.system, space.picture.duration
-    shown = space.wider(1.0) if len(axes) == 2 else space
+    view = space.wider(1.0) if len(axes) == 2 else space
     passages = tuple(i for i, one in enumerate(closeups) if one.obstacle is obstacle)
     moving, cut = moves(obstacle, space.picture), not obstacle.drawn.bounded
     marks: tuple[Mark, ...] = ()
     if len(axes) == 2:
         chosen = [closeups[i].time for i in passages] or instants(obstacle, space)
-        marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
-    shapes: tuple[DrawnShape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
+        marks = _marks(obstacle, view, axes, chosen if moving else chosen[:1], moving)
+    shapes: tuple[DrawnShape | None, ...] = (_at(obstacle, view, axes, 0.0),)
     motion: dict[str, Any] = {}
     if moving:
         times = np.linspace(0, end, PATH)
         shift = (obstacle.centre(times, system) - obstacle.centre(0.0, system))[:, axes]
-        frames = [_at(obstacle, shown, axes, float(t)) for t in (times if cut else times[:1])]
-        shapes = tuple(one and one.translated(-gone) for one, gone in zip(frames, shift, strict=False))
+        frames = [_at(obstacle, view, axes, float(t)) for t in (times if cut else times[:1])]
+        shapes = tuple(one and one.translated(-offset) for one, offset in zip(frames, shift, strict=False))
         way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
         motion = {"times": times, "shift": shift, "way": way}
     item = Item("unsafe", shapes, obstacle.name, marks=marks, passages=passages, cut=cut, **motion)
@@ -76,7 +76,7 @@ def _marks(
     obstacle: Obstacle, space: Space, axes: list[int], times: list[float], moving: bool
 ) -> tuple[Mark, ...]:
     """Return the set in the plane at some instants, the most important one first, and the chaser then."""
-    known, path = space.picture.safe_path()
+    path_times, path = space.picture.safe_path()
     marks = []
     for order, t in enumerate(times):
         shape = _at(obstacle, space, axes, t)
@@ -84,7 +84,7 @@ def _marks(
             continue
         cover = space.cover(obstacle, t) if order == 0 else None
         rim = None if cover is None else flat_outline(cover[:, axes])
-        place = path[int(np.argmin(np.abs(known - t)))][axes]
+        place = path[int(np.argmin(np.abs(path_times - t)))][axes]
         place = place if moving and t not in space.picture.hand_overs else None  # a slice has it
         marks.append(Mark(shape, f"{seconds(t)} s" if moving else "", rim, place))
     return tuple(marks)
@@ -98,26 +98,26 @@ def instants(obstacle: Obstacle, space: Space) -> list[float]:
         return [0.0]
     times = np.unique(np.append(np.linspace(0, picture.duration, 201), closest))
     centres = np.asarray(obstacle.centre(times, system))
-    seen = np.all((centres > space.low) & (centres < space.high), axis=1)
+    in_view = np.all((centres > space.low) & (centres < space.high), axis=1)
     outline = space.outline(obstacle, closest, axes)
     at = int(np.searchsorted(times, closest))
     if not len(outline):
         return [closest]
-    gone = np.linalg.norm((centres - centres[at])[:, axes], axis=1)
-    wanted = APART * float(np.max(np.ptp(outline, axis=0)))
+    travel = np.linalg.norm((centres - centres[at])[:, axes], axis=1)
+    spacing = APART * float(np.max(np.ptp(outline, axis=0)))
     chosen = [closest]
     for t in picture.hand_overs:
         node = int(np.argmin(np.abs(times - t)))
         others = np.asarray(obstacle.centre(np.array(chosen), system))[:, axes]
-        apart = np.linalg.norm(others - obstacle.centre(t, system)[axes], axis=1)
-        if seen[node] and apart.min() > 0.1 * wanted:
+        gaps = np.linalg.norm(others - obstacle.centre(t, system)[axes], axis=1)
+        if in_view[node] and gaps.min() > 0.1 * spacing:
             chosen.append(t)
     if picture.hand_overs:
         return chosen
     for side in (np.arange(at), np.arange(at + 1, len(times))):
-        side = side[seen[side] & (gone[side] > 0.5 * wanted)]
+        side = side[in_view[side] & (travel[side] > 0.5 * spacing)]
         if len(side):
-            chosen.append(float(times[side[np.argmin(np.abs(gone[side] - wanted))]]))
+            chosen.append(float(times[side[np.argmin(np.abs(travel[side] - spacing))]]))
     return chosen
 
 
@@ -145,9 +145,9 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
     times = np.asarray(np.arange(K + 1) * picture.reference.delta)
     (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, K)
     centres = obstacle.centre(times, system)
-    gone = centres @ timed.normals.T
-    ends = np.maximum(timed.offsets[:, 0] - gone[:-1], timed.offsets[:, 1] - gone[1:])
-    ends = np.vstack([ends, timed.offsets[-1, 1] - gone[-1]])
+    shifts = centres @ timed.normals.T
+    ends = np.maximum(timed.offsets[:, 0] - shifts[:-1], timed.offsets[:, 1] - shifts[1:])
+    ends = np.vstack([ends, timed.offsets[-1, 1] - shifts[-1]])
     shapes = tuple(_cover(timed.normals, b, axes) for b in ends)
     item = Item("cover", shapes, f"{obstacle.name} is within", times, centres[:, axes])
     return [item] if item.shape else []

@@ -67,19 +67,19 @@ class ExplicitASIF(Method):
             rule = f"needs sets of positions only, and {states[0]} limits the whole state"
             raise ScenarioError("method", self.key, rule)
         self.balls = [o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)]
-        span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
+        drift_max = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
         parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)
-        round_ones = {ball.name for ball in self.balls}
+        ball_names = {ball.name for ball in self.balls}
         # Normals, offsets at every node, and how hard full thrust brakes along the normals.
         self.walls = [
-            (u.normals, offsets, self._brake(u.name, u.normals, span))
+            (u.normals, offsets, self._brake(u.name, u.normals, drift_max))
             for u, offsets in zip(grid.unsafe, parts, strict=False)
-            if u.name not in round_ones
+            if u.name not in ball_names
         ]
         # A ball must be met also where the thrusters push least: along an axis or the diagonal.
         d = system.d
-        ways = np.vstack([np.eye(d), np.ones((1, d)) / np.sqrt(d)])
-        self.ball_brake = self._brake("balls", ways, span).min() if self.balls else 0.0
+        directions = np.vstack([np.eye(d), np.ones((1, d)) / np.sqrt(d)])
+        self.ball_brake = self._brake("balls", directions, drift_max).min() if self.balls else 0.0
 
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
@@ -98,25 +98,25 @@ class ExplicitASIF(Method):
             " programs have solutions; neither is proven"
         )
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Solve one program for every run."""
-        x, grid = seen.estimate, self.grid
+        x, grid = observed.estimate, self.grid
         R = len(x)
         if not grid.unsafe:
-            return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), seen.desired)
-        node = seen.k * grid.nodes
+            return Choice(np.full(R, FILTERED), np.full(R, np.inf), np.zeros(R, dtype=int), observed.desired)
+        node = observed.k * grid.nodes
         p, v = x @ grid.system.position.T, x @ grid.system.velocity.T
         conditions = [self._facets(*wall, node, x, p, v) for wall in self.walls]
         conditions += [self._ball(ball, node, x, p, v) for ball in self.balls]
         h, rows, bound = (np.stack(part, axis=1) for part in zip(*conditions, strict=True))
         rows = rows * grid.system.u_max
-        answer = project(rows, bound, seen.desired / grid.system.u_max, 1.0)
-        lost = answer.status > SOLVED
-        u = np.where(lost[:, None], 0.0, answer.u) * grid.system.u_max
+        answer = project(rows, bound, observed.desired / grid.system.u_max, 1.0)
+        unsolved = answer.status > SOLVED
+        u = np.where(unsolved[:, None], 0.0, answer.u) * grid.system.u_max
         return Choice(
-            np.where(lost, 0, FILTERED),
+            np.where(unsolved, 0, FILTERED),
             h.min(axis=1),
-            np.where(lost, 2, (np.abs(u - seen.desired) > UNCHANGED * grid.system.u_max).any(axis=1)),
+            np.where(unsolved, 2, (np.abs(u - observed.desired) > UNCHANGED * grid.system.u_max).any(axis=1)),
             u,
         )
 
@@ -124,17 +124,17 @@ class ExplicitASIF(Method):
         self, normals: Array, offsets: Array, brakes: Array, node: int, x: Array, p: Array, v: Array
     ) -> tuple[Array, Array, Array]:
         """Barrier (R,), row (R, m) and bound (R,) of one polytope: of its facet with the largest barrier."""
-        here, after = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
-        speed = (after - here) / self.grid.h
-        d = p @ normals.T - here - np.abs(normals @ self.grid.system.position) @ self.grid.half_widths
+        offset, following = offsets[node], offsets[min(node + 1, len(offsets) - 1)]
+        speed = (following - offset) / self.grid.h
+        d = p @ normals.T - offset - np.abs(normals @ self.grid.system.position) @ self.grid.half_widths
         error = np.abs(normals @ self.grid.system.velocity) @ self.grid.half_widths
         closing = v @ normals.T - speed - (0.0 if self.direct else error)
         allowed, slope = self._allowed(d, brakes)
         h = d if self.direct else closing + allowed
-        best = h.argmax(axis=1)
+        facet = h.argmax(axis=1)
         run = np.arange(len(x))
-        change = -speed[best] if self.direct else slope[run, best] * closing[run, best]
-        return self._condition(x, normals[best], h[run, best], change)
+        change = -speed[facet] if self.direct else slope[run, facet] * closing[run, facet]
+        return self._condition(x, normals[facet], h[run, facet], change)
 
     def _ball(
         self, ball: BallObstacle, node: int, x: Array, p: Array, v: Array
@@ -143,9 +143,9 @@ class ExplicitASIF(Method):
         system, half = self.grid.system, self.grid.half_widths
         t = node * self.grid.h
         centre, velocity = ball.motion(t)
-        away = p - centre
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-        normal = away / distance[:, None]
+        offset = p - centre
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        normal = offset / distance[:, None]
         relative = v - velocity
         d = distance - ball.radius - self.buffer - np.linalg.norm(np.abs(system.position) @ half)
         closing = (relative * normal).sum(axis=1)
@@ -158,10 +158,10 @@ class ExplicitASIF(Method):
 
     def _condition(self, x: Array, normal: Array, h: Array, change: Array) -> tuple[Array, Array, Array]:
         """Barrier, row and bound, from the rate of h along a normal but for input, drift and disturbance."""
-        known = ((x @ self.drift.T) * normal).sum(axis=1)
-        known -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.unbiased.w_max
-        known -= np.abs(normal @ self.push) @ self.off
-        return h, normal @ self.push, -self.alpha * h - (known + change)
+        rate = ((x @ self.drift.T) * normal).sum(axis=1)
+        rate -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.unbiased.w_max
+        rate -= np.abs(normal @ self.push) @ self.off
+        return h, normal @ self.push, -self.alpha * h - (rate + change)
 
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:
         """Closing speed from which braking ends in time, and its slope; half a linear layer is spare."""

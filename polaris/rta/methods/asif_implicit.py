@@ -68,38 +68,38 @@ class ImplicitASIF(Method):
             moves.append(phi @ moves[-1] + moves[0])
         facets = self.recovery.matrix[: len(self.recovery.intersample), :-1]
         none = np.zeros((0, grid.system.m))
-        self.inner_moves = np.vstack([none, *(facets @ moved for moved in moves[:-1])])
+        self.inner_moves = np.vstack([none, *(facets @ move for move in moves[:-1])])
         demand = self.prospect.demand
         self.rows = demand.tall[: demand.near, :-2] @ moves[-1]
         self.most = np.abs(self.rows).sum(axis=1)
         W = grid.tracking.W
-        pushed = (float(np.linalg.norm(np.abs(W @ moved).sum(axis=1))) for moved in moves)
-        self.pushed = max(pushed) * (1 + ROUNDING)
+        norms = (float(np.linalg.norm(np.abs(W @ move).sum(axis=1))) for move in moves)
+        self.pushed = max(norms) * (1 + ROUNDING)
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Solve one program for every run whose desired input is not recoverable."""
         grid, recovery, demand = self.grid, self.recovery, self.prospect.demand
-        k, R = seen.k, len(seen.estimate)
+        k, R = observed.k, len(observed.estimate)
         node = k * grid.nodes + grid.delay + grid.nodes
         if node > grid.last:
-            return Choice(np.zeros(R, dtype=int), np.full(R, -np.inf), np.full(R, 2), seen.desired)
-        e = seen.estimate - grid.xi[k * grid.nodes]
-        moved = e @ self.prospect.end.M.T + self.prospect.end.offset[k * grid.nodes]
+            return Choice(np.zeros(R, dtype=int), np.full(R, -np.inf), np.full(R, 2), observed.desired)
+        e = observed.estimate - grid.xi[k * grid.nodes]
+        end_error = e @ self.prospect.end.M.T + self.prospect.end.offset[k * grid.nodes]
         size = self.prospect.size(k, e) + self.pushed
         first = node * len(recovery.rows)
         window = recovery.reciprocals[first : first + demand.near]
-        tightening = extended(moved, size) @ demand.tall[: demand.near].T
+        tightening = extended(end_error, size) @ demand.tall[: demand.near].T
         limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
         slack = SLACK * np.abs(limit)
         limit = limit - slack
         clearance = limit - tightening
         allowed = clearance - self._kept(k, e, limit)
-        desired = seen.desired / grid.system.u_max
-        left = (allowed - desired @ self.rows.T) * window
-        margin, u = left.min(axis=1), desired.copy()
-        later = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
-        lost = later > 1
-        for run in np.flatnonzero((margin < 0) & ~lost):
+        desired = observed.desired / grid.system.u_max
+        margins = (allowed - desired @ self.rows.T) * window
+        margin, u = margins.min(axis=1), desired.copy()
+        far_share = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
+        infeasible = far_share > 1
+        for run in np.flatnonzero((margin < 0) & ~infeasible):
             for clearances in (allowed, clearance) if self.slope < 1 else (clearance,):
                 near = clearances[run] < self.most
                 answer = project(
@@ -109,13 +109,13 @@ class ImplicitASIF(Method):
                     u[run] = answer.u[0]
                     break
             else:
-                lost[run] = True
+                infeasible[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        lost |= ~(clearance - u @ self.rows.T >= -slack).all(axis=1)
-        lost |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
-        mode = np.where(lost, 0, FILTERED)
-        why = np.where(lost, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
-        return Choice(mode, margin, why, u * grid.system.u_max)
+        infeasible |= ~(clearance - u @ self.rows.T >= -slack).all(axis=1)
+        infeasible |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
+        mode = np.where(infeasible, 0, FILTERED)
+        reasons = np.where(infeasible, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
+        return Choice(mode, margin, reasons, u * grid.system.u_max)
 
     def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
         """Clearance that this decision must leave, (R, rows): a share of what S, taking over now, leaves."""
@@ -126,6 +126,6 @@ class ImplicitASIF(Method):
         rows = demand.tall[later : later + demand.near]
         size = np.linalg.norm(e @ self.grid.tracking.W.T, axis=1) + self.prospect.radius
         tightening = extended(e, size) @ rows.T
-        kept = np.zeros((len(e), len(limit)))
-        kept[:, : len(rows)] = np.maximum(limit[: len(rows)] - tightening, 0.0)
-        return (1 - self.slope) * kept
+        reserve = np.zeros((len(e), len(limit)))
+        reserve[:, : len(rows)] = np.maximum(limit[: len(rows)] - tightening, 0.0)
+        return (1 - self.slope) * reserve

@@ -19,9 +19,9 @@ class SingleController(Method):
         """End condition of S, in words."""
         return self.grid.schedule.safety.end.reason
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Choose the one controller."""
-        R = len(seen.estimate)
+        R = len(observed.estimate)
         return Choice(np.full(R, self.mode), np.full(R, np.nan), np.zeros(R, dtype=int))
 
 
@@ -62,9 +62,9 @@ class PrecomputedSchedule(SingleController):
         """Theorem 2."""
         return Claim(self.grid.schedule.guarantee, self.reach)
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Look the mode up."""
-        R, schedule = len(seen.estimate), self.grid.schedule
-        step = seen.k * self.grid.nodes // self.grid.clearance.q
+        R, schedule = len(observed.estimate), self.grid.schedule
+        step = observed.k * self.grid.nodes // self.grid.clearance.q
         mode, margin = int(schedule.modes[step]), float(schedule.margins[step])
         return Choice(np.full(R, mode), np.full(R, margin), np.zeros(R, dtype=int))

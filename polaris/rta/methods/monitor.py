@@ -114,15 +114,15 @@ class Monitor(Method):
             if mode and self.trust == "declared" and isinstance(law, AffineController):
                 legs[mode] = ErrorMotion.declared(self.recovery, mode)
         for mode, leg in legs.items():
-            for flown, before in enumerate((safe, any_thrust)):
-                self.prospects[mode, flown] = Permission(self.recovery, before if grid.delay else None, leg)
+            for flying, before in enumerate((safe, any_thrust)):
+                self.prospects[mode, flying] = Permission(self.recovery, before if grid.delay else None, leg)
         self._since = np.zeros(0, dtype=int)
 
     @property
     def reach(self) -> str:
         """Assumptions of the proof: the estimate error, and U's model."""
-        what = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
-        return f"state estimate within its error bound, U obeys {what}{self.chosen}"
+        assumption = "its declared model" if self.trust == "declared" else "nothing but its thrust limits"
+        return f"state estimate within its error bound, U obeys {assumption}{self.chosen}"
 
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> "Monitor":
@@ -137,31 +137,31 @@ class Monitor(Method):
         NotCertified
             If the initial set is not inside the first recoverable set of any.
         """
-        made, refused = [], None
+        monitors, refused = [], None
         for i, schedule in enumerate((grid.schedule, *grid.schedule.library)):
-            here = (
+            base = (
                 DecisionGrid.from_schedule(schedule, grid.period, grid.latency, grid.half_widths)
                 if i
                 else grid
             )
-            for one in (here, here.with_feedback_bound()) if grid.system.proportional else (here,):
+            for one in (base, base.with_feedback_bound()) if grid.system.proportional else (base,):
                 try:
-                    made.append(cls(one, **options))
+                    monitors.append(cls(one, **options))
                 except NotCertified as error:
                     refused = refused or error
-        if not made:
+        if not monitors:
             raise refused or NotCertified("nothing is proven")
-        best, everyone, objective = made[0], made[0].modes, grid.schedule.objective
-        alone = [(mode,) for mode in everyone] if len(everyone) > 1 else []
-        choices = [(one, modes) for one in made for modes in (everyone, *alone)]
+        monitor, everyone, objective = monitors[0], monitors[0].modes, grid.schedule.objective
+        singles = [(mode,) for mode in everyone] if len(everyone) > 1 else []
+        choices = [(one, modes) for one in monitors for modes in (everyone, *singles)]
         if objective and len(choices) > 1:
-            best, modes = max(choices, key=lambda choice: choice[0].objective(objective, choice[1]))
-            best.modes = modes
-        if best.grid.schedule is not grid.schedule:
-            best.chosen = ", along a safe reference of its own, proven like the schedule's"
-        if best.modes != everyone:
-            best.chosen += f"; only {grid.controllers[best.modes[0]].name} flies, of greater objective"
-        return best
+            monitor, modes = max(choices, key=lambda choice: choice[0].objective(objective, choice[1]))
+            monitor.modes = modes
+        if monitor.grid.schedule is not grid.schedule:
+            monitor.chosen = ", along a safe reference of its own, proven like the schedule's"
+        if monitor.modes != everyone:
+            monitor.chosen += f"; only {grid.controllers[monitor.modes[0]].name} flies, of greater objective"
+        return monitor
 
     def objective(
         self, priced: Callable[[Mapping[int, float], float, float], float], modes: tuple[int, ...] = ()
@@ -178,27 +178,27 @@ class Monitor(Method):
         """Begin with no run that dwells in S."""
         self._since = np.full(runs, self.dwell)
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """The first controller that is recoverable, in order of preference; else S."""
-        e = seen.estimate - self.grid.xi[seen.k * self.grid.nodes]
+        e = observed.estimate - self.grid.xi[observed.k * self.grid.nodes]
         if len(e) == 1:
-            return self._decide_one(seen.k, e[0], int(seen.mode[0]))
-        mode, margin = self.judge(seen.k, e, seen.mode)
-        mode = np.where((seen.mode == 0) & (self._since < self.dwell), 0, mode)
-        why = np.where(mode > 0, 0, np.where(margin >= 0, 2, 1))
-        self._since = np.where(mode > 0, self.dwell, np.where(seen.mode > 0, 1, self._since + 1))
-        return Choice(mode, margin, why)
+            return self._decide_one(observed.k, e[0], int(observed.mode[0]))
+        mode, margin = self.judge(observed.k, e, observed.mode)
+        mode = np.where((observed.mode == 0) & (self._since < self.dwell), 0, mode)
+        reasons = np.where(mode > 0, 0, np.where(margin >= 0, 2, 1))
+        self._since = np.where(mode > 0, self.dwell, np.where(observed.mode > 0, 1, self._since + 1))
+        return Choice(mode, margin, reasons)
 
-    def _decide_one(self, k: int, e: Array, flown: int) -> Choice:
+    def _decide_one(self, k: int, e: Array, flying: int) -> Choice:
         """`decide` of one run: the same without arrays, which take longer than the decision itself."""
-        mode, margin = self.judge_one(k, e, flown)
+        mode, margin = self.judge_one(k, e, flying)
         since = int(self._since[0])
-        mode = 0 if flown == 0 and since < self.dwell else mode
-        why = 0 if mode else 2 if margin >= 0 else 1
-        self._since[0] = self.dwell if mode else (1 if flown else since + 1)
-        return Choice(np.array([mode]), np.array([margin]), np.array([why]))
+        mode = 0 if flying == 0 and since < self.dwell else mode
+        reason = 0 if mode else 2 if margin >= 0 else 1
+        self._since[0] = self.dwell if mode else (1 if flying else since + 1)
+        return Choice(np.array([mode]), np.array([margin]), np.array([reason]))
 
-    def judge(self, k: int, e: Array, flown: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
+    def judge(self, k: int, e: Array, flying: NDArray[np.int_]) -> tuple[NDArray[np.int_], Array]:
         """Mode and margin (least share of clearance left, of the controller chosen or the best refused).
 
         Parameters
@@ -206,18 +206,18 @@ class Monitor(Method):
         k : int
         e : ndarray, shape (R, n)
             Errors ``x - xi`` as measured.
-        flown : ndarray of int, shape (R,)
+        flying : ndarray of int, shape (R,)
             Modes that fly until the decision takes effect.
         """
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
-        limit = np.where(flown == 0, self._most(k), 1.0)
+        limit = np.where(flying == 0, self._most(k), 1.0)
         for candidate in self.modes:
             share = np.full(R, np.inf)
             for before in (0, 1) if self.grid.delay else (0,):
-                mine = ((flown != 0) == before) if self.grid.delay else np.ones(R, dtype=bool)
-                if mine.any():
-                    share[mine] = self._share(k, e[mine], candidate, before)
+                matching = ((flying != 0) == before) if self.grid.delay else np.ones(R, dtype=bool)
+                if matching.any():
+                    share[matching] = self._share(k, e[matching], candidate, before)
             undecided = mode == 0
             margin = np.where(undecided, np.maximum(margin, 1 - share), margin)
             mode = np.where(undecided & (share <= limit), candidate, mode)
@@ -234,34 +234,34 @@ class Monitor(Method):
             share[~holds] = cautious.share(k, e[~holds])[0]
         return share
 
-    def judge_one(self, k: int, e: Array, flown: int) -> tuple[int, float]:
+    def judge_one(self, k: int, e: Array, flying: int) -> tuple[int, float]:
         """`judge` of one run, e of shape (n,): the quick way through."""
-        return self._quickest(k, e, flown)[:2]
+        return self._quickest(k, e, flying)[:2]
 
-    def explained(self, k: int, state: Array, flown: int) -> tuple[int, float, str]:
+    def explained(self, k: int, state: Array, flying: int) -> tuple[int, float, str]:
         """Return `judge_one` of a state, and its reason: the tightest limit, and when S would meet it."""
-        mode, margin, where = self._quickest(k, state - self.grid.xi[k * self.grid.nodes], flown)
-        if where is None:
+        mode, margin, nearest = self._quickest(k, state - self.grid.xi[k * self.grid.nodes], flying)
+        if nearest is None:
             return mode, margin, "there is no experimental controller"
-        less = "" if mode or not margin >= 0 else "; less clearance than U needs to take over from S"
-        return mode, margin, f"nearest limit: {where[0].limit(k, where[1])}{less}"
+        note = "" if mode or not margin >= 0 else "; less clearance than U needs to take over from S"
+        return mode, margin, f"nearest limit: {nearest[0].limit(k, nearest[1])}{note}"
 
-    def _quickest(self, k: int, e: Array, flown: int) -> tuple[int, float, tuple[Permission, int] | None]:
+    def _quickest(self, k: int, e: Array, flying: int) -> tuple[int, float, tuple[Permission, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
-        before, best, nearest = 1 if self.grid.delay and flown else 0, np.inf, None
-        limit = 1.0 if flown else self._most(k)
+        before, lowest, nearest = 1 if self.grid.delay and flying else 0, np.inf, None
+        limit = 1.0 if flying else self._most(k)
         for candidate in self.modes:
             cautious = self.prospects[0, before]
             prospect = self.prospects.get((candidate, before), cautious)
-            share, where, holds = prospect.share_one(k, e)
+            share, index, holds = prospect.share_one(k, e)
             if not holds:
                 prospect = cautious
-                share, where, _ = prospect.share_one(k, e)
+                share, index, _ = prospect.share_one(k, e)
             if share <= limit:
-                return candidate, 1 - share, (prospect, where)
-            if nearest is None or share < best:
-                best, nearest = share, (prospect, where)
-        return 0, 1 - best, nearest
+                return candidate, 1 - share, (prospect, index)
+            if nearest is None or share < lowest:
+                lowest, nearest = share, (prospect, index)
+        return 0, 1 - lowest, nearest
 
 
 class DeclaredMonitor(Monitor):

@@ -64,8 +64,8 @@ class MonitorOnBoard(Method):
         super().__init__(grid)
         if code is None or not code.online:
             raise ScenarioError("code", code and code.tables.sizes, "must be flight code with the monitor")
-        self.code, usual = code.require_schedule(grid.schedule), DecisionGrid.from_schedule(grid.schedule)
-        if (grid.nodes, grid.delay) != (1, 0) or (grid.half_widths > usual.half_widths).any():
+        self.code, base = code.require_schedule(grid.schedule), DecisionGrid.from_schedule(grid.schedule)
+        if (grid.nodes, grid.delay) != (1, 0) or (grid.half_widths > base.half_widths).any():
             rule = "must be the control period, without latency and with no more errors than declared"
             raise ScenarioError("period", grid.period, f"{rule}, where the code decides")
         self.monitor = Monitor(grid)
@@ -75,20 +75,20 @@ class MonitorOnBoard(Method):
         """That of the monitor, if the checker confirms the code."""
         return f"`polaris verify --code` confirms the code; {self.monitor.reach}"
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Let U ask; the code answers."""
-        R = len(seen.estimate)
-        asks = np.full(R, self.monitor.modes[0])
-        return Choice(asks, np.full(R, np.nan), np.zeros(R, dtype=int))
+        R = len(observed.estimate)
+        modes = np.full(R, self.monitor.modes[0])
+        return Choice(modes, np.full(R, np.nan), np.zeros(R, dtype=int))
 
-    def explained(self, k: int, state: Array, flown: int) -> tuple[int, float, str]:
+    def explained(self, k: int, state: Array, flying: int) -> tuple[int, float, str]:
         """Return the mode that the code decides for, and margin and limit of `Monitor.explained`."""
         assert self.code is not None
-        mode, margin, reason = self.monitor.explained(k, state, flown)
+        mode, margin, reason = self.monitor.explained(k, state, flying)
         step = OnlineStep(self.code.tables, self.code.precision)
-        step.safe.last, step.flown = k - 1, flown
+        step.safe.last, step.flown = k - 1, flying
         answer = step.step(k, state.tolist(), self.monitor.modes[0], [0.0] * self.grid.system.m)
         if mode and not answer.mode:
-            why = "the state is beyond the code's range" if answer.fault & RANGE else "the code needs more"
-            reason = f"{reason}; {why}"
+            detail = "the state is beyond the code's range" if answer.fault & RANGE else "the code needs more"
+            reason = f"{reason}; {detail}"
         return answer.mode, margin, reason

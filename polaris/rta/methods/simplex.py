@@ -45,19 +45,19 @@ class ExplicitSimplex(Latched):
             if node > grid.last:
                 out[k] = -np.inf
                 continue
-            left = recovery.window(node) - demand.tall[:, -1]
-            out[k] = min(float((left / slope).min()), recovery.far(node))
+            slack = recovery.window(node) - demand.tall[:, -1]
+            out[k] = min(float((slack / slope).min()), recovery.far(node))
         return out
 
-    def margin(self, seen: Observation) -> Array:
+    def margin(self, observed: Observation) -> Array:
         """Share of the radius left."""
-        e = seen.estimate - self.grid.xi[seen.k * self.grid.nodes]
-        radius = self.radii[seen.k]
-        size = self.prospect.size(seen.k, e)
-        left = 1 - size / radius if radius > 0 else np.full(len(e), -np.inf)
+        e = observed.estimate - self.grid.xi[observed.k * self.grid.nodes]
+        radius = self.radii[observed.k]
+        size = self.prospect.size(observed.k, e)
+        slack = 1 - size / radius if radius > 0 else np.full(len(e), -np.inf)
         if self.prospect.inner:  # the ball is that of the last node; facets count at those before too
-            left = np.minimum(left, 1 - self.prospect.share(seen.k, e)[0])
-        return np.asarray(left)
+            slack = np.minimum(slack, 1 - self.prospect.share(observed.k, e)[0])
+        return np.asarray(slack)
 
 
 class ImplicitSimplex(Latched):
@@ -89,10 +89,10 @@ class ImplicitSimplex(Latched):
         """Basis of a decision: one undisturbed flight of S."""
         return f"one undisturbed flight of S over {self.lags * self.grid.h:g} s; disturbances are ignored"
 
-    def margin(self, seen: Observation) -> Array:
+    def margin(self, observed: Observation) -> Array:
         """Least distance of the predicted flight [m]; -inf where S would ask for too much thrust."""
-        grid, x = self.grid, seen.estimate
-        node = seen.k * grid.nodes
+        grid, x = self.grid, observed.estimate
+        node = observed.k * grid.nodes
         if node + grid.nodes + grid.delay > grid.last:
             return np.full(len(x), -np.inf)
         Ad, Bd, _ = grid.discrete

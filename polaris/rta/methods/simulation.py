@@ -46,8 +46,8 @@ class ForwardSimulation(Method):
 
     def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
         super().__init__(grid, buffer)
-        usual = max(AHEAD * grid.last * grid.h, LEAST * grid.period)
-        self.horizon = usual if horizon is None else HORIZON.check("horizon", horizon)
+        default = max(AHEAD * grid.last * grid.h, LEAST * grid.period)
+        self.horizon = default if horizon is None else HORIZON.check("horizon", horizon)
         self.settings["horizon"] = self.horizon
         self.count = max(int(np.ceil(self.horizon / grid.h)), 1)
         self.last = len(grid.own_references.get(1, grid.xi)) - 1
@@ -61,9 +61,9 @@ class ForwardSimulation(Method):
             " at its end, or under disturbances"
         )
 
-    def decide(self, seen: Observation) -> Choice:
+    def decide(self, observed: Observation) -> Choice:
         """Predict, and look at the least distance [m]."""
-        node, x = seen.k * self.grid.nodes, seen.estimate
+        node, x = observed.k * self.grid.nodes, observed.estimate
         clearance = self._clearance(node, x, 0)
         for i in range(1, self.count + 1):
             if node == self.last:

@@ -62,12 +62,12 @@ class DecisionClock:
         if self._offset is None:
             # Without a second clock the plan begins with the first call, or with the decision numbered 0.
             self._offset = time - other if reference is not None else -self.period
-        apart = time - other - self._offset
-        if not abs(apart) <= (self.drift if reference is not None else self.tolerance):
-            way = "ahead of" if apart > 0 else "behind"
+        difference = time - other - self._offset
+        if not abs(difference) <= (self.drift if reference is not None else self.tolerance):
+            side = "ahead of" if difference > 0 else "behind"
             against = "the number of calls" if number is None else "the decision's number"
             against = against if reference is None else "the second clock"
-            return None, FlightFault("clock", f"the reading is {abs(apart):.6g} s {way} {against}")
+            return None, FlightFault("clock", f"the reading is {abs(difference):.6g} s {side} {against}")
         if reference is not None and number is not None and k + 1 != self._calls:
             return None, FlightFault("clock", f"called for decision {self._calls - 1} at decision {k}")
         return self._place(k, time - k * self.period)

@@ -65,8 +65,8 @@ class DecisionLog:
         if isinstance(target, (str, Path)):
             self._path = Path(target)
             try:
-                for _, there in _parts(self._path):
-                    raise FileExistsError(errno.EEXIST, f"{there.name} exists")
+                for _, file in _parts(self._path):
+                    raise FileExistsError(errno.EEXIST, f"{file.name} exists")
                 self._stream: TextIO = open(target, "x", encoding="utf-8", newline="\n")  # noqa: SIM115
             except OSError as error:
                 raise ScenarioError("log", str(target), f"must be a new file ({error.strerror})") from error
@@ -99,8 +99,8 @@ class DecisionLog:
         written = Path(full.name)
         self._full.append((written, _identity(written)))
         if self._files is not None and len(self._full) >= self._files:
-            oldest, known = self._full.pop(0)
-            if _identity(oldest) == known:
+            oldest, identity = self._full.pop(0)
+            if _identity(oldest) == identity:
                 oldest.unlink()
 
     def close(self) -> None:
@@ -158,8 +158,8 @@ def _identity(path: Path) -> tuple[int, ...]:
 def _parts(path: Path) -> list[tuple[int, Path]]:
     """List the files of a log, oldest first, with their numbers."""
     form = re.compile(rf"{re.escape(path.name)}(?:\.([1-9][0-9]*))?")
-    matches = ((form.fullmatch(there.name), there) for there in path.parent.iterdir())
-    return sorted((int(match[1] or 0), there) for match, there in matches if match)
+    matches = ((form.fullmatch(file.name), file) for file in path.parent.iterdir())
+    return sorted((int(match[1] or 0), file) for match, file in matches if match)
 
 
 def read_log(path: str | Path, *, partial: bool = False) -> list[dict[str, Any]]:

@@ -70,12 +70,12 @@ class BoxMotion:
 
     def __init__(self, system: Craft, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
-        wrong = (fault.wrong(system.thrusters) for fault in system.transients)
-        self.unasked = np.vstack([np.zeros((1, system.m)), *wrong]).max(axis=0)  # by faults not isolated yet
+        errors = (fault.wrong(system.thrusters) for fault in system.transients)
+        self.unasked = np.vstack([np.zeros((1, system.m)), *errors]).max(axis=0)  # by faults not isolated yet
         self.most = system.u_max + system.thrusters.error(system.u_max) + self.unasked
-        one, two = (float(np.linalg.norm(power, 1)) for power in (system.A, system.A @ system.A))
-        rate = max(sqrt(two), 1e-3 * one)  # norm(A^i) <= lead rate^i: two factors at a time
-        lead = one / rate if one else 1.0
+        norm, square_norm = (float(np.linalg.norm(power, 1)) for power in (system.A, system.A @ system.A))
+        rate = max(sqrt(square_norm), 1e-3 * norm)  # norm(A^i) <= lead rate^i: two factors at a time
+        lead = norm / rate if norm else 1.0
         farthest = FARTHEST_MOTION - log(lead)
         if not rate * longest <= farthest:
             rule = f"must be at most {farthest / rate:.3g} s for the fastest mode of the system"
@@ -101,20 +101,20 @@ class BoxMotion:
         weights = t ** np.arange(len(self._state))
         Phi = np.tensordot(weights, self._state, 1)
         push, spread = t * np.tensordot(weights, self._input, 1), t * np.tensordot(weights, self._spread, 1)
-        rest = self._rest * t ** len(weights)
-        slip = self._slip @ np.abs(Phi) + rest
-        spread = spread * (1 + ROUNDING) + rest * np.abs(self.system.B).sum(axis=0)
+        tail = self._rest * t ** len(weights)
+        slip = self._slip @ np.abs(Phi) + tail
+        spread = spread * (1 + ROUNDING) + tail * np.abs(self.system.B).sum(axis=0)
         const = t * (weights @ self._disturbance) * (1 + ROUNDING)
-        const += rest * (self.system.w_max * np.abs(self.system.D).sum() + np.abs(self.system.unknown).sum())
+        const += tail * (self.system.w_max * np.abs(self.system.D).sum() + np.abs(self.system.unknown).sum())
         const += 2 * ROUNDING * (spread @ self.most)
         out = np.zeros((2 * n, 3 * n + 2 * m + 1))
         for first, sign in ((0, 1.0), (n, -1.0)):
-            mine = slice(first, first + n)
-            out[mine, :n], out[mine, n : 2 * n] = np.maximum(sign * Phi, 0), np.maximum(-sign * Phi, 0)
-            out[mine, 2 * n : 3 * n] = slip
-            out[mine, 3 * n : 3 * n + m] = (spread + sign * push) / 2
-            out[mine, 3 * n + m : -1] = (spread - sign * push) / 2
-            out[mine, -1] = const
+            rows = slice(first, first + n)
+            out[rows, :n], out[rows, n : 2 * n] = np.maximum(sign * Phi, 0), np.maximum(-sign * Phi, 0)
+            out[rows, 2 * n : 3 * n] = slip
+            out[rows, 3 * n : 3 * n + m] = (spread + sign * push) / 2
+            out[rows, 3 * n + m : -1] = (spread - sign * push) / 2
+            out[rows, -1] = const
         return out
 
 
@@ -147,8 +147,8 @@ class BoxFilter:
             return
         system = self.motion.system
         largest = np.minimum([bounds[1], -bounds[0]], system.u_max)  # of +u and of -u
-        given = (largest + system.thrusters.error(largest.max(axis=0)) + self.motion.unasked).ravel()
-        self._inputs = given if fresh else np.maximum(self._inputs, given)
+        inputs = (largest + system.thrusters.error(largest.max(axis=0)) + self.motion.unasked).ravel()
+        self._inputs = inputs if fresh else np.maximum(self._inputs, inputs)
 
     def reaches(self, t: float) -> bool:
         """Return True if the box can be moved to the time t [s]."""
@@ -172,8 +172,8 @@ class BoxFilter:
 
     def ahead(self, x: Array, half: Array, duration: float) -> tuple[Array, Array]:
         """Lower and upper ends, from one measurement alone, so much later [s]."""
-        moved = self._moved(_boxed(x, half), duration)
-        return -moved[self._n :], moved[: self._n]
+        box = self._moved(_boxed(x, half), duration)
+        return -box[self._n :], box[: self._n]
 
     def restart(self, t: float, x: Array, half: Array) -> None:
         """Forget everything but this measurement."""

@@ -129,17 +129,17 @@ class FlightLoop:
             The state that S and U act on.
         """
         t, state = real(now), numbers(x, self._x.shape)
-        known = False
+        valid = False
         if t is not None and isfinite(t):
-            self._told, known = t, t > self._newest
-            if known:
+            self._told, valid = t, t > self._newest
+            if valid:
                 self._newest = t
                 self._take_effect(t)
         if state is not None and np.isfinite(state).all():
             self._x = state.copy()
         else:
-            known = False
-        if not known:
+            valid = False
+        if not valid:
             self._revoke()
         if self._mode:
             u = self.online.command(self.laws[self._mode], self._told, self._x.copy())

@@ -31,15 +31,15 @@ class MeasurementCheck:
     def __init__(self, grid: DecisionGrid, limits: Durations, farthest: float, trusted: int) -> None:
         self.grid = grid
         self._same = TIME * grid.period
-        lost = any(not len(fault.thrust) for fault in grid.system.transients)  # then no older one counts
-        self._max_age, self._farthest = self._same if lost else limits.max_age, farthest
+        outage = any(not len(fault.thrust) for fault in grid.system.transients)  # then no older one counts
+        self._max_age, self._farthest = self._same if outage else limits.max_age, farthest
         self._shape = (grid.system.n,)
         self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
         motion = BoxMotion(grid.system, grid.period, limits.memory + self._same)
-        for usual in (0.0, grid.period):  # worked out before the flight
-            motion.over(usual)
+        for duration in (0.0, grid.period):  # worked out before the flight
+            motion.over(duration)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
         self.agreed = self._enough = trusted
         self.conflicts = 0  # since so many agreed
@@ -50,8 +50,8 @@ class MeasurementCheck:
         fresh = self.filter.t >= self._called - self._same
         self._called = np.inf  # not known, unless `observe` is told
         m, limit = self.grid.system.m, self.grid.system.u_max * (1 + TIME)
-        held = numbers(applied, (m,))
-        bounds = numbers(applied, (2, m)) if held is None else np.array([held, held])
+        constant = numbers(applied, (m,))
+        bounds = numbers(applied, (2, m)) if constant is None else np.array([constant, constant])
         if bounds is not None:
             rising = np.array([-limit, *bounds, limit])
             bounds = bounds if (rising[:-1] <= rising[1:]).all() else None
@@ -115,23 +115,23 @@ class MeasurementCheck:
         if age < -self._same:
             return "future: newer than the decision's instant"
         if stamp <= self._newest + self._same:
-            what = "duplicated" if stamp >= self._newest - self._same else "reordered"
-            return f"{what}: not newer than the last one, so missing"
+            fault = "duplicated" if stamp >= self._newest - self._same else "reordered"
+            return f"{fault}: not newer than the last one, so missing"
         if age > self._max_age:
             return f"stale: {age:.6g} s old"
         if not np.isfinite(x).all():
             return "the state is not finite"
         if np.abs(x).max() > self._farthest:
             return f"absurd: an entry beyond {self._farthest:g}"
-        half, moved = self.grid.half_widths, np.zeros(self._shape)
+        half, offset = self.grid.half_widths, np.zeros(self._shape)
         if measurement.half_widths is not None:
-            given = numbers(measurement.half_widths, self._shape)
-            if given is None:
+            half_widths = numbers(measurement.half_widths, self._shape)
+            if half_widths is None:
                 return "malformed: the half widths"
-            half, moved = given, self.grid.system.state_offset  # jitter displaces what is measured
-        if not ((half >= 0) & (half + moved <= self.grid.half_widths)).all():  # also for nan
+            half, offset = half_widths, self.grid.system.state_offset  # jitter displaces what is measured
+        if not ((half >= 0) & (half + offset <= self.grid.half_widths)).all():  # also for nan
             return "half widths: not between zero and the scene's"
-        half = half + moved
+        half = half + offset
         if age > self._same:  # pulses displace what is measured between nodes
             half = half + np.array(self.grid.system.timing.intersample_offset or 0.0)
         contents = x.tobytes()

@@ -84,12 +84,12 @@ class OnlineMonitor:
         from the keyboard during a call counts as a fault of U. Reading what it returns belongs to the call,
         and to its time budget.
         """
-        begun, limit = self._timer(), self.grid.system.u_max
-        u, wrong = commanded(law, arguments, limit.shape, BaseException)
-        if not wrong and self._timer() - begun > self.limits.budget:
-            wrong = "over its time budget"
-        if u is None or wrong:
-            self._noted.append(FlightFault("controller", wrong))
+        start, limit = self._timer(), self.grid.system.u_max
+        u, fault = commanded(law, arguments, limit.shape, BaseException)
+        if not fault and self._timer() - start > self.limits.budget:
+            fault = "over its time budget"
+        if u is None or fault:
+            self._noted.append(FlightFault("controller", fault))
             return None
         return np.asarray(np.clip(u, -limit, limit))
 
@@ -126,8 +126,8 @@ class OnlineMonitor:
             and without a second clock a missed call cannot be told from a clock that was set: S flies then,
             until `resynchronise`.
         """
-        begun = self._timer()
-        given = _CallArguments(
+        start = self._timer()
+        call = _CallArguments(
             sanitize(now),
             Measurement.sanitize(measurement),
             sanitize(applied),
@@ -136,42 +136,42 @@ class OnlineMonitor:
             self._asked,
         )
         self._asked = None
-        noted, self._noted = self._noted, []
-        self._strikes += len(noted)
-        faults = [*noted]
+        u_faults, self._noted = self._noted, []
+        self._strikes += len(u_faults)
+        faults = [*u_faults]
         k, mode, margin, reason = -1, 0, np.nan, ""
         try:
-            k, mode, margin, reason = self._decide(given, faults)
+            k, mode, margin, reason = self._decide(call, faults)
         except Exception as error:  # whatever is wrong with the monitor itself, S flies
             self._own_fault(f"raised {type(error).__name__}", faults)
-        left = self.limits.deadline
+        deadline = self.limits.deadline
         if self.grid.latency and k >= 0:  # nor beyond the moment of effect
-            left = min(left, k * self.grid.period + self.grid.latency - float(given.now))
-        if self._timer() - begun > left:
+            deadline = min(deadline, k * self.grid.period + self.grid.latency - float(call.now))
+        if self._timer() - start > deadline:
             self._own_fault("deadline missed", faults)
         answer = self._answer(k, mode, margin, reason, faults)
         if self._log is not None:
-            self._record(self._log, answer, noted, given)
+            self._record(self._log, answer, u_faults, call)
         return answer
 
     def _own_fault(self, text: str, faults: list[FlightFault]) -> None:
         self._strikes += 1
         faults.insert(0, FlightFault("monitor", text))
 
-    def _decide(self, given: _CallArguments, faults: list[FlightFault]) -> tuple[int, int, float, str]:
-        if given.resynchronised is not None:
-            if isinstance(given.resynchronised, float) and isfinite(given.resynchronised):
-                self.clock.resynchronise(given.resynchronised)
+    def _decide(self, call: _CallArguments, faults: list[FlightFault]) -> tuple[int, int, float, str]:
+        if call.resynchronised is not None:
+            if isinstance(call.resynchronised, float) and isfinite(call.resynchronised):
+                self.clock.resynchronise(call.resynchronised)
             else:
                 faults.append(FlightFault("clock", "asked to resynchronise to no finite number"))
-        k, wrong = self.clock.read(given.now, given.reference, given.number)
-        if wrong is not None:
-            faults.append(wrong)
+        k, fault = self.clock.read(call.now, call.reference, call.number)
+        if fault is not None:
+            faults.append(fault)
         before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
         if self.clock.missed and before:  # the permission ended, and S took over
             self._dwelt, self._flown = self.clock.missed, 0
-        self.observer.note_inputs(given.applied, faults)
-        state = None if k is None else self.observer.observe(given.measurement, k * self.grid.period, faults)
+        self.observer.note_inputs(call.applied, faults)
+        state = None if k is None else self.observer.observe(call.measurement, k * self.grid.period, faults)
         self._latched(faults)
         if k is None or state is None:
             return -1 if k is None else k, 0, np.nan, ""
@@ -197,20 +197,20 @@ class OnlineMonitor:
     def _answer(
         self, k: int, mode: int, margin: float, reason: str, faults: list[FlightFault]
     ) -> OnlineDecision:
-        until, wrong = -np.inf, [fault for fault in faults if not fault.harmless]
-        mode = 0 if wrong else mode
+        until, blocking = -np.inf, [fault for fault in faults if not fault.harmless]
+        mode = 0 if blocking else mode
         if mode:
             until, self._dwelt = (k + 1) * self.grid.period + self.grid.latency, self.options.min_dwell
         else:
             self._dwelt = 1 if self._flown else self._dwelt + 1
         self._flown = mode
-        if wrong:
-            reason = str(wrong[0])
+        if blocking:
+            reason = str(blocking[0])
         unwritten, self._unwritten = self._unwritten, []
         return OnlineDecision(k, mode, margin, until, reason, (*faults, *unwritten))
 
     def _record(
-        self, log: DecisionLog, answer: OnlineDecision, noted: list[FlightFault], given: _CallArguments
+        self, log: DecisionLog, answer: OnlineDecision, u_faults: list[FlightFault], call: _CallArguments
     ) -> None:
         try:
             record = {
@@ -219,9 +219,9 @@ class OnlineMonitor:
                 "margin": jsonable(answer.margin),
                 "reason": answer.reason,
                 "faults": [str(fault) for fault in answer.faults],
-                "controller": [fault.text for fault in noted],
+                "controller": [fault.text for fault in u_faults],
             }
-            record |= {name: jsonable(value) for name, value in given._asdict().items()}
+            record |= {name: jsonable(value) for name, value in call._asdict().items()}
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(FlightFault("log", "the line before could not be written"))
@@ -247,11 +247,11 @@ def replay_log(
     monitor : Monitor or MonitorOnBoard
     options : RuntimeOptions, optional
     """
-    flown = list(records)
+    entries = list(records)
     # Read at the beginning and at the end of every step.
-    wall = (end for one in flown for end in (0.0, inf if LATE in one["faults"] else 0.0))
+    wall = (end for one in entries for end in (0.0, inf if LATE in one["faults"] else 0.0))
     online, answers = OnlineMonitor(monitor, options, timer=wall.__next__), []
-    for record in flown:
+    for record in entries:
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
         online._noted += [FlightFault("controller", text) for text in record["controller"]]

@@ -31,8 +31,8 @@ class Case:
     @property
     def label(self) -> str:
         """Name of the case in tables: ``static, planner.extra_margin_m=20``."""
-        shown = [f"{key}={x:g}" if isinstance(x, float) else f"{key}={x}" for key, x in self.parameters]
-        return ", ".join([self.scenario, *shown])
+        settings = [f"{key}={x:g}" if isinstance(x, float) else f"{key}={x}" for key, x in self.parameters]
+        return ", ".join([self.scenario, *settings])
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Replayed:
         A file that is there is replaced by `force` only.
         """
         target = check_trajectory(path, force)
-        with replacing_file(target, force=force) as beside:
+        with replacing_file(target, force=force) as draft:
             if target.suffix == ".npz":
-                np.savez(beside, **self.arrays)
+                np.savez(draft, **self.arrays)
             else:
                 rows = zip_longest(*(values.tolist() for values in self.table.values()))
-                write_csv(beside, [dict(zip(self.table, row, strict=True)) for row in rows])
+                write_csv(draft, [dict(zip(self.table, row, strict=True)) for row in rows])
         return target
 
 

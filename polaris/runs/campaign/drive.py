@@ -151,10 +151,10 @@ def find_worst(
         except OSError as error:
             rule = "must be finished; run the same command again first"
             raise ScenarioError("campaign", str(folder.path), rule) from error
-        flown = table["mode"] == mode
-        least, batches, runs = (table[name][flown] for name in (ranking, "batch", "run"))
-        order = np.lexsort((runs, batches, least))[:rank]
-        ranked += [(float(least[i]), number, int(batches[i]), int(runs[i])) for i in order]
+        in_mode = table["mode"] == mode
+        values, batches, runs = (table[name][in_mode] for name in (ranking, "batch", "run"))
+        order = np.lexsort((runs, batches, values))[:rank]
+        ranked += [(float(values[i]), number, int(batches[i]), int(runs[i])) for i in order]
     if not 1 <= rank <= len(ranked):
         raise ScenarioError("--worst", rank, f"must be from 1 to the number of runs, {len(ranked)}")
     return sorted(ranked)[rank - 1][1:]
@@ -183,21 +183,21 @@ def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: st
     _check(folder, task, mode)
     if not 0 <= run < task.runs:
         raise ScenarioError("--run", run, f"must be from 0 to {task.runs - 1}")
-    known = folder.check(task)
-    if known is None:
+    digest = folder.check(task)
+    if digest is None:
         rule = f"its part {folder.part(task).name} is missing or damaged; run the campaign again"
         raise ScenarioError("campaign", str(folder.path), rule)
-    flown = folder.plan.kind.fly(task, mode, run)
-    if flown.schedule != known:
+    replayed = folder.plan.kind.fly(task, mode, run)
+    if replayed.schedule != digest:
         raise PolarisError("this case gives another schedule than in the campaign; are versions the same?")
     row = folder.row(task, mode, run)
-    for name, values in flown.columns.items():
-        here, there = values[run].item(), row[name]
-        if here != there and (here == here or there == there):  # the same, or both nan
-            given = f"{name} is {here!r} here and {there!r} in the table"
-            raise PolarisError(f"the repeated run differs on this machine: {given}")
-    assert flown.trajectory is not None
-    return replace(flown.trajectory, row=row)
+    for name, values in replayed.columns.items():
+        value, recorded = values[run].item(), row[name]
+        if value != recorded and (value == value or recorded == recorded):  # the same, or both nan
+            difference = f"{name} is {value!r} here and {recorded!r} in the table"
+            raise PolarisError(f"the repeated run differs on this machine: {difference}")
+    assert replayed.trajectory is not None
+    return replace(replayed.trajectory, row=row)
 
 
 def _check(folder: CampaignFolder, task: Task, mode: str) -> None:

@@ -73,9 +73,9 @@ class CampaignFolder:
             value = dict(case.parameters)[key]
             columns[key] = np.repeat(np.array(str(value) if kind is str else value, dtype=kind), count)
         columns["batch"] = np.full(count, task.batch, dtype=np.int32)
-        who = self._who(task) | {"schedule": batch.schedule}
-        with adding(self.path, "runs", "kept") as beside:
-            FORMATS[self.table].write(beside / self.part(task).name, columns | batch.columns, json.dumps(who))
+        head = self._who(task) | {"schedule": batch.schedule}
+        with adding(self.path, "runs", "kept") as draft:
+            FORMATS[self.table].write(draft / self.part(task).name, columns | batch.columns, json.dumps(head))
 
     def check(self, task: Task) -> str | None:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
@@ -125,9 +125,9 @@ class CampaignFolder:
 
     def _add(self, name: str, text: str) -> None:
         """Write a text file; one of the user that has its name is kept with ``.kept``."""
-        inside, _, last = name.rpartition("/")
-        with adding(self.path, inside, "kept") as beside:
-            write_text(beside / last, text)
+        subfolder, _, file_name = name.rpartition("/")
+        with adding(self.path, subfolder, "kept") as draft:
+            write_text(draft / file_name, text)
 
     def _failure(self, case: int) -> Path:
         return self.path / "failed" / f"case-{case:04d}.json"
@@ -149,27 +149,27 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
 
     What is half written is removed, and failures that more time might change are forgotten.
     """
-    path, begins = check_place(out, fresh)
+    path, is_new = check_place(out, fresh)
     table = usable(plan.kind.formats)
-    if begins:
-        with replacing(path) as beside:
+    if is_new:
+        with replacing(path) as draft:
             for name in ("runs", "failed"):
-                (beside / name).mkdir()
-            write_text(beside / MANIFEST, _manifest_text(plan, table))
+                (draft / name).mkdir()
+            write_text(draft / MANIFEST, _manifest_text(plan, table))
         return CampaignFolder(path, plan, table)
     refuse_taken(path, (MANIFEST, "summary.json"))
     try_writing(path, "summary.json", out)
-    known = _manifest(path)
-    if known.get("digest") != plan.digest:
+    manifest = _manifest(path)
+    if manifest.get("digest") != plan.digest:
         data = plan.data()
-        names = [name for name in data if name != "runs" and known.get(name) != data[name]]
+        names = [name for name in data if name != "runs" and manifest.get(name) != data[name]]
         differs = "other " + ", ".join(names) if names else "its manifest was changed"
         raise ScenarioError("--out", str(out), f"holds another campaign ({differs}); --fresh replaces it")
-    if known["runs"] > plan.runs:
-        rule = f"must be at least {known['runs']}, as flown in {path}; or use --fresh"
+    if manifest["runs"] > plan.runs:
+        rule = f"must be at least {manifest['runs']}, as flown in {path}; or use --fresh"
         raise ScenarioError("--runs", plan.runs, rule)
-    folder = CampaignFolder(path, plan, usable([known.get("table", table)]))
-    if known["runs"] < plan.runs:
+    folder = CampaignFolder(path, plan, usable([manifest.get("table", table)]))
+    if manifest["runs"] < plan.runs:
         folder._add(MANIFEST, _manifest_text(plan, folder.table))
     tidy(path)
     for case, failure in folder.failures().items():
@@ -200,14 +200,14 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
     folder = Path(path)
     if not (folder / MANIFEST).is_file():
         raise refuse(f"must be a campaign folder; it has no {MANIFEST}")
-    known = _manifest(folder)
-    if same_version and known.get("version") != version():
-        raise refuse(f"was made by version {known.get('version')}, this is {version()}: its runs may differ")
+    record = _manifest(folder)
+    if same_version and record.get("version") != version():
+        raise refuse(f"was made by version {record.get('version')}, this is {version()}: its runs may differ")
     try:
-        plan, table = CampaignPlan.from_data(known), str(known["table"])
+        plan, table = CampaignPlan.from_data(record), str(record["table"])
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError) as error:
         raise refuse(f"its manifest is damaged ({error})") from error
-    if same_version and plan.digest != known.get("digest"):
+    if same_version and plan.digest != record.get("digest"):
         raise refuse("its manifest was changed: the digest does not fit")
     return CampaignFolder(folder, plan, usable([table]))
 
@@ -217,7 +217,7 @@ def _manifest_text(plan: CampaignPlan, table: str) -> str:
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
-    known = read_json(folder / MANIFEST)
-    if not isinstance(known.get("runs"), int):
+    manifest = read_json(folder / MANIFEST)
+    if not isinstance(manifest.get("runs"), int):
         raise ScenarioError("campaign", str(folder), "has no number of runs; use --fresh")
-    return known
+    return manifest

@@ -25,11 +25,11 @@ class Parquet:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        kept = {
+        encoded = {
             name: pa.array(values.tolist(), pa.string()) if values.dtype.kind == "U" else values
             for name, values in columns.items()
         }
-        pq.write_table(pa.table(kept).replace_schema_metadata({KEY: text}), path, write_page_checksum=True)
+        pq.write_table(pa.table(encoded).replace_schema_metadata({KEY: text}), path, write_page_checksum=True)
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
         """Some columns, or all of them."""

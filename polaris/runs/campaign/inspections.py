@@ -54,8 +54,8 @@ class InspectionRuns(CampaignRuns):
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
         flights = FlightBatch(q, x, sun, plan.duration_s, plan.period_s)
-        kept = [] if run is None else [RunRecorder(flights, run)]
-        outcome = fly_block(flights, filters[mode], *kept)
+        recorders = [] if run is None else [RunRecorder(flights, run)]
+        outcome = fly_block(flights, filters[mode], *recorders)
         columns = {
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
@@ -63,7 +63,7 @@ class InspectionRuns(CampaignRuns):
             **dict(zip(_names(q.deputies), x.reshape(task.runs, -1).T, strict=True)),
             **outcome.columns,
         }
-        return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
+        return Batch("", columns, trajectory=_trajectory(recorders[0].flight()) if recorders else None)
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
         """Summarise the runs of a campaign (see `CampaignRuns.summarise`)."""

@@ -113,9 +113,9 @@ class CampaignPlan:
         for case in self.cases:
             for key, value in case.parameters:
                 values.setdefault(key, set()).add(type(value))
-        whole = ({bool}, {int})
+        exact = ({bool}, {int})
         return {
-            key: types.pop() if types in whole else float if types <= {int, float} else str
+            key: types.pop() if types in exact else float if types <= {int, float} else str
             for key, types in values.items()
         }
 
@@ -178,13 +178,13 @@ def make_cases(
     if isinstance(scenarios, (str, Scenario)):
         raise ScenarioError("scenarios", type(scenarios).__name__, "must be a list of scenarios, even of one")
     values = dict(grid or {})
-    for key, given in values.items():
-        if not isinstance(given, Sequence) or isinstance(given, str):
-            raise ScenarioError(f"--grid {key}", given, "must be a list of values, even of one")
+    for key, choices in values.items():
+        if not isinstance(choices, Sequence) or isinstance(choices, str):
+            raise ScenarioError(f"--grid {key}", choices, "must be a list of values, even of one")
         if any(parse_assignment(text)[0] == key for text in overrides):
             raise ScenarioError("--grid", key, "must be left out of --set")
-        if not given or any(item in given[:i] for i, item in enumerate(given)):
-            raise ScenarioError(f"--grid {key}", list(given), "must have at least one value, each once")
+        if not choices or any(item in choices[:i] for i, item in enumerate(choices)):
+            raise ScenarioError(f"--grid {key}", list(choices), "must have at least one value, each once")
     cases: list[Case] = []
     for scenario in scenarios:
         loaded = load_scenario(scenario, only=ScheduleScenario) if isinstance(scenario, str) else scenario
@@ -204,13 +204,13 @@ def parse_grid(texts: Sequence[str]) -> dict[str, list[Any]]:
     """Values by key from texts ``key=v1,v2,...``; values as for ``--set``, commas in brackets kept."""
     grid: dict[str, list[Any]] = {}
     for text in texts:
-        key, equals, rest = text.partition("=")
+        key, equals, value_text = text.partition("=")
         key = key.strip()
-        if not equals or not key or not rest.strip():
+        if not equals or not key or not value_text.strip():
             raise ScenarioError("--grid", text, "must be key=value,value,...")
         if key in grid:
             raise ScenarioError("--grid", key, "must be given once")
-        grid[key] = [parse_assignment(f"{key}={part}")[1] for part in _split(rest)]
+        grid[key] = [parse_assignment(f"{key}={part}")[1] for part in _split(value_text)]
     return grid
 
 
@@ -219,8 +219,8 @@ def _split(text: str) -> list[str]:
     parts = [""]
     for piece in text.split(","):
         bare = re.sub(r"\"[^\"]*\"|'[^']*'", "", parts[-1])
-        inside = any(bare.count(mark) % 2 for mark in "\"'")
-        if inside or bare.count("[") > bare.count("]") or bare.count("{") > bare.count("}"):
+        quoted = any(bare.count(mark) % 2 for mark in "\"'")
+        if quoted or bare.count("[") > bare.count("]") or bare.count("{") > bare.count("}"):
             parts[-1] += f",{piece}"
         else:
             parts.append(piece)

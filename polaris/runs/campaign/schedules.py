@@ -109,10 +109,10 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
 def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
     """Schedule of a scenario's text, and its digest; made once per process for all of its threads."""
     with _lock:
-        made = _made(text, boxes)
-    if isinstance(made, PolarisError):
-        raise made.with_traceback(None)
-    return made
+        outcome = _made(text, boxes)
+    if isinstance(outcome, PolarisError):
+        raise outcome.with_traceback(None)
+    return outcome
 
 
 @dataclass(frozen=True)
@@ -158,12 +158,12 @@ class ScheduleRuns(CampaignRuns):
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> "ScheduleRuns":
         """Build the kind (see `CampaignRuns.from_data`); functions of black boxes are given, not read."""
-        named = data["boxes"]
-        return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})
+        names = data["boxes"]
+        return super().from_data({**data, "boxes": Boxes(dict.fromkeys(names)) if names else None})
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
         """Fly a task, or one run of it (see `CampaignRuns.fly`)."""
-        schedule, known = schedule_of(task.text, self.boxes)
+        schedule, sha = schedule_of(task.text, self.boxes)
         number = _number(mode)
         name = mode if number is None else schedule.controllers[number].name
         claim = schedule.guarantee if number is None else "none" if number else "proved"
@@ -173,7 +173,7 @@ class ScheduleRuns(CampaignRuns):
             runs = simulate(
                 schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
             )
-        flown: dict[str, Any] = {
+        table: dict[str, Any] = {
             "seed": np.full(task.runs, seed, dtype=np.int64),
             "seed_truth": np.full(task.runs, seed_truth, dtype=np.int64),
             "run": np.arange(task.runs, dtype=np.int64),
@@ -183,7 +183,7 @@ class ScheduleRuns(CampaignRuns):
             **evaluate(runs, seed_truth, name).columns(),
             **({} if runs.faults is None else runs.faults.columns(runs.times)),
         }
-        return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
+        return Batch(sha, table, trajectory=None if run is None else _trajectory(task, runs, run))
 
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
         """Summarise the runs of a campaign (see `CampaignRuns.summarise`)."""
@@ -221,8 +221,8 @@ class ScheduleRuns(CampaignRuns):
 
 def _number(mode: str) -> int | None:
     """Return the number of the controller that a mode names; None for the schedule or an unknown mode."""
-    named = re.fullmatch("experimental_([2-9]|[1-9][0-9]{1,3})", mode)
-    return int(named[1]) if named else MODES.get(mode)
+    match = re.fullmatch("experimental_([2-9]|[1-9][0-9]{1,3})", mode)
+    return int(match[1]) if match else MODES.get(mode)
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:
@@ -279,7 +279,7 @@ def _cell_summary(columns: Columns, worst: int) -> dict[str, Any]:
         "violations": violations,
         "violation_probability": {"share": violations / runs, "low": low, "high": high},
         "mean": means,
-        "worst": {name: least(columns[name]) for name, least in WORST.items()},
+        "worst": {name: extreme(columns[name]) for name, extreme in WORST.items()},
         "worst_runs": [
             {name: columns[name][i] for name in ("batch", "run", "min_distance_m")} for i in order
         ],

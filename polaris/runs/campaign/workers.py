@@ -36,14 +36,14 @@ class Interrupted(PolarisError):
 
 
 @contextmanager
-def going_on(kept: Callable[[], str]) -> Iterator[None]:
+def going_on(describe: Callable[[], str]) -> Iterator[None]:
     """Say with whatever ends the work what is kept of it, and that the same command goes on from there."""
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(f"interrupted; {kept()}, and the same command goes on from there") from None
+        raise Interrupted(f"interrupted; {describe()}, and the same command goes on from there") from None
     except PolarisError as error:
-        text = f"{error}; {kept()}, and the same command goes on from there"
+        text = f"{error}; {describe()}, and the same command goes on from there"
         raise failed(text, error.exit_code) from error
 
 
@@ -104,36 +104,36 @@ def work_through(
     workers: Workers,
     work: Callable[[Task], Result],
     tasks: Iterator[Task],
-    keep: Callable[[Task, Result], None],
+    store: Callable[[Task, Result], None],
 ) -> list[Task]:
-    """Hand tasks to workers, and results to `keep`, until all are done or some lost: these are returned."""
+    """Hand tasks to workers, and results to `store`, until all are done or some lost: these are returned."""
     executor = workers.make()
-    flying: dict[Future[Result], Task] = {}
+    pending: dict[Future[Result], Task] = {}
     lost: list[Task] = []
     try:
         while True:
-            free_slots = 0 if lost else max(workers.window() - len(flying), 0)
+            free_slots = 0 if lost else max(workers.window() - len(pending), 0)
             for task in islice(tasks, free_slots):
                 try:
-                    flying[executor.submit(work, task)] = task
+                    pending[executor.submit(work, task)] = task
                 except workers.lost:
                     lost.append(task)
-            if not flying:
+            if not pending:
                 return lost
-            ready, _ = futures.wait(flying, TICK, futures.FIRST_COMPLETED)
+            ready, _ = futures.wait(pending, TICK, futures.FIRST_COMPLETED)
             trouble = "" if ready else workers.trouble()
             if trouble:
                 raise PolarisError(trouble)
             for future in ready:
-                task = flying.pop(future)
+                task = pending.pop(future)
                 try:
                     result = future.result()
                 except workers.lost:
                     lost.append(task)
                 else:
-                    keep(task, result)
+                    store(task, result)
     finally:
-        for future in flying:
+        for future in pending:
             future.cancel()
         if workers.again:
             executor.shutdown(wait=False)
@@ -153,8 +153,8 @@ def cluster(address: str) -> Iterator[Workers]:
     ScenarioError
         If ``distributed`` is not installed, in a tested version, or no scheduler answers in a few seconds.
     """
-    if why := unusable("distributed"):
-        raise ScenarioError("--scheduler", address, why)
+    if reason := unusable("distributed"):
+        raise ScenarioError("--scheduler", address, reason)
     import distributed
 
     if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
@@ -168,9 +168,9 @@ def cluster(address: str) -> Iterator[Workers]:
             rule = f"no scheduler answers there within {PATIENCE:g} s ({detail})"
             raise ScenarioError("--scheduler", address, rule) from error
         crew = _Crew(client, address)
-        lost = (BrokenExecutor, CancelledError, distributed.KilledWorker)
+        loss_types = (BrokenExecutor, CancelledError, distributed.KilledWorker)
         try:
-            yield Workers(crew.executor, crew.window, lost=lost, trouble=crew.trouble)
+            yield Workers(crew.executor, crew.window, lost=loss_types, trouble=crew.trouble)
         finally:
             client.close(timeout=PATIENCE)
 
@@ -178,8 +178,8 @@ def cluster(address: str) -> Iterator[Workers]:
 @contextmanager
 def _unlogged() -> Iterator[None]:
     """Keep Dask's log of lost connections, tracebacks included, off the terminal: `Driver` tells."""
-    known = [*logging.root.manager.loggerDict, *LOGGERS]
-    names = dict.fromkeys(name for name in known if name.partition(".")[0] in LOGGERS)
+    loggers = [*logging.root.manager.loggerDict, *LOGGERS]
+    names = dict.fromkeys(name for name in loggers if name.partition(".")[0] in LOGGERS)
     levels = {name: logging.getLogger(name).level for name in names}
     for name in names:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -65,10 +65,10 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     system, final = safety.problem.system, safety.tracking.error(schedule.final)
-    away = safety.tracking.left_out
+    offset = safety.tracking.left_out
     single, infinity = nodes.G.astype(np.float32), np.float32(np.inf)
-    off = (np.abs(nodes.G - single).sum(axis=-1) + away).astype(np.float32)
-    box = np.nextafter(off, infinity)[..., None] * np.eye(nodes.dim, dtype=np.float32)
+    half_widths = (np.abs(nodes.G - single).sum(axis=-1) + offset).astype(np.float32)
+    box = np.nextafter(half_widths, infinity)[..., None] * np.eye(nodes.dim, dtype=np.float32)
     q = safety.tracking.feedback.nodes_per_cell
     return {
         "t_s": schedule.times[:-1, None] + np.arange(q + 1) * safety.tracking.flow.h,
@@ -79,7 +79,7 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
         "intersample": np.stack([step.tube.intersample for step in schedule.steps])
         + (system.timing.intersample_offset or 0.0),
         "final_center_error": final.c,
-        "final_generators": np.hstack([final.G, np.diag(away)]),
+        "final_generators": np.hstack([final.G, np.diag(offset)]),
     }
 
 
@@ -108,20 +108,20 @@ FLIGHTS = {  # attribute of the flights of a controller or method by the name of
 }
 
 
-def flight_arrays(flown: Mapping[str, FlightEnvelope]) -> dict[str, Any]:
+def flight_arrays(envelopes: Mapping[str, FlightEnvelope]) -> dict[str, Any]:
     """Return some runs of every controller or method, and the envelope of all of them."""
-    parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
+    parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in envelopes.items())
     return {name: values for part in parts for name, values in part.items() if values is not None}
 
 
 def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
     """Attributes of an item by the names their arrays have."""
-    return {prefix + name: getattr(item, held) for name, held in names.items()}
+    return {prefix + name: getattr(item, field) for name, field in names.items()}
 
 
 def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
     """Return attributes by name from arrays: the inverse of `held_by`."""
-    return {held: arrays[prefix + name] for name, held in names.items()}
+    return {field: arrays[prefix + name] for name, field in names.items()}
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -145,10 +145,10 @@ def _check_header(parts: zipfile.ZipFile, part: zipfile.ZipInfo) -> None:
     """Raise a ValueError unless an array has the size that the archive declares for it."""
     with parts.open(part) as file:
         version = np.lib.format.read_magic(file)  # it and what follows read no more than a header
-        read = (
+        read_header = (
             np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         )
-        shape, _, dtype = read(file)
+        shape, _, dtype = read_header(file)
         if math.prod(shape) * dtype.itemsize + file.tell() != part.file_size:
             raise ValueError(
                 f"{part.filename}: its shape {shape} does not fit its size, {part.file_size} bytes"
@@ -165,10 +165,10 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 def read_flights(path: Path) -> dict[str, FlightEnvelope]:
     """Read the arrays of `flight_arrays`, by key."""
-    arrays, out = read_arrays(path), {}
+    arrays, flights = read_arrays(path), {}
     for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
-        fields: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
+        fields: dict[str, Any] = {field: arrays.get(f"{key}_{name}") for name, field in FLIGHTS.items()}
         fields["controller"] = str(arrays.get(f"{key}_controller", key))
         fields["labels"] = tuple(fields["labels"].tolist())
-        out[key] = FlightEnvelope(**fields)
-    return out
+        flights[key] = FlightEnvelope(**fields)
+    return flights

@@ -39,10 +39,10 @@ CAMPAIGN = "manifest.json"  # file by which a campaign is known
 class CannotWrite(ScenarioError):
     """A place turned out not to take the files to be written there."""
 
-    def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
+    def __init__(self, field: str, target: Path, error: OSError, existed: bool) -> None:
         cause = " ".join((error.strerror or str(error)).split())
         rule = f"cannot be written: {cause}"
-        rule += "; the previous content is unchanged" if before else "; nothing was written"
+        rule += "; the previous content is unchanged" if existed else "; nothing was written"
         if error.errno in (*FULL, None):
             rule += ". Free some space, or give another place, and run the same command again"
         super().__init__(field, str(target), rule)
@@ -131,10 +131,10 @@ def refuse_taken(folder: Path, names: Iterable[str]) -> None:
     owned = OwnedPaths(folder)
     for name in names:
         if os.path.lexists(folder / name) and name not in owned:
-            why = "was changed since Polaris wrote it" if name in owned.listed else "is not Polaris's"
+            reason = "was changed since Polaris wrote it" if name in owned.listed else "is not Polaris's"
             if linked(folder, name):
-                why = "is a symbolic link or in a linked folder, and Polaris does not write through links"
-            rule = f"{name} in it {why}; move it away, or give another place"
+                reason = "is a symbolic link or in a linked folder, and Polaris does not write through links"
+            rule = f"{name} in it {reason}; move it away, or give another place"
             raise ScenarioError("--out", str(folder), rule)
 
 
@@ -155,18 +155,18 @@ def try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") 
 @contextmanager
 def _beside(folder: Path, name: str, field: str, target: Path) -> Iterator[Path]:
     """Make a hidden folder, with a list by which the next run knows it, and remove it at the end."""
-    beside = folder / beside_name(name, "new")
+    draft = folder / beside_name(name, "new")
     try:
-        beside.mkdir(parents=True)
-        start_list(beside)
-        yield beside
+        draft.mkdir(parents=True)
+        start_list(draft)
+        yield draft
     except BaseException as error:
         cause = error.__cause__ if isinstance(error, CannotWrite) else error
         if isinstance(cause, OSError) and cause.errno in (*FULL, *REFUSED):
             raise CannotWrite(field, target, cause, os.path.lexists(target)) from cause
         raise
     finally:
-        remove(beside)
+        remove(draft)
 
 
 @contextmanager
@@ -177,45 +177,45 @@ def replacing(target: Path) -> Iterator[Path]:
     is needed. If the process is killed in between, the older folder is whole, and put back next time.
     """
     tidy(target.parent, target.name)
-    aside = target.with_name(beside_name(target.name, "old"))
-    with _beside(target.parent, target.name, "--out", target) as beside:
-        yield beside
-        write_list(beside)
+    old = target.with_name(beside_name(target.name, "old"))
+    with _beside(target.parent, target.name, "--out", target) as draft:
+        yield draft
+        write_list(draft)
         if target.exists():
-            shutil.copymode(target, beside)
-            keep(target, beside)
-            target.rename(aside)
+            shutil.copymode(target, draft)
+            keep(target, draft)
+            target.rename(old)
         try:
-            beside.rename(target)
+            draft.rename(target)
         except OSError:
-            if aside.exists():
-                aside.rename(target)
+            if old.exists():
+                old.rename(target)
             raise
-    discard(aside, target)
+    discard(old, target)
 
 
 @contextmanager
 def replacing_file(target: Path, field: str = "--out", force: bool = False) -> Iterator[Path]:
     """Give a path of the same name elsewhere; files written there take the place of `target`."""
-    with _beside(target.parent, target.name, field, target) as beside:
-        yield beside / target.name
+    with _beside(target.parent, target.name, field, target) as draft:
+        yield draft / target.name
         _check_taken(target, field, force)
-        os.replace(beside / target.name, target)
+        os.replace(draft / target.name, target)
 
 
 def write_whole(path: Path, text: str, field: str = "--out", force: bool = False) -> None:
     """Write a text file: whole, or not at all."""
-    with replacing_file(path, field, force) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    with replacing_file(path, field, force) as draft:
+        draft.write_text(text, encoding="utf-8", newline="\n")
 
 
 @contextmanager
 def adding(
-    folder: Path, inside: str = "", taken: Literal["refused", "kept", "replaced"] = "refused"
+    folder: Path, inside: str = "", policy: Literal["refused", "kept", "replaced"] = "refused"
 ) -> Iterator[Path]:
     """Give a new folder whose files are moved at the end into a folder of results, and listed there.
 
-    They go to the folder `inside` it. Of a file in the way that Polaris did not write as it is, `taken` says
+    They go to the folder `inside` it. Of a file in the way that Polaris did not write as it is, `policy` says
     what becomes: the command is ``refused`` and names it, or it is ``kept``, moved up into `folder` with
     ``.kept`` added to its name, or ``replaced``.
     """
@@ -226,15 +226,15 @@ def adding(
     if not os.path.lexists(holder / MANIFEST):
         start_list(holder)
     tidy(folder)
-    with _beside(folder, inside or folder.name, "--out", place) as beside:
-        yield beside
+    with _beside(folder, inside or folder.name, "--out", place) as draft:
+        yield draft
         place.mkdir(exist_ok=True)
         prefix = "".join(f"{part}/" for part in place.relative_to(holder).parts)
-        new = sorted(path for path in beside.iterdir() if path.name != MANIFEST)
-        there = [path for path in new if os.path.lexists(place / path.name)]
-        if taken == "refused":
-            refuse_taken(holder, [prefix + path.name for path in there])
-        for path in there if taken == "kept" else ():
+        new = sorted(path for path in draft.iterdir() if path.name != MANIFEST)
+        conflicts = [path for path in new if os.path.lexists(place / path.name)]
+        if policy == "refused":
+            refuse_taken(holder, [prefix + path.name for path in conflicts])
+        for path in conflicts if policy == "kept" else ():
             if prefix + path.name not in OwnedPaths(holder):
                 (place / path.name).rename(spare(folder, f"{path.name}.kept", place / path.name))
         for path in new:

@@ -42,13 +42,13 @@ def flown(schedule: Schedule) -> dict[str, Any]:
 
 def system_table(problem: Problem) -> dict[str, Any]:
     """Return the system and its errors."""
-    system, made = problem.system, problem.allocation
-    table = {key: getattr(made, key) for key in ALLOCATION if made is not None}
+    system, allocation = problem.system, problem.allocation
+    table = {key: getattr(allocation, key) for key in ALLOCATION if allocation is not None}
     table["layout"] = (layout := system.nozzles) is not None
     if layout is not None:
         table["kind"] = layout.allocation.kind
         table |= {"multipliers": layout.multipliers} if layout.allocation.solves else {}
-    late = [  # no pushes where navigation is lost
+    transients = [  # no pushes where navigation is lost
         {
             "name": each.name,
             "lasts": float(each.lasts),
@@ -69,8 +69,8 @@ def system_table(problem: Problem) -> dict[str, Any]:
         **({"bias_max": system.bias} if np.any(system.bias) else {}),
         "input_names": list(system.input_names),
         **errors_of(system),
-        **({} if made is None else {"allocation": table}),
-        **({"transients": late} if late else {}),
+        **({} if allocation is None else {"allocation": table}),
+        **({"transients": transients} if transients else {}),
     }
 
 
@@ -80,26 +80,26 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
     if not isinstance(item, (AffineController, NeuralController)):
         return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
     shared = item.own is safety.reference
-    own = {} if shared else {"reference_states": item.own.chi, "reference_inputs": item.own.nu}
+    reference = {} if shared else {"reference_states": item.own.chi, "reference_inputs": item.own.nu}
     if isinstance(item, NeuralController):
-        return {"name": item.name, "kind": "neural", **described(item), **own}
+        return {"name": item.name, "kind": "neural", **described(item), **reference}
     kind = "saturated_affine" if item.clips else "affine"
-    return {"name": item.name, "kind": kind, "gain": item.gain, **own}
+    return {"name": item.name, "kind": kind, "gain": item.gain, **reference}
 
 
 def described(law: NeuralController) -> dict[str, Any]:
     """Return a network's inputs, layers and scales."""
     policy = law.policy
     scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
-    moves = {key: (python_name(key), none) for key, none in MOVES.items()}
+    moves = {key: (python_name(key), default) for key, default in MOVES.items()}
     bodies = [
-        {"name": body.name, **{key: getattr(body, *given) for key, given in moves.items()}}
+        {"name": body.name, **{key: getattr(body, *arguments) for key, arguments in moves.items()}}
         for body in law.senses.bodies
     ]
-    read = {"obstacles": bodies} if bodies else {}
+    sensed = {"obstacles": bodies} if bodies else {}
     layers, precision = [layer_item(layer) for layer in policy.network.layers], policy.network.precision
     rounded = {} if precision == "real" else {"precision": precision}
-    return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **read}
+    return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **sensed}
 
 
 def layer_item(layer: Affine | Diagonal | Activation) -> dict[str, Any]:

@@ -60,9 +60,9 @@ def export_oem(folder: str | Path) -> list[Path]:
     target = propagate(env, elements.state(), times)
     written = [Track("target", times, target, "The target, integrated from its elements with J2 and drag.")]
     for track in tracks:
-        own = target[np.searchsorted(times, np.round(track.times, 9))]
+        target_states = target[np.searchsorted(times, np.round(track.times, 9))]
         comment = f"{track.comment} {INERTIAL}"
-        written.append(Track(track.name, track.times, from_hill(own, track.states), comment))
+        written.append(Track(track.name, track.times, from_hill(target_states, track.states), comment))
     with adding(run.path, FOLDER) as place:
         for track in written:
             lines = oem_lines(track, elements.nanoseconds(), elements.frame, elements.time_system)
@@ -78,14 +78,14 @@ def _tracks(path: Path, scenario: ScheduleScenario) -> Iterator[Track]:
     powered = read(path / NAME).powered
     for branch in () if powered is None else powered.branches:
         inputs = np.array([[float(u) for u in row] for row in branch.inputs]).reshape(-1, system.m)
-        left = Reference.propagate(system, delta, reference.chi[branch.step], inputs)
-        left = left.extend(max(len(branch.facets) - branch.step - len(inputs), 0))
+        departure = Reference.propagate(system, delta, reference.chi[branch.step], inputs)
+        departure = departure.extend(max(len(branch.facets) - branch.step - len(inputs), 0))
         comment = f"Reference of an abort from step {branch.step} on."
-        yield Track(f"branch-{branch.step}", *_fine(left, branch.step), comment)
-    for controller, flown in read_flights(path / "trajectories.npz").items():
-        for label, states in zip(flown.labels, flown.states, strict=True):
+        yield Track(f"branch-{branch.step}", *_fine(departure, branch.step), comment)
+    for controller, flights in read_flights(path / "trajectories.npz").items():
+        for label, states in zip(flights.labels, flights.states, strict=True):
             comment = f"Simulated flight {label} of {controller} by the linear model."
-            yield Track(f"{controller}-{label.replace(' ', '-')}", flown.times, states, comment)
+            yield Track(f"{controller}-{label.replace(' ', '-')}", flights.times, states, comment)
 
 
 def _fine(reference: Reference, first: int) -> tuple[Array, Array]:

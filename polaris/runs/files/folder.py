@@ -106,7 +106,7 @@ def write_folder(
     target: Path,
     kind: RunKind,
     scenario: Scenario,
-    found: Any,
+    outcome: Any,
     *,
     draw: Draw | None = None,
     stages: Stages | None = None,
@@ -125,32 +125,32 @@ def write_folder(
                 write_text(folder / SCENARIO, scenario.copy_text())
                 for file in scenario.files():
                     shutil.copyfile(file, folder / file.name)
-            kind.write(folder, scenario, found)
-        _summarise(folder, kind, scenario, found, clock.to_dict())
+            kind.write(folder, scenario, outcome)
+        _summarise(folder, kind, scenario, outcome, clock.to_dict())
         if draw is not None:
             stages.note("figures")
             with clock.stage("figures"):
                 draw(RunFolder(folder, scenario, kind))
-            _summarise(folder, kind, scenario, found, clock.to_dict())
+            _summarise(folder, kind, scenario, outcome, clock.to_dict())
     return RunFolder(target, scenario, kind)
 
 
 def _summarise(
-    folder: Path, kind: RunKind, scenario: Scenario, result: Any, seconds: Mapping[str, float]
+    folder: Path, kind: RunKind, scenario: Scenario, outcome: Any, seconds: Mapping[str, float]
 ) -> None:
     assert kind.to_summary is not None
-    summary = summary_of(scenario, kind.name, kind.to_summary(scenario, result, seconds))
+    summary = summary_of(scenario, kind.name, kind.to_summary(scenario, outcome, seconds))
     write_text(folder / kind.summary, json_text(summary))
 
 
-def summary_of(scenario: Scenario, kind: str, told: Mapping[str, Any]) -> dict[str, Any]:
+def summary_of(scenario: Scenario, kind: str, entries: Mapping[str, Any]) -> dict[str, Any]:
     """Return a summary: what was run, what is told of it, and when and by what it was made."""
     return {
         "schema_version": RUN_VERSION,
         "scenario": scenario.name,
         **({"kind": kind} if hasattr(scenario.model, "kind") else {}),
         "title": scenario.title,
-        **told,
+        **entries,
         **provenance(),
     }
 

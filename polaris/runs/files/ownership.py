@@ -40,8 +40,8 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _link(before: str, name: str, digest: str) -> str:
-    return hashlib.sha256(f"{before}\n{name}\n{digest}".encode()).hexdigest()[:16]
+def _link(previous: str, name: str, digest: str) -> str:
+    return hashlib.sha256(f"{previous}\n{name}\n{digest}".encode()).hexdigest()[:16]
 
 
 def read_list(folder: Path) -> dict[str, set[str]] | None:
@@ -56,11 +56,11 @@ def read_list(folder: Path) -> dict[str, set[str]] | None:
         header, *lines, _ = read_regular(folder / MANIFEST, LARGEST_LIST).decode().split("\n")
         if header != HEADER or (folder / MANIFEST).is_symlink():
             raise ValueError("another format")
-        before = ""
+        previous = ""
         for line in lines:
-            name, digest, known = json.loads(line)
-            before, path = _link(before, name, digest), PurePosixPath(name)
-            if known != before or path.is_absolute() or ".." in path.parts or name != str(path):
+            name, digest, link = json.loads(line)
+            previous, path = _link(previous, name, digest), PurePosixPath(name)
+            if link != previous or path.is_absolute() or ".." in path.parts or name != str(path):
                 raise ValueError("lines that do not fit")
             files.setdefault(name, set()).add(digest)
     except (OSError, ValueError, TypeError, RecursionError) as error:
@@ -82,14 +82,14 @@ def extend_list(folder: Path, name: str, digest: str) -> None:
         file.seek(max(size - 2**16, 0))
         *_, last, torn = file.read().split(b"\n")
         try:
-            before = "" if last + b"\n" == header else str(json.loads(last)[2])
+            previous = "" if last + b"\n" == header else str(json.loads(last)[2])
             if header.decode() != HEADER + "\n" or (folder / MANIFEST).is_symlink():
                 raise ValueError("another format")
         except (ValueError, LookupError, TypeError) as error:
             raise ScenarioError("folder", str(folder), EDITED) from error
         file.seek(size - len(torn))  # a full disk may have cut the last line off
         file.truncate()
-        file.write((json.dumps([name, digest, _link(before, name, digest)]) + "\n").encode())
+        file.write((json.dumps([name, digest, _link(previous, name, digest)]) + "\n").encode())
 
 
 def write_list(folder: Path) -> None:
@@ -134,12 +134,12 @@ class OwnedPaths:
             return False
 
 
-def spare(root: Path, name: str, like: Path) -> Path:
+def spare(root: Path, name: str, original: Path) -> Path:
     """Return where a file is kept: its path, with ``.kept`` added to each part that another file has."""
-    place, (*above, last) = root, name.split("/")
-    for part in above:
+    place, (*parents, last) = root, name.split("/")
+    for part in parents:
         place = next(path for path in _names(place / part) if not os.path.lexists(path) or _is_folder(path))
-    return next(path for path in _names(place / last) if not os.path.lexists(path) or _same(path, like))
+    return next(path for path in _names(place / last) if not os.path.lexists(path) or _same(path, original))
 
 
 def _names(path: Path) -> "map[Path]":
@@ -161,8 +161,8 @@ def _same(one: Path, other: Path) -> bool:
 def _others(folder: Path) -> list[tuple[str, Path]]:
     """List everything in a folder that is not Polaris's, and empty folders; links are not followed."""
     owned, others = OwnedPaths(folder), list[tuple[str, Path]]()
-    for here, folders, names in os.walk(folder):
-        for path in sorted(Path(here) / name for name in (*names, *folders)):
+    for parent, folders, names in os.walk(folder):
+        for path in sorted(Path(parent) / name for name in (*names, *folders)):
             name = path.relative_to(folder).as_posix()
             if not (name in owned.folders if _is_folder(path) else name == MANIFEST or name in owned):
                 others.append((name, path))
@@ -194,12 +194,12 @@ def _copy(source: Path, place: Path) -> None:
         shutil.copy2(source, place, follow_symlinks=False)
 
 
-def discard(aside: Path, target: Path) -> None:
+def discard(old: Path, target: Path) -> None:
     """Delete an old folder that has been replaced; files that came into it at the last moment move on."""
-    others = dict(_others(aside))
-    for here, folders, names in os.walk(aside, topdown=False):
-        for path in (Path(here) / name for name in (*names, *folders)):
-            name = path.relative_to(aside).as_posix()
+    others = dict(_others(old))
+    for parent, folders, names in os.walk(old, topdown=False):
+        for path in (Path(parent) / name for name in (*names, *folders)):
+            name = path.relative_to(old).as_posix()
             with suppress(OSError):
                 if _is_folder(path):
                     path.rmdir()
@@ -208,7 +208,7 @@ def discard(aside: Path, target: Path) -> None:
                     path.rename(place)
                 elif name != MANIFEST:
                     path.unlink()
-    remove(aside, empty=True)
+    remove(old, empty=True)
 
 
 def remove(folder: Path, empty: bool = False) -> None:
@@ -259,8 +259,8 @@ def tidy(folder: Path, name: str = "") -> None:
                 path.rename(target)
 
 
-def _abandoned(path: Path, where: str, process: int) -> bool:
-    if where == host() and os.name == "posix":  # elsewhere asking may end the process
+def _abandoned(path: Path, machine: str, process: int) -> bool:
+    if machine == host() and os.name == "posix":  # elsewhere asking may end the process
         try:
             os.kill(process, 0)
         except (ProcessLookupError, OverflowError):

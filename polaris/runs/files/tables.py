@@ -54,10 +54,10 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
 
 def controllers(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return who flew, by key, as people call them; experimental controllers by name if there are several."""
-    alone = [key for key in summary if key.startswith("experimental")]
-    named = (f" ({summary[key]['controller']})" if len(alone) > 1 else "" for key in alone)
-    called = {"safety": "S alone", **{key: f"U alone{name}" for key, name in zip(alone, named, strict=True)}}
-    return {key: title for key, title in {**called, "polaris": "Polaris"}.items() if key in summary}
+    keys = [key for key in summary if key.startswith("experimental")]
+    labels = (f" ({summary[key]['controller']})" if len(keys) > 1 else "" for key in keys)
+    titles = {"safety": "S alone", **{key: f"U alone{name}" for key, name in zip(keys, labels, strict=True)}}
+    return {key: title for key, title in {**titles, "polaris": "Polaris"}.items() if key in summary}
 
 
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
@@ -134,9 +134,9 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     timing = asdict(system.timing)
-    added = "pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"  # if any
-    unsaid = "period", "unseen", "lead"  # nothing is derived from them
-    timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
+    extras = "pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"  # if any
+    omitted = "period", "unseen", "lead"  # nothing is derived from them
+    timing = {key: x for key, x in timing.items() if key not in omitted and (x or key not in extras)}
     timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
     observer = {} if system.observer is None else asdict(system.observer)
     hidden = {"fading", "horizon"} | ({"ages", "by_age"} if observer.get("by_age") is None else set())
@@ -174,36 +174,36 @@ def _attributed(claim: Mapping[str, Any]) -> str:
     if not steps:
         return f"fault {fault} reserves no step for S along this reference."
     worst = max(steps, key=lambda step: step["shortfall"] / max(abs(step["clearance"]), 1e-300))
-    short, when = missing(worst["limit"], worst["shortfall"]), f"t = {worst['limit_time_s']:.6g} s"
+    deficit, instant = missing(worst["limit"], worst["shortfall"]), f"t = {worst['limit_time_s']:.6g} s"
     return (
         f"fault {fault} reserves {len(steps)} steps for S ({', '.join(str(x['step']) for x in steps)}):"
-        f" {worst['controller']} in step {worst['step']} would leave {worst['limit']} {short} short in step"
-        f" {worst['limit_step']} ({when})."
+        f" {worst['controller']} in step {worst['step']} would leave {worst['limit']} {deficit} short in step"
+        f" {worst['limit_step']} ({instant})."
     )
 
 
 def abort_text(claim: Mapping[str, Any]) -> str:
     """Describe from which steps S reaches the orbit of an abort, and why not from the first of the others."""
     steps = claim["steps"]
-    reached, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    reached, failed = ([each for each in steps if (each["why"] is None) == flag] for flag in (True, False))
     text = f"from {len(reached)} of {len(steps)} steps S provably reaches the orbit, aborting at any instant"
     if reached:
-        spent = directed(max(each["delta_v_m_s"] for each in reached), ".4g", up=True)
-        text += f", with a delta-v of at most {spent} m/s"
-    return f"{text}. Step {lost[0]['step']} fails: {lost[0]['why']}." if lost else f"{text}."
+        delta_v = directed(max(each["delta_v_m_s"] for each in reached), ".4g", up=True)
+        text += f", with a delta-v of at most {delta_v} m/s"
+    return f"{text}. Step {failed[0]['step']} fails: {failed[0]['why']}." if failed else f"{text}."
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:
     """Describe the cost of flying on after T, and how long the tank lasts."""
-    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    orbit, tank, lifetime = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
     rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
     cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
     text = f"S uses a delta-v of at most {cost} from {claim['settled_s']:.6g} s on"
     if tank is None:
         return f"{text}."
-    if lasts is None:
+    if lifetime is None:
         return f"{text}; the propellant for {tank:g} m/s lasts for ever."
-    return f"{text}; the propellant for {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+    return f"{text}; the propellant for {tank:g} m/s lasts until {directed(lifetime, '.6g')} s."
 
 
 def _estimate(claim: Mapping[str, Any]) -> str:

@@ -24,33 +24,33 @@ PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}  # the same fo
 def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelRun:
     """Fly one deputy into its fuel limit."""
     model, flight = scenario.model, scenario.model.flight
-    shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1].tolist()
+    instants = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1].tolist()
     with (stages or Stages()).stage("flight"):
         filtering = FuelLimit(scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
-        return fly_fuel_limit(filtering, scenario.primary(), model.initial_state, flight.duration_s, shown)
+        return fly_fuel_limit(filtering, scenario.primary(), model.initial_state, flight.duration_s, instants)
 
 
 def _summary(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     model, q = scenario.model, run.inspection
-    left = q.delta_v_max - run.delta_v
+    fuel_left = q.delta_v_max - run.delta_v
     distance = np.linalg.norm(run.x[:, :3], axis=1)
-    quiet = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
+    thrusting = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
     a, c = semi_axes(run.x[-1], q.mean_motion)
     latched = run.latched_at
-    spent = None if latched is None else float(run.delta_v[int(np.searchsorted(run.t, latched))])
+    delta_v = None if latched is None else float(run.delta_v[int(np.searchsorted(run.t, latched))])
     return {
         "duration_s": float(run.t[-1]),
         "period_s": model.flight.period_s,
-        "safe": bool(left.min() >= 0),
-        "fuel_left_m_s": float(left[-1]),
-        "phi12_least_m_s": float(left.min()),
+        "safe": bool(fuel_left.min() >= 0),
+        "fuel_left_m_s": float(fuel_left[-1]),
+        "phi12_least_m_s": float(fuel_left.min()),
         "delta_v_m_s": float(run.delta_v[-1]),
         "delta_v_max_m_s": q.delta_v_max,
         "latched_at_s": run.latched_at,
         "latch_reason": run.reason,
-        "delta_v_at_latch_m_s": spent,
-        "last_thrust_s": float(run.t[quiet[-1]]) if len(quiet) else None,
+        "delta_v_at_latch_m_s": delta_v,
+        "last_thrust_s": float(run.t[thrusting[-1]]) if len(thrusting) else None,
         "exhausted": run.exhausted,
         "distance_least_m": float(distance.min()),
         "distance_least_time_s": float(run.t[int(distance.argmin())]),
@@ -75,13 +75,13 @@ def _summary(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, fl
 
 def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
     """Return the claim about the fuel limit, and its assumptions."""
-    nothing = None
+    failure = None
     if run.exhausted:
-        nothing = "thrust was cut off at the fuel limit, so that the parking orbit may be missed"
+        failure = "thrust was cut off at the fuel limit, so that the parking orbit may be missed"
     elif run.latched_at is not None and run.latched_at <= run.t[0]:
-        nothing = f"the backup took over at the start, and its flight was not predicted before ({run.reason})"
-    if nothing:
-        return {"kind": "none", "reason": nothing, "assumptions": []}
+        failure = f"the backup took over at the start, and its flight was not predicted before ({run.reason})"
+    if failure:
+        return {"kind": "none", "reason": failure, "assumptions": []}
     clear = ", and the deputy stays clear of the chief" if model.fuel.keep_clear else ""
     return {
         "kind": "by_prediction",

@@ -98,31 +98,31 @@ DEFINITIONS = {
 
 def assumptions(scenario: FlightScenario) -> list[str]:
     """Return the assumptions of a claim about a flight."""
-    known, flight = scenario.uncertainty(), scenario.model.flight
+    bounds, flight = scenario.uncertainty(), scenario.model.flight
     delay = scenario.model.timing.delay_s
-    late = f", at most {known.jitter:g} s early or late" if known.jitter else ""
-    how = f"by a prediction over {delay:g} s" if delay else "without delay"
-    state, push, thrust = f"exactly and {how}", "without disturbance", "exactly"
-    if known.estimate.any():
-        largest = known.estimate.reshape(2, 3).max(axis=1)
-        state = f"{how}, within {largest[0]:g} m and {largest[1]:g} m/s per axis"
-    if known.disturbance:
-        push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
-    if not (errors := known.thrusters).exact:
+    jitter = f", at most {bounds.jitter:g} s early or late" if bounds.jitter else ""
+    timing = f"by a prediction over {delay:g} s" if delay else "without delay"
+    state, push, thrust = f"exactly and {timing}", "without disturbance", "exactly"
+    if bounds.estimate.any():
+        largest = bounds.estimate.reshape(2, 3).max(axis=1)
+        state = f"{timing}, within {largest[0]:g} m and {largest[1]:g} m/s per axis"
+    if bounds.disturbance:
+        push = f"with a disturbance of at most {bounds.disturbance:g} m/s^2"
+    if not (errors := bounds.thrusters).exact:
         parts = f"{100 * errors.along:.3g} % of each thrust, {100 * errors.across:.3g} % of their 2-norm"
         thrust = f"within {parts} and {errors.bit:.3g} N"
     return [
         f"the motion obeys the Clohessy-Wiltshire equations, {push}",
         f"the state of every deputy is known {state}",
         f"the thrust is applied {thrust}, and held for the control period",
-        f"the filter decides every {flight.period_s:g} s{late}",
+        f"the filter decides every {flight.period_s:g} s{jitter}",
     ]
 
 
-def _summary(scenario: FlightScenario, flown: EvaluatedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(scenario: FlightScenario, judged: EvaluatedRun, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json`` for one flight."""
-    model, run = scenario.model, flown.run
-    spent = run.delta_v[-1]
+    model, run = scenario.model, judged.run
+    delta_v = run.delta_v[-1]
     return {
         "deputies": run.inspection.deputies,
         "duration_s": float(run.t[-1]),
@@ -133,11 +133,11 @@ def _summary(scenario: FlightScenario, flown: EvaluatedRun, seconds: Mapping[str
             "without": list(model.filter.without),
             "sampled_data": getattr(model.filter, "sampled_data", False),
         },
-        "safe": bool(all(least.value >= 0 for least in flown.constraints.values())),
-        "constraints": least_rows(flown.constraints),
-        "barriers": least_rows(flown.barriers),
+        "safe": bool(all(least.value >= 0 for least in judged.constraints.values())),
+        "constraints": least_rows(judged.constraints),
+        "barriers": least_rows(judged.barriers),
         "steps": steps(run.status),
-        "delta_v_m_s": spent,
+        "delta_v_m_s": delta_v,
         "delta_v_max_m_s": run.inspection.delta_v_max,
         "smoothness": {
             name: smoothness(u, run.t, run.inspection.thrust_max)
@@ -148,16 +148,16 @@ def _summary(scenario: FlightScenario, flown: EvaluatedRun, seconds: Mapping[str
             "p99": float(np.quantile(run.seconds, 0.99)),
             "largest": float(run.seconds.max()),
         },
-        "guarantee": guarantee(scenario, flown),
+        "guarantee": guarantee(scenario, judged),
         "definitions": DEFINITIONS,
         "seconds": dict(seconds),
     }
 
 
-def least_rows(found: Mapping[str, Least]) -> list[dict[str, Any]]:
+def least_rows(minima: Mapping[str, Least]) -> list[dict[str, Any]]:
     """One row per constraint, phi1 to phi11, or per family of barriers."""
     rows = []
-    for name, least in found.items():
+    for name, least in minima.items():
         meaning, unit = MEANING.get(name) or (name.replace("_", " "), BARRIER_UNIT.get(name, "m/s"))
         rows.append(
             {
@@ -188,9 +188,9 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
     return np.asarray(safe & (run.h >= 0).all(axis=1) & (run.status < SHORT).all(axis=1))
 
 
-def guarantee(scenario: FlightScenario, flown: EvaluatedRun) -> dict[str, Any]:
+def guarantee(scenario: FlightScenario, judged: EvaluatedRun) -> dict[str, Any]:
     """Return the claim about one flight, and its assumptions."""
-    run, spec = flown.run, scenario.model.filter
+    run, spec = judged.run, scenario.model.filter
     barriers = isinstance(spec, BarrierFilter)
     covered = covered_periods(run) if barriers else ~(run.status == UNPROVEN).any(axis=1)
     missed = np.flatnonzero(~covered)

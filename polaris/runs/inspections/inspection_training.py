@@ -140,11 +140,11 @@ class InspectionFlights:
             least = np.minimum.reduce([least, *(value.min(axis=1, initial=np.inf) for value in values)])
         self.x, self.k = np.where(moving[:, None, None], x, self.x), self.k + moving
         self.seen = self._estimated()
-        off = np.abs(np.linalg.norm(self.x[..., :3], axis=2) - self.wanted) / self.wanted
-        near = (1 / (1 + off)).mean(axis=1) - self.effort * np.abs(u).mean(axis=(1, 2)) / q.thrust_max
+        deviation = np.abs(np.linalg.norm(self.x[..., :3], axis=2) - self.wanted) / self.wanted
+        reward = (1 / (1 + deviation)).mean(axis=1) - self.effort * np.abs(u).mean(axis=(1, 2)) / q.thrust_max
         violated = (least < 0) & moving
         return columns | {
-            "reward": np.where(moving, near / self.count - violated, 0.0),
+            "reward": np.where(moving, reward / self.count - violated, 0.0),
             "violated": violated,
             "ended": moving & (self.k == self.count),
             "least": least,

@@ -47,9 +47,9 @@ def run_monte_carlo(
         for name, outcome in outcomes(folder.plan.cases[0], folder.read(0)).items()
         for one in outcome.failures()
     ]
-    with adding(folder.path, taken="kept") as beside:
-        write_text(beside / SCENARIO, scenario.copy_text())
-        write_csv(beside / "failures.csv", rows, FAILURE_COLUMNS)
+    with adding(folder.path, policy="kept") as draft:
+        write_text(draft / SCENARIO, scenario.copy_text())
+        write_csv(draft / "failures.csv", rows, FAILURE_COLUMNS)
     return folder
 
 
@@ -70,15 +70,15 @@ def _read(path: Path, scenario: MonteCarloScenario) -> CampaignData:
     columns = folder.read(0)
     results, x = outcomes(folder.plan.cases[0], columns), initial_states(columns)
     failures = [outcome.failures() for outcome in results.values()]
-    whats = sorted({one["what"] for rows in failures for one in rows})
+    kinds = sorted({one["what"] for rows in failures for one in rows})
     failed = np.zeros((len(results), *x.shape[:2]), dtype=bool)
-    counts = np.zeros((len(results), len(whats)), dtype=np.intp)
+    counts = np.zeros((len(results), len(kinds)), dtype=np.intp)
     for s, rows in enumerate(failures):
         for one in rows:
             failed[s, one["run"], list(one["deputies"])] = True
-            counts[s, whats.index(one["what"])] += 1
+            counts[s, kinds.index(one["what"])] += 1
     success = np.array([outcome.success for outcome in results.values()])
-    return CampaignData(x, tuple(results), success, failed, tuple(whats), counts)
+    return CampaignData(x, tuple(results), success, failed, tuple(kinds), counts)
 
 
 MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)

@@ -27,11 +27,11 @@ def falsify_mission(folder: RunFolder, runs: int, seed: int) -> dict[str, Any]:
             box = folder.scenario.model.legs[i + 1].initial_set
             start = np.array(box.center), np.diag(box.half_widths)
             ends = [len(schedule.steps) * q + node for node in nodes]
-            flown = [attack(schedule, end, 2 * n, rng) for end in ends]
-            used = [used_share(x.states[:, end], *start) for x, end in zip(flown, ends, strict=True)]
+            flights = [attack(schedule, end, 2 * n, rng) for end in ends]
+            used = [used_share(x.states[:, end], *start) for x, end in zip(flights, ends, strict=True)]
             share, count = max(used, default=0.0), 2 * n * len(ends)
         failure = None if search.failure is None else str(search.failure)
-        known = {"name": folder.scenario.model.legs[i].name, "runs": search.runs, "failure": failure}
-        legs.append(known | {"attacks": count, "share_of_start_set": share})
+        row = {"name": folder.scenario.model.legs[i].name, "runs": search.runs, "failure": failure}
+        legs.append(row | {"attacks": count, "share_of_start_set": share})
     missed = any((leg["share_of_start_set"] or 0.0) > 1 for leg in legs)
     return {"legs": legs, "violated": missed or any(leg["failure"] for leg in legs)}

@@ -69,27 +69,27 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
             raise type(error)(f"leg {scenario.name}: {error}") from error
         schedule = legs[-1].schedule
         h, T = schedule.safety.tracking.flow.h, scenario.steps * scenario.step
-        since = round(mission.model.legs[i].stay_s / h)
+        stay = round(mission.model.legs[i].stay_s / h)
         if i + 1 == len(scenarios):
-            leaves.append(T + since * h)
+            leaves.append(T + stay * h)
             break
         box = mission.model.legs[i + 1].initial_set
         assert isinstance(box, InitialBox)  # checked on construction
-        only = since if mission.fixed(i) else None
-        go = joint(schedule, np.array(box.center), np.array(box.half_widths), only)
+        only_node = stay if mission.fixed(i) else None
+        leg_joint = joint(schedule, np.array(box.center), np.array(box.half_widths), only_node)
         end = (schedule.safety.reference.cells - scenario.steps) * schedule.safety.clearance.q
-        node = go.nodes(turn_of(schedule), end, since)
-        where = f"from leg {scenario.name} to {scenarios[i + 1].name}"
+        node = leg_joint.nodes(turn_of(schedule), end, stay)
+        label = f"from leg {scenario.name} to {scenarios[i + 1].name}"
         if node is None:
-            raise SynthesisInfeasible(f"{where}: {missing(go, schedule)}")
-        if not np.all(go.half_widths > 0):
-            raise SynthesisInfeasible(f"{where}: the errors of estimates must be smaller than the GO box")
-        joints.append(go)
+            raise SynthesisInfeasible(f"{label}: {missing(leg_joint, schedule)}")
+        if not np.all(leg_joint.half_widths > 0):
+            raise SynthesisInfeasible(f"{label}: the errors of estimates must be smaller than the GO box")
+        joints.append(leg_joint)
         leaves.append(T + node * h)
     with stages.stage("mission"):
         plan = mission.model.legs[0].simulation
-        flown = fly_on([each.schedule for each in legs], leaves, min(plan.runs, MOST_RUNS), plan.seed)
-    return FlownMission(legs, joints, leaves, flown)
+        flights = fly_on([each.schedule for each in legs], leaves, min(plan.runs, MOST_RUNS), plan.seed)
+    return FlownMission(legs, joints, leaves, flights)
 
 
 def _check_craft(systems: Sequence[Mapping[str, Any]]) -> None:
@@ -108,39 +108,39 @@ def _check_craft(systems: Sequence[Mapping[str, Any]]) -> None:
 MOST_RUNS = 20  # flights from end to end that are kept
 
 
-def _claims(mission: MissionScenario, whole: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _claims(mission: MissionScenario, outcome: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the claims on the mission, and on each leg but for its digest."""
     legs, total = list[dict[str, Any]](), 0.0
-    for i, (flown, leaves) in enumerate(zip(whole.legs, whole.leaves, strict=True)):
-        claim, schedule, passive = guarantee(flown.schedule), flown.schedule, flown.schedule.passive
+    for i, (leg, leaves) in enumerate(zip(outcome.legs, outcome.leaves, strict=True)):
+        claim, schedule, passive = guarantee(leg.schedule), leg.schedule, leg.schedule.passive
         goal, upkeep, system = claim["goal"], claim["upkeep"], schedule.safety.problem.system
         drift = passive if passive is not None and np.all(passive.clear) else None
-        spent = np.inf
+        delta_v = np.inf
         if goal["reached"] is True and leaves <= goal["by_s"]:
-            spent = goal["delta_v_max_m_s"]
+            delta_v = goal["delta_v_max_m_s"]
         elif upkeep is not None:
             waited = max(leaves - upkeep["settled_s"], 0.0)
-            spent = upkeep["until_settled_m_s"] + waited * upkeep["rate_m_s2"]
-        spent = (spent + (system.carried_impulse / system.mass if i else 0.0)) * (1 + MARGIN)
-        total += spent
-        known = {
+            delta_v = upkeep["until_settled_m_s"] + waited * upkeep["rate_m_s2"]
+        delta_v = (delta_v + (system.carried_impulse / system.mass if i else 0.0)) * (1 + MARGIN)
+        total += delta_v
+        row = {
             "name": mission.model.legs[i].name,
             "leaves_s": leaves,
-            "delta_v_max_m_s": spent,
+            "delta_v_max_m_s": delta_v,
             "waiting_m_s2": None if upkeep is None else upkeep["rate_m_s2"] * (1 + MARGIN),
             "safe_until_s": claim["until_s"],
             "drift_s": None if drift is None else drift.flight.abort.horizon,
         }
-        legs.append(known)
+        legs.append(row)
     joints = [
         {"center": each.center, "half_widths": each.half_widths, "first": each.first, "later": each.later}
         | {"assured": each.assured}
-        for each in whole.joints
+        for each in outcome.joints
     ]
     moving = any(map(moves, mission.model.legs))
-    faulty = any(each.schedule.safety.problem.allocation is not None for each in whole.legs)
-    rest = {"joints": joints, "delta_v_max_m_s": total * (1 + MARGIN)}
-    return rest | {"assumptions": list(hand_over(moving, faulty))}, legs
+    faulty = any(each.schedule.safety.problem.allocation is not None for each in outcome.legs)
+    claims = {"joints": joints, "delta_v_max_m_s": total * (1 + MARGIN)}
+    return claims | {"assumptions": list(hand_over(moving, faulty))}, legs
 
 
 def folders(mission: MissionScenario) -> list[str]:
@@ -148,29 +148,29 @@ def folders(mission: MissionScenario) -> list[str]:
     return [f"{i}-{leg.name}" for i, leg in enumerate(mission.model.legs, 1)]
 
 
-def _write(folder: Path, mission: MissionScenario, made: FlownMission) -> None:
-    claims, legs = _claims(mission, made)
-    for name, scenario, flown, known in zip(folders(mission), mission.legs(), made.legs, legs, strict=True):
-        write_folder(folder / name, SCHEDULE, scenario, flown)
-        known["digest"] = read_json(folder / name / "certificate.json")["digest"]
-    np.savez_compressed(folder / "trace.npz", **vars(made.flown))
+def _write(folder: Path, mission: MissionScenario, outcome: FlownMission) -> None:
+    claims, legs = _claims(mission, outcome)
+    for name, scenario, leg, claim in zip(folders(mission), mission.legs(), outcome.legs, legs, strict=True):
+        write_folder(folder / name, SCHEDULE, scenario, leg)
+        claim["digest"] = read_json(folder / name / "certificate.json")["digest"]
+    np.savez_compressed(folder / "trace.npz", **vars(outcome.flown))
     artefacts = {name: sha256(folder / name) for name in (SCENARIO, "trace.npz")}
     data = strict({"format": FORMAT, "schema_version": 1, "artefacts": artefacts, "legs": legs, **claims})
     data["digest"] = digest_of(data)
     write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
-def _summary(mission: MissionScenario, made: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _summary(mission: MissionScenario, outcome: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``, whose claims are compared with the certificate's."""
-    claims, legs = _claims(mission, made)
+    claims, legs = _claims(mission, outcome)
     clocks = list[dict[str, float | None]]()
-    for schedule in (each.schedule for each in made.legs):
+    for schedule in (each.schedule for each in outcome.legs):
         problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
         turn = finite(turn_of(schedule) * h)
         clocks.append({"horizon_s": problem.K * problem.delta, "period_s": h, "turn_s": turn})
-    names = list(made.legs[0].schedule.safety.problem.system.state_names)
+    names = list(outcome.legs[0].schedule.safety.problem.system.state_names)
     data = {"legs": legs, **claims, "states": names, "clocks": clocks}
-    return {"mission": data, "flown": made.flown.summary(), "seconds": dict(seconds)}
+    return {"mission": data, "flown": outcome.flown.summary(), "seconds": dict(seconds)}
 
 
 def _read(folder: Path, mission: MissionScenario) -> MissionData:
@@ -188,10 +188,10 @@ MISSION = RunKind(
 """Run folder of a mission."""
 
 
-def missing(found: Joint, schedule: Schedule) -> str:
+def missing(leg_joint: Joint, schedule: Schedule) -> str:
     """Say which coordinate needs most of the next leg's start set at the node that comes nearest."""
-    share, row, node = found.nearest
+    share, row, node = leg_joint.nearest
     names = schedule.safety.problem.system.state_names
-    name, when = names[row % len(names)], f"at the best node, {node} periods after the horizon"
-    detail = f"{when}, {name} needs {share:.0%} of the half-width; widen it, or raise stay_s"
+    name, instant = names[row % len(names)], f"at the best node, {node} periods after the horizon"
+    detail = f"{instant}, {name} needs {share:.0%} of the half-width; widen it, or raise stay_s"
     return f"S is not proven to be in the next leg's start set at any node of GO; {detail}"

@@ -66,32 +66,32 @@ class ThrustersTable(ScenarioPart):
     thruster disables its pair. `linear_program`, `nearest`: least sum of thrusts times length of direction,
     or least 2-norm, within the limits."""
 
-    def nozzles(self, made: Allocation | None) -> Nozzles | None:
+    def nozzles(self, allocation: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""
-        if self.directions is None or made is None:
+        if self.directions is None or allocation is None:
             return None
         errors = self.magnitude_error, float(np.deg2rad(self.misalignment_deg)), self.mass_error
         carried = self.remainder == "carried"
-        return Nozzles.from_errors(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
+        return Nozzles.from_errors(allocation, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
 
-    def in_turn(self, made: Allocation | None, period: float, faults: Sequence[Fault]) -> Allocation | None:
+    def in_turn(self, base: Allocation | None, period: float, faults: Sequence[Fault]) -> Allocation | None:
         """Return an allocation whose box is as large as pulses one after another fill a `period` [s].
 
         A thruster that is weaker by a fault fires for longer.
         """
-        layout = self.nozzles(made)
-        if self.pulse != "staggered" or made is None or layout is None:
-            return made
+        layout = self.nozzles(base)
+        if self.pulse != "staggered" or base is None or layout is None:
+            return base
         longest, rounded = (x / min(strengths(faults)) for x in layout.in_turn(period))
         if not rounded < 0.5:
             rule = f"must let rounding of staggered pulses take less than half of the period of {period:g} s"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
-        return replace(made, u_max=made.u_max * min(1.0, (1 - rounded) / longest * (1 - 1e-6)))
+        return replace(base, u_max=base.u_max * min(1.0, (1 - rounded) / longest * (1 - 1e-6)))
 
-    def build(self, system: Craft, period: float, alone: bool = True) -> Errors:
+    def build(self, system: Craft, period: float, separate: bool = True) -> Errors:
         """Bound the errors of the inputs, by the layout of the system's thrusters if it has one.
 
-        They vary unless each input has thrusters of its own, `alone` in making it whatever fails.
+        They vary unless each input has thrusters of its own, `separate` in making it whatever fails.
         """
         layout = system.nozzles
         limits = system.u_max if layout is None else layout.allocation.limits
@@ -103,18 +103,18 @@ class ThrustersTable(ScenarioPart):
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         if layout is not None:
             return layout.errors(period)
-        bit, turned = self.impulse_bit_N_s / (2 * period), float(np.deg2rad(self.misalignment_deg))
+        bit, angle = self.impulse_bit_N_s / (2 * period), float(np.deg2rad(self.misalignment_deg))
         dropped = self.remainder == "dropped"
-        errors = Errors.from_errors(self.magnitude_error, turned, self.mass_error, bit * dropped, system.m)
+        errors = Errors.from_errors(self.magnitude_error, angle, self.mass_error, bit * dropped, system.m)
         if not dropped:
             carried = 2 * bit * errors.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9)
             errors = replace(errors, bit=carried)
-        return replace(errors, constant=alone and self.errors_vary == "never" and errors.proportional)
+        return replace(errors, constant=separate and self.errors_vary == "never" and errors.proportional)
 
 
 def strengths(faults: Sequence[Fault]) -> list[float]:
     """Return the shares of its thrust that a thruster may have, if it has any."""
-    return [1.0, *(left for fault in faults if 0 < (left := fault.build().left) < 1)]
+    return [1.0, *(share for fault in faults if 0 < (share := fault.build().left) < 1)]
 
 
 class TimingTable(Described, makes=Delays):
@@ -136,76 +136,76 @@ def timed(
     ScenarioError
         If pulses do not fit into a period.
     """
-    made, layout = thrusters or ThrustersTable(), system.nozzles
-    _require_whole(made, limits if layout is None else layout.allocation.limits, period, faults)
-    in_turn = made.pulse == "staggered"
-    fired = () if made.pulse == "held" else tuple((limits * (len(limits) if in_turn else 1)).tolist())
-    carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
+    table, layout = thrusters or ThrustersTable(), system.nozzles
+    _require_whole(table, limits if layout is None else layout.allocation.limits, period, faults)
+    in_turn = table.pulse == "staggered"
+    fired = () if table.pulse == "held" else tuple((limits * (len(limits) if in_turn else 1)).tolist())
+    carried = table.impulse_bit_N_s if table.remainder == "carried" else 0.0
     if layout is not None:
         fired, carried = layout.fired, layout.max_carried
-    edges = made.rise_s + made.fall_s
+    edges = table.rise_s + table.fall_s
     if edges and not fired:
         raise ScenarioError("thrusters.rise_s, fall_s", edges, "must be 0 without pulses (thrusters.pulse)")
     if timing.jitter + edges > period / 2:
         rule = f"must be at most half of the period of {period:g} s, with rise_s and fall_s added"
         raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
-    placed = made.pulse if made.pulse in ("start", "staggered") else ""
-    fine = made.resolution == "continuous" and made.impulse_bit_N_s > 0
+    placed = table.pulse if table.pulse in ("start", "staggered") else ""
+    fine = table.resolution == "continuous" and table.impulse_bit_N_s > 0
     timing = replace(timing, fine=fine, pulse_thrust=fired, pulse_place=placed, carried_impulse=carried)
-    timing = replace(timing, edge=max(made.rise_s, made.fall_s))
+    timing = replace(timing, edge=max(table.rise_s, table.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
 
 
 def _require_whole(thrusters: ThrustersTable, limits: Array, period: float, faults: Sequence[Fault]) -> None:
     """Refuse pulses whose nearest multiple of the bit may be more than full thrust makes in a period."""
-    bit, given = thrusters.impulse_bit_N_s, thrusters
-    fits = given.directions is not None and given.pulse == "staggered"  # bits are counted in `in_turn`
-    if not bit or given.pulse == "held" or (given.remainder, given.resolution) != ("dropped", "bit") or fits:
+    bit, table = thrusters.impulse_bit_N_s, thrusters
+    fits = table.directions is not None and table.pulse == "staggered"  # bits are counted in `in_turn`
+    if not bit or table.pulse == "held" or (table.remainder, table.resolution) != ("dropped", "bit") or fits:
         return
-    for whole in np.outer(strengths(faults), limits).ravel() * period:
-        if np.floor(whole / bit + 0.5 + 1e-9) * bit > whole * (1 + 1e-9):
-            rule = f"must not round up the impulse of full thrust in a period, {whole:.6g} N s: choose a bit"
+    for limit in np.outer(strengths(faults), limits).ravel() * period:
+        if np.floor(limit / bit + 0.5 + 1e-9) * bit > limit * (1 + 1e-9):
+            rule = f"must not round up the impulse of full thrust in a period, {limit:.6g} N s: choose a bit"
             rule += " that divides it, or thrusters.remainder = 'carried'"
             raise ScenarioError("thrusters.impulse_bit_N_s", bit, rule)
 
 
-def allocation(given: ThrustersTable | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
+def allocation(thrusters: ThrustersTable | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """Return the allocation of inputs to thrusters in every fault; None where nothing is said of them."""
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
-    directions, limits = (given.directions, given.thrust_max_N) if given else (None, None)
+    directions, limits = (thrusters.directions, thrusters.thrust_max_N) if thrusters else (None, None)
     if (directions is None) != (limits is None):
         rule = "must be given together"
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
-        if given is not None and given.allocation != MIXES:
-            raise ScenarioError("thrusters.allocation", given.allocation, "needs thrusters.directions")
+        if thrusters is not None and thrusters.allocation != MIXES:
+            raise ScenarioError("thrusters.allocation", thrusters.allocation, "needs thrusters.directions")
         return Allocation.from_directions(*axis_pairs(u_max), u_max, failed) if failed else None
     largest = per_axis("thrusters.thrust_max_N", limits, len(directions))
     return Allocation.from_directions(
-        np.array(directions), largest, u_max, failed, given.allocation if given else MIXES
+        np.array(directions), largest, u_max, failed, thrusters.allocation if thrusters else MIXES
     )
 
 
 def transients(
     faults: Sequence[Fault],
-    made: Allocation | None,
+    allocation: Allocation | None,
     gains: Sequence[Array],
     networks: Sequence[Array],
-    asked: bool,
+    boxes: bool,
     times: int,
 ) -> tuple[Transient, ...]:
-    """Return what late faults do until isolated, by gains of laws and networks; `asked`: with black boxes.
+    """Return what late faults do until isolated, by gains of laws and networks; `boxes`: with black boxes.
 
     Thrusters push `times` as hard as their limits say, where one at a time has power.
     """
-    flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
+    feedback = np.max(np.abs(gains), axis=0), boxes, np.max(networks, axis=0) if len(networks) else None
     late = []
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
-        if fault.left < 1 and made is not None:
-            thrust = made.directions * made.limits[:, None] * times
+        if fault.left < 1 and allocation is not None:
+            thrust = allocation.directions * allocation.limits[:, None] * times
         if fault.isolation > 0:
-            late.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
+            late.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *feedback))
     return tuple(late)
 
 
@@ -240,8 +240,8 @@ class AbortTable(ScenarioPart):
         drift, within = self.build(system), self.within_s
         self.powered(system)
         if drift is not None and drift.cells(step) > MAX_STEPS:
-            given = self.drift_orbits, self.drift_s
-            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {step:g} s")
+            durations = self.drift_orbits, self.drift_s
+            raise ScenarioError("abort", durations, f"must be at most {MAX_STEPS} steps of {step:g} s")
         if within is not None and not 2 * step <= within <= MAX_STEPS * step:
             rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
             raise ScenarioError("abort.within_s", within, rule)
@@ -249,26 +249,26 @@ class AbortTable(ScenarioPart):
     def powered(self, system: LinearSystem) -> PoweredAbort | None:
         """Return the requirement on an abort with thrust; None if there is none."""
         if self.orbit is None:
-            given = self.within_s or self.delta_v_max_m_s
-            if given is not None:
-                raise ScenarioError("abort", given, "must have an orbit with within_s or delta_v_max_m_s")
+            limit = self.within_s or self.delta_v_max_m_s
+            if limit is not None:
+                raise ScenarioError("abort", limit, "must have an orbit with within_s or delta_v_max_m_s")
             return None
-        own = None if isinstance(self.orbit, GoalOrbit) else self.orbit
-        if own is not None and self.within_s is None:
+        orbit = None if isinstance(self.orbit, GoalOrbit) else self.orbit
+        if orbit is not None and self.within_s is None:
             raise ScenarioError("abort.within_s", None, "must be given unless the orbit is the goal")
-        asked = PoweredAbort(None, None, self.within_s, self.delta_v_max_m_s, self.required)
-        if own is None:
-            return asked
-        near, slow = own.tolerance_m, own.velocity_tolerance_m_s
-        return replace(asked, goal=own.build(system), tolerance=near, velocity_tolerance=slow)
+        abort = PoweredAbort(None, None, self.within_s, self.delta_v_max_m_s, self.required)
+        if orbit is None:
+            return abort
+        distance, speed = orbit.tolerance_m, orbit.velocity_tolerance_m_s
+        return replace(abort, goal=orbit.build(system), tolerance=distance, velocity_tolerance=speed)
 
     def build(self, system: LinearSystem) -> AbortOptions | None:
         """Return the requirement on the drift; None if there is none."""
         if self.drift_orbits is None and self.drift_s is None and self.orbit is not None:
             return None
         if (self.drift_orbits is None) == (self.drift_s is None):
-            given = self.drift_orbits, self.drift_s
-            raise ScenarioError("abort", given, "must have one of drift_orbits and drift_s, or an orbit")
+            durations = self.drift_orbits, self.drift_s
+            raise ScenarioError("abort", durations, "must have one of drift_orbits and drift_s, or an orbit")
         horizon = self.drift_s
         if self.drift_orbits is not None:
             if system.mean_motion is None:

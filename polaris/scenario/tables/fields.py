@@ -42,9 +42,9 @@ class ScenarioPart(BaseModel):
         """Refuse an unknown key before anything else: it explains a missing one (a slip of the pen)."""
         for key in data if isinstance(data, Mapping) else ():
             value = data[key] if isinstance(data[key], str) else ""
-            gone = cls.GONE.get(key, "") or cls.GONE.get(f"{key}={value}", "")
-            if key not in cls.model_fields or gone:
-                context = {"key": key, "known": [*cls.model_fields], "gone": gone}
+            rule = cls.GONE.get(key, "") or cls.GONE.get(f"{key}={value}", "")
+            if key not in cls.model_fields or rule:
+                context = {"key": key, "known": [*cls.model_fields], "gone": rule}
                 raise PydanticCustomError("unknown_key", "unknown key", context)
         return data
 
@@ -124,12 +124,12 @@ class Described(ScenarioPart):
         super().__init_subclass__(**options)
         if makes is None:
             return
-        means = dict[str, str]()
+        meanings = dict[str, str]()
         for each in makes.__mro__[::-1]:
             text = cleandoc(each.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
-            about, _, rest = text.partition("\n\nParameters\n----------\n")
-            parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
-            means |= {field: " ".join(said.split()) for field, said in parts}
+            summary, _, parameters = text.partition("\n\nParameters\n----------\n")
+            parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", parameters.partition("\n\n")[0], re.M)
+            meanings |= {field: " ".join(description.split()) for field, description in parts}
         defaults = {field.name: field.default for field in fields(makes)}
         model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
         for field, key in f.keys_of(makes).items():
@@ -137,8 +137,8 @@ class Described(ScenarioPart):
             if key.name.endswith("_deg") and default is not ...:
                 default = round(math.degrees(default), 9)
             kinds = key.type | None if default is None else key.type
-            model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
-        cls.MAKES, cls.__doc__ = makes, about
+            model[key.name] = kinds, unit(key.unit, meanings.get(field), default=default)
+        cls.MAKES, cls.__doc__ = makes, summary
         for name, (kinds, value) in model.items():  # as if they stood in the body of the class
             cls.__annotations__[name] = kinds
             setattr(cls, name, value)
@@ -152,17 +152,17 @@ class Described(ScenarioPart):
         """Return what Python calls the keys of the class."""
         return {key.name: name for name, key in f.keys_of(cls.MAKES).items()}
 
-    def make(self, path: str, **known: Any) -> Any:
-        """Return what the table at a path describes; `known` is what the file says elsewhere."""
+    def make(self, path: str, **values: Any) -> Any:
+        """Return what the table at a path describes; `values` is what the file says elsewhere."""
         with in_file_terms(path, self):
-            return self.MAKES(**self.arguments(), **known)
+            return self.MAKES(**self.arguments(), **values)
 
 
-def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
+def per_axis(field: str, value: float | tuple[float, ...], count: int) -> Array:
     """Numbers of all axes or inputs, shape (count,), from one for all or one each."""
-    if isinstance(given, tuple):
-        check_length(field, given, count)
-    return np.broadcast_to(np.asarray(given, dtype=float), (count,)).copy()
+    if isinstance(value, tuple):
+        check_length(field, value, count)
+    return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
 
 
 class Head(ScenarioPart):

@@ -71,10 +71,10 @@ class BarrierFilter(ScenarioPart):
     """Share of a constraint's value that may be lost in a period; less is calmer."""
 
     def build(
-        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
+        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, uncertainty: Uncertainty
     ) -> BatchFilter:
         """Return the filter, for a control period [s]; it takes everything for exact."""
-        longest = period + 2 * unknown.jitter
+        longest = period + 2 * uncertainty.jitter
         sampled = SampledData(longest, self.sampled_data_share) if self.sampled_data else None
         families = Families(q, alpha, self.without, sampled)
         return make_filter(families, getattr(self, "sharing", CENTRALIZED))
@@ -104,20 +104,20 @@ class AssuredFilter(ScenarioPart):
     )
 
     def build(
-        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
+        self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, uncertainty: Uncertainty
     ) -> BatchFilter:
         """Return the filter, for a control period [s]."""
-        watched, brake = Families(q, alpha, self.without), Brake(q, period, unknown)
+        watched, brake = Families(q, alpha, self.without), Brake(q, period, uncertainty)
         self.start(brake, alpha, 0.0)
         return OneFlight(lambda sun: self.start(brake, alpha, sun), watched, period)
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """Return the filter of one flight, from an angle of the sun [rad] on."""
-        given = self.arguments()
-        if "sampled_data_share" in given:
-            given["share"] = given.pop("sampled_data_share")
+        options = self.arguments()
+        if "sampled_data_share" in options:
+            options["share"] = options.pop("sampled_data_share")
         return build_filter(
-            self.kind, brake.inspection, strengthening=alpha, sun_start=sun, brake=brake, **given
+            self.kind, brake.inspection, strengthening=alpha, sun_start=sun, brake=brake, **options
         )
 
 

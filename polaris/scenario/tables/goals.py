@@ -13,10 +13,10 @@ from .fields import BY_KIND, Described, unit
 USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positions where there is no orbit
 
 
-def hill_rate(system: LinearSystem, field: str, given: object) -> float:
+def hill_rate(system: LinearSystem, field: str, value: object) -> float:
     """Mean motion [rad/s] of what needs Hill's frame."""
     if system.mean_motion is None:
-        raise ScenarioError(field, given, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
+        raise ScenarioError(field, value, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
     return system.mean_motion
 
 

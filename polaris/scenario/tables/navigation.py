@@ -32,14 +32,14 @@ class EstimateTable(ScenarioPart):
             if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
                 rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
                 raise ScenarioError(f"{path}.position_error_m", self.position_error_m, rule)
-            given = (0.0,) * system.n if self.state_error is None else self.state_error
-            check_length(f"{path}.state_error", given, system.n)
-            return np.array(given)
+            state_error = (0.0,) * system.n if self.state_error is None else self.state_error
+            check_length(f"{path}.state_error", state_error, system.n)
+            return np.array(state_error)
         if self.state_error is not None:
             rule = "must be left out in Hill's frame; give position_error_m and velocity_error_m_s"
             raise ScenarioError(f"{path}.state_error", self.state_error, rule)
-        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
-        return np.concatenate([per_axis(f"{path}.{name}", value, 3) for name, value in named])
+        fields = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        return np.concatenate([per_axis(f"{path}.{name}", value, 3) for name, value in fields])
 
 
 class Sight(ScenarioPart):
@@ -55,18 +55,18 @@ class Sight(ScenarioPart):
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
-        off, angle = self.range_error_m, float(np.deg2rad(self.bearing_error_deg))
-        if off == 0 and angle == 0:
+        range_error, angle = self.range_error_m, float(np.deg2rad(self.bearing_error_deg))
+        if range_error == 0 and angle == 0:
             return np.zeros(5)
         if system.mean_motion is None or self.within_m is None:
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire') and within_m"
             raise ScenarioError(
-                f"{path}.range_error_m, bearing_error_deg", (off, self.bearing_error_deg), rule
+                f"{path}.range_error_m, bearing_error_deg", (range_error, self.bearing_error_deg), rule
             )
         half = per_axis(f"{path}.within_m", self.within_m, 3)
         across = np.sqrt(np.sum(half**2) - half**2)
-        turned = off + (1 - np.cos(angle)) * half + np.sin(angle) * across
-        return np.array([off, angle, *turned * (1 + ROUNDING)])
+        bounds = range_error + (1 - np.cos(angle)) * half + np.sin(angle) * across
+        return np.array([range_error, angle, *bounds * (1 + ROUNDING)])
 
 
 class Phase(EstimateTable, Sight):
@@ -92,21 +92,21 @@ class MeasurementTable(Sight):
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """Return the rows that are measured, shape (r, n), and bounds on their errors, shape (r,)."""
-        path, turned = PATH, self.sight(system, PATH)
-        own, hill = ("position_error_m", "velocity_error_m_s"), system.mean_motion is not None
-        where = "in Hill's frame" if hill else "outside Hill's frame"
-        for name in (*own, "matrix", "error"):
-            value, here = getattr(self, name), (name in own) == hill
-            if value is not None and not here:
-                raise ScenarioError(f"{path}.{name}", value, f"must be left out {where}")
-            if value is None and here and name != own[1] and not np.any(turned):
-                raise ScenarioError(f"{path}.{name}", value, f"must be given {where}")
+        path, sight = PATH, self.sight(system, PATH)
+        hill_keys, hill = ("position_error_m", "velocity_error_m_s"), system.mean_motion is not None
+        frame = "in Hill's frame" if hill else "outside Hill's frame"
+        for name in (*hill_keys, "matrix", "error"):
+            value, applies = getattr(self, name), (name in hill_keys) == hill
+            if value is not None and not applies:
+                raise ScenarioError(f"{path}.{name}", value, f"must be left out {frame}")
+            if value is None and applies and name != hill_keys[1] and not np.any(sight):
+                raise ScenarioError(f"{path}.{name}", value, f"must be given {frame}")
         if self.matrix is not None and self.error is not None:
             check_length(f"{path}.matrix", self.matrix[0], system.n)
             check_length(f"{path}.error", self.error, len(self.matrix))
             return np.array(self.matrix), np.array(self.error)
         noise = self._fixed()
-        noise[:3] += turned[2:]
+        noise[:3] += sight[2:]
         return np.eye(6)[: len(noise)], noise
 
     def _fixed(self) -> Array:
@@ -170,10 +170,10 @@ class Navigation(EstimateTable, Sight):
         bounds, (steps, step) = np.array(list(map(_seen, [declared, *later], sights))), horizon
         oldest = timing.delay + timing.missed * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
-        met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
-        rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
-        flown = np.searchsorted(begin, start + INSTANT * step, side="right") - 1
-        return replace(system, error_by_step=rows, sights=np.array(sights)[flown])
+        mask = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
+        rows = np.max(np.where(np.array(mask)[..., None], bounds[:, None], 0.0), axis=0)
+        phase_index = np.searchsorted(begin, start + INSTANT * step, side="right") - 1
+        return replace(system, error_by_step=rows, sights=np.array(sights)[phase_index])
 
     def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
         """Return the sets to stay inside where bounds of phases hold; `horizon` as for `apply`."""
@@ -182,8 +182,8 @@ class Navigation(EstimateTable, Sight):
         parts = [(first, "navigation" if first is self else PATH, "within", 0.0)]
         for i, phase in enumerate(self.phases):
             parts.append((phase, f"navigation.phases[{i}]", f"within-{i}", phase.from_s))
-        until = [*(begins for *_, begins in parts[1:]), np.inf]
-        for (part, path, name, begins), end in zip(parts, until, strict=True):
+        ends = [*(begins for *_, begins in parts[1:]), np.inf]
+        for (part, path, name, begins), end in zip(parts, ends, strict=True):
             if part.within_m is None:
                 continue
             if begins >= T - slack:

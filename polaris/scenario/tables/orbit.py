@@ -30,9 +30,9 @@ class Elements(ScenarioPart):
     def state(self) -> Any:
         """Inertial state (6,) [m, m/s]."""
         a, e = self.semi_major_axis_m, self.eccentricity
-        known = self.arguments()
+        values = self.arguments()
         angles = ["inclination_deg", "ascending_node_deg", "perigee_deg", "true_anomaly_deg"]
-        return state_of_elements(a, e, *(known[self.python_names()[key]] for key in angles))
+        return state_of_elements(a, e, *(values[self.python_names()[key]] for key in angles))
 
     def nanoseconds(self) -> int:
         """Epoch [ns]."""

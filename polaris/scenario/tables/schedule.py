@@ -76,9 +76,9 @@ class Linear(ScenarioPart):
         C = None if self.C is None else np.array(self.C)
         if self.position_states is not None:
             C = np.eye(len(self.A))[list(self.position_states)]
-        A, B, D = (np.array(given) for given in (self.A, self.B, self.D))
-        known = A, B, D, limit, self.disturbance_max, C, self.mass_kg
-        return LinearSystem(*known, bias_max=None if self.bias_max is None else np.array(self.bias_max))
+        A, B, D = (np.array(matrix) for matrix in (self.A, self.B, self.D))
+        arguments = A, B, D, limit, self.disturbance_max, C, self.mass_kg
+        return LinearSystem(*arguments, bias_max=None if self.bias_max is None else np.array(self.bias_max))
 
 
 System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
@@ -121,8 +121,8 @@ class InitialBall(_Initial):
             rule = "must be 'box' or 'zonotope', as the position is not a choice of states"
             raise ScenarioError("initial_set.kind", self.kind, rule)
         place = C.argmax(axis=1).tolist()
-        rest = [i for i in range(system.n) if i not in place]
-        balls = ((place, self.position_radius_m), (rest, self.velocity_radius_m_s))
+        others = [i for i in range(system.n) if i not in place]
+        balls = ((place, self.position_radius_m), (others, self.velocity_radius_m_s))
         blocks = [np.eye(system.n)[:, part] @ ball_generators(len(part), r) for part, r in balls if part]
         return Zonotope(np.array(self.center, dtype=float), np.hstack(blocks))
 
@@ -195,8 +195,8 @@ class ScenarioModel(Head):
 
     def scene_parts(self) -> list[tuple[str, Obstacle | KeepIn]]:
         """Obstacles and keep-in sets with their paths in the file."""
-        outside = [(f"obstacles[{i}]", part) for i, part in enumerate(self.obstacles)]
-        return [*outside, *((f"keep_in[{i}]", part) for i, part in enumerate(self.keep_in))]
+        keep_out = [(f"obstacles[{i}]", part) for i, part in enumerate(self.obstacles)]
+        return [*keep_out, *((f"keep_in[{i}]", part) for i, part in enumerate(self.keep_in))]
 
     def controllers(self) -> list[tuple[str, Experimental]]:
         """Experimental controllers with their paths in the file."""

@@ -29,10 +29,10 @@ def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:
     assert way.branch is not None
     safety, goal = runs.schedule.safety, powered.branches[way.branch].goal
     q, h, system = safety.clearance.q, safety.tracking.flow.h, safety.problem.system
-    off = goal.distance(runs.states[:, way.cell * q], np.zeros(1), 0.0)
+    distance = goal.distance(runs.states[:, way.cell * q], np.zeros(1), 0.0)
     commands = np.abs(runs.inputs[:, step * q : way.cell * q]).sum(axis=1)
-    pushed = commands @ system.weights * h / system.mass
-    parts = {"orbit": goal.tolerance - off, "velocity change": way.delta_v - pushed}
+    delta_v = commands @ system.weights * h / system.mass
+    parts = {"orbit": goal.tolerance - distance, "velocity change": way.delta_v - delta_v}
     limit = min(parts, key=lambda name: float(parts[name].min()))
     run = int(np.argmin(parts[limit]))
     return Failure("abort", limit, way.cell * safety.problem.delta, float(parts[limit][run]), 0.0), run

@@ -41,8 +41,8 @@ class Attack:
     def join(cls, parts: list[Attack]) -> Attack:
         """Return one attack with the runs of several."""
         x0, w, free = ([getattr(part, name) for part in parts] for name in ("x0", "w", "free"))
-        more = None if free[0] is None else np.concatenate(free, axis=1)
-        return cls(np.concatenate(x0), np.concatenate(w, axis=1), more)
+        thrust = None if free[0] is None else np.concatenate(free, axis=1)
+        return cls(np.concatenate(x0), np.concatenate(w, axis=1), thrust)
 
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""
@@ -90,16 +90,16 @@ class Attacker:
         rows, targets = self._aims(count)
         flight, schedule = self.flight, self.flight.schedule
         faults = drawn(schedule, 1, rows, targets, self.rng)
-        taken = np.minimum(np.where(faults.lost, faults.begins, faults.ends), targets)
+        takeover = np.minimum(np.where(faults.lost, faults.begins, faults.ends), targets)
         after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, 1), rows, targets)[0]
         carried = schedule.safety.tracking.transitions
-        first, then = (
-            np.einsum("rn,rnm->rm", rows, carried[np.clip(targets - when, 0, len(carried) - 1)])
-            for when in (taken, faults.ends)
+        first, at_end = (
+            np.einsum("rn,rnm->rm", rows, carried[np.clip(targets - instant, 0, len(carried) - 1)])
+            for instant in (takeover, faults.ends)
         )
-        before = self._towards(first, taken)
-        w = np.where((np.arange(flight.steps)[:, None] >= taken)[..., None], after, before.w)
-        self._unseen(w, then, faults)
+        before = self._towards(first, takeover)
+        w = np.where((np.arange(flight.steps)[:, None] >= takeover)[..., None], after, before.w)
+        self._unseen(w, at_end, faults)
         return Attack(before.x0, w, before.free, faults)
 
     def _unseen(self, w: Array, rows: Array, faults: FaultTimes) -> None:
@@ -123,8 +123,8 @@ class Attacker:
             chosen = self.rng.choice(weight.size, near, p=weight / weight.sum())
             which, period = np.divmod(chosen, self._left.shape[1])
             rows[:near] = self.rows[self.first[which] + self._best[which, period]]
-            later = self.rng.integers(0, self.flight.substeps + 1, near)
-            targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
+            offset = self.rng.integers(0, self.flight.substeps + 1, near)
+            targets[:near] = np.clip(period * self.flight.substeps + offset, 1, self.flight.steps)
         return rows, targets
 
     def again(self, runs: Runs, found: Attained, count: int) -> Attack:
@@ -142,7 +142,7 @@ class Attacker:
         step = np.minimum(step, self.flight.steps)
         node = np.minimum(step // self.flight.substeps, runs.states.shape[1] - 1)
         at = zip(which.tolist(), runs.states[np.arange(R), node], node.tolist(), strict=True)
-        rows = np.array([self._row(*given) for given in at])
+        rows = np.array([self._row(*aim) for aim in at])
         return self._towards(rows[:count], step[:count], runs.some(slice(count)))
 
     def spending(self, count: int, rounds: int = 6, until: int | None = None) -> Attack:
@@ -153,7 +153,7 @@ class Attacker:
         at each instant those of a flight that spends much about it.
         """
         flight, (steps, m) = self.flight, (self.flight.steps, self.flight.system.m)
-        best, spent, last = self.random(count), np.zeros(count), steps if until is None else until
+        best, totals, last = self.random(count), np.zeros(count), steps if until is None else until
         runs = best.fly(flight)
         half = np.exp(self.rng.uniform(0, np.log(max(steps / 4, 2)), count)).astype(int)[None, :, None]
         waves = (np.arange(steps)[:, None, None] + self.rng.integers(0, 2 * half, (1, count, m))) // half % 2
@@ -165,12 +165,12 @@ class Attacker:
             signs[last:] = 0
             attack = self._towards(np.zeros_like(runs.states[:, 0]), np.full(count, steps), runs, signs)
             runs = attack.fly(flight)
-            now = np.einsum(
+            current = np.einsum(
                 "rkm,m->r", np.abs(runs.inputs[:, : last // flight.substeps]), flight.system.weights
             )
-            better = now > spent
-            best = Attack.join([best.pick(np.flatnonzero(~better)), attack.pick(np.flatnonzero(better))])
-            spent = np.concatenate([spent[~better], now[better]])
+            improved = current > totals
+            best = Attack.join([best.pick(np.flatnonzero(~improved)), attack.pick(np.flatnonzero(improved))])
+            totals = np.concatenate([totals[~improved], current[improved]])
         return best
 
     def _composed(self, runs: Runs, last: int) -> Array:
@@ -179,16 +179,16 @@ class Attacker:
         What is spent is averaged over a window of random length; the flight that spends most stays.
         """
         u, weights = runs.inputs, self.flight.system.weights
-        spent = np.cumsum(np.abs(u) @ weights, axis=1)
-        R, K = spent.shape
+        totals = np.cumsum(np.abs(u) @ weights, axis=1)
+        R, K = totals.shape
         composed = np.empty((K, R, u.shape[2]))
         for i in range(R):
             among = self.rng.permutation(R)[: R // 2 + 1]
             width = int(np.exp(self.rng.uniform(np.log(10), np.log(max(last / 2, 11)))))
             ends, begins = (np.clip(np.arange(K) + x, 0, K - 1) for x in (width, -width))
-            chosen = among[np.argmax(spent[among][:, ends] - spent[among][:, begins], axis=0)]
+            chosen = among[np.argmax(totals[among][:, ends] - totals[among][:, begins], axis=0)]
             composed[:, i] = u[chosen, np.arange(K)]
-        first = int(np.argmax(spent[:, min(last, K) - 1]))
+        first = int(np.argmax(totals[:, min(last, K) - 1]))
         composed[:, first] = u[first]
         return composed
 
@@ -222,8 +222,8 @@ class Attacker:
         if limit < len(claims.unsafe):
             period = min(node, claims.cells * claims.q - 1)
             offsets = claims.offsets[limit][int(node > period)][period]
-            left = claims.unsafe[limit].rows(self.flight.system) @ x - offsets
-            return np.asarray(self.rows[self.first[limit] + int(np.argmax(left))])
+            distance = claims.unsafe[limit].rows(self.flight.system) @ x - offsets
+            return np.asarray(self.rows[self.first[limit] + int(np.argmax(distance))])
         axis = limit - len(claims.unsafe)
         return np.asarray(self.rows[self.first[-1] + axis + m * int(self.rng.integers(0, 2))])
 

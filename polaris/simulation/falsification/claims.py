@@ -83,8 +83,8 @@ class Claims:
 
     def growth(self, u: TimedPolytope, size: Array) -> Array:
         """Return by how much a polytope grows [m] where states are so far from the proof's, (n,)."""
-        away = np.abs(u.rows(self.system)) @ size
-        return away if u.of_state else np.full_like(away, np.linalg.norm(np.abs(self.system.position) @ size))
+        span = np.abs(u.rows(self.system)) @ size
+        return span if u.of_state else np.full_like(span, np.linalg.norm(np.abs(self.system.position) @ size))
 
     @cached_property
     def offsets(self) -> list[tuple[Array, Array]]:
@@ -102,8 +102,8 @@ class Claims:
         for u in self.unsafe:
             clearance = facet_clearance(safety.tracking, safety.reference, u)[: self.cells]
             tightening, intersample = self._tightenings(-u.rows(self.system))
-            left = clearance - tightening
-            out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - intersample))
+            slack = clearance - tightening
+            out.append(self._flat(np.minimum(slack[:, :-1], slack[:, 1:]) - intersample))
         return out
 
     @cached_property
@@ -118,8 +118,8 @@ class Claims:
         nu = safety.reference.nu[: self.cells]
         wrong = command_errors(self.system, gain, self.cells, safety.problem.K)
         clearance = np.tile(self.system.u_max - wrong, 2) + np.hstack([nu, -nu])
-        left = np.min((clearance[:, None, :] - tightening).reshape(self.cells, self.q + 1, 2, m), axis=2)
-        thrust = np.minimum(left[:, :-1], left[:, 1:]) - intersample.reshape(self.cells, self.q, 2, m).max(
+        slack = np.min((clearance[:, None, :] - tightening).reshape(self.cells, self.q + 1, 2, m), axis=2)
+        thrust = np.minimum(slack[:, :-1], slack[:, 1:]) - intersample.reshape(self.cells, self.q, 2, m).max(
             axis=2
         )
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
@@ -174,15 +174,15 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
     # How far a path may depart from its chords, by the accelerations seen.
     change = np.abs(np.diff(runs.states, axis=1) @ system.A.T).max(axis=1) * claims.h / 4
     change = change + (np.array(system.timing.intersample_offset) if system.timing.pulse_thrust else 0.0)
-    every = np.arange(shape[0])
+    index = np.arange(shape[0])
     for o, u in enumerate(claims.unsafe):
         along = (u.rows(system) @ x).reshape(-1, *runs.states.shape[:2])
         before, after = claims.offsets[o]
         at = np.max(along[:, :, :-1] - before.T[:, None], axis=0)
         ends = np.minimum(at, np.max(along[:, :, 1:] - after.T[:, None], axis=0))
         best = np.argmin(ends, axis=1)
-        out.margin[:, o] = ends[every, best]
-        out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
+        out.margin[:, o] = ends[index, best]
+        out.when[:, o] = runs.times[np.where(at[index, best] <= ends[index, best], best, best + 1)]
         out.below[:, o] = np.max(claims.floor[:, o] - ends, axis=1)
         few, intersample = (
             min(LOOKED_AT, ends.shape[1]),
@@ -192,16 +192,16 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
         run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + intersample)
         _look_closer(claims, runs, o, run, near[run, place], out)
     if claims.asks is not None:  # flight code says where it clips S
-        left = np.where(runs.demanded > 1, 1 - runs.demanded, np.inf)
-        out.margin[:, len(claims.unsafe) :] = left.min(axis=1, keepdims=True) * system.u_max
-        out.when[:, len(claims.unsafe) :] = runs.times[left.argmin(axis=1)][:, None]
+        slack = np.where(runs.demanded > 1, 1 - runs.demanded, np.inf)
+        out.margin[:, len(claims.unsafe) :] = slack.min(axis=1, keepdims=True) * system.u_max
+        out.when[:, len(claims.unsafe) :] = runs.times[slack.argmin(axis=1)][:, None]
         return out
     by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
     if faults is not None:
         by_s = by_s | np.array([faults.by_s(period) for period in range(len(by_s))])
-    flown = np.flatnonzero(by_s.any(axis=1))
-    if len(flown):
-        _measure_thrust(claims, runs, flown, by_s[flown].T, out)
+    periods = np.flatnonzero(by_s.any(axis=1))
+    if len(periods):
+        _measure_thrust(claims, runs, periods, by_s[periods].T, out)
     return out
 
 
@@ -214,14 +214,14 @@ def _look_closer(
     before, after = runs.states[run, period], runs.states[run, period + 1]
     x = held_path(system, h, before, after, s)
     late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter deviates by no more
-    grown = np.abs(rows) @ late
+    growth = np.abs(rows) @ late
     if system.timing.pulse_thrust:  # not, then, what the polytopes are grown by because of them
         x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
         sizes = claims.impulse_offset, claims.impulse_offset + np.array(system.timing.intersample_offset)
-        grown += np.diff([claims.growth(u, size) for size in sizes], axis=0)[0]
+        growth += np.diff([claims.growth(u, size) for size in sizes], axis=0)[0]
     s = s[:, None]
-    left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
-    margin = np.max(x @ rows.T - ((1 - s) * left + s * right) + grown, axis=-1)
+    start, end = (offsets[period][:, None] for offsets in claims.offsets[o])
+    margin = np.max(x @ rows.T - ((1 - s) * start + s * end) + growth, axis=-1)
     best = np.argmin(margin, axis=1)
     least = margin[np.arange(len(margin)), best]
     order = np.argsort(-least)  # the least comes last and stays
@@ -238,22 +238,22 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
     """
     layout, placed, phi = system.nozzles, system.timing.pulse_place, expm(system.A * h)
     sees = np.eye(system.n) if not placed else system.velocity  # what does not depend on when they are fired
-    way = sees @ expm(system.A * h / 2) @ system.B * h
+    effect = sees @ expm(system.A * h / 2) @ system.B * h
     fired = np.array(system.timing.pulse_thrust) if layout is None else layout.allocation.limits
-    mean = (after - before @ phi.T) @ sees.T @ np.linalg.pinv(way).T
+    mean = (after - before @ phi.T) @ sees.T @ np.linalg.pinv(effect).T
     mean = mean if layout is None else thrusts_of(layout.allocation, mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)
     begin = begins(on, placed)
-    made = np.clip(s - begin, 0.0, on)
-    moved = made**2 + 2 * on * np.maximum(s - begin - on, 0.0)
+    burn = np.clip(s - begin, 0.0, on)
+    moment = burn**2 + 2 * on * np.maximum(s - begin - on, 0.0)
     ends = on * (2 - 2 * begin - on)  # where the held path ends
-    force = np.sign(mean) * fired * np.array([made - on * s, (moved - on * s**2 - (ends - on) * s) / 2])
+    force = np.sign(mean) * fired * np.array([burn - on * s, (moment - on * s**2 - (ends - on) * s) / 2])
     impulse, force = force if layout is None else force @ layout.allocation.directions
     return np.asarray(impulse @ system.B.T * h + force @ (system.A @ system.B).T * h**2)
 
 
 def _measure_thrust(
-    claims: Claims, runs: Runs, flown: NDArray[np.intp], by_s: NDArray[np.bool_], out: Attained
+    claims: Claims, runs: Runs, periods: NDArray[np.intp], by_s: NDArray[np.bool_], out: Attained
 ) -> None:
     """Measure the thrust left at the nodes of the periods that S flies.
 
@@ -263,15 +263,15 @@ def _measure_thrust(
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
     wrong = command_errors(system, gain, claims.cells, safety.problem.K)
-    limit = system.u_max + np.abs(gain) @ claims.impulse_offset - np.repeat(wrong, claims.q, axis=0)[flown]
-    xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
-    mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
-    left = limit - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
+    limit = system.u_max + np.abs(gain) @ claims.impulse_offset - np.repeat(wrong, claims.q, axis=0)[periods]
+    xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[periods]
+    mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[periods]
+    slack = limit - np.abs(mu + (xi - runs.states[:, periods]) @ gain.T)
     if safety.tracking.commands.shape[1] > system.n:
-        clipped = np.minimum(1 - runs.demanded[:, flown, None], 0.0) * system.u_max
-        left = system.u_max - np.abs(runs.inputs[:, flown]) + clipped
-    left = np.where(by_s[..., None], left, np.inf)
+        clipped = np.minimum(1 - runs.demanded[:, periods, None], 0.0) * system.u_max
+        slack = system.u_max - np.abs(runs.inputs[:, periods]) + clipped
+    slack = np.where(by_s[..., None], slack, np.inf)
     inputs = slice(len(claims.unsafe), None)
-    out.margin[:, inputs] = left.min(axis=1)
-    out.when[:, inputs] = runs.times[flown][np.argmin(left, axis=1)]
-    out.below[:, inputs] = np.max(claims.floor[flown, inputs] - left, axis=1)
+    out.margin[:, inputs] = slack.min(axis=1)
+    out.when[:, inputs] = runs.times[periods][np.argmin(slack, axis=1)]
+    out.below[:, inputs] = np.max(claims.floor[periods, inputs] - slack, axis=1)

@@ -33,33 +33,33 @@ def drifted(
     """
     flight, h = passive.flight, runs.times[1]
     out = np.empty((len(run), len(flight.sets)))
-    ahead = np.arange(flight.abort.horizon / flight.delta * flight.parts + 1e-9) * flight.delta / flight.parts
-    moved = powers(expm(flight.system.A * flight.delta / flight.parts), len(ahead) - 1)
-    place = np.einsum("jin,sn->sji", moved, runs.states[run, node])
+    times = np.arange(flight.abort.horizon / flight.delta * flight.parts + 1e-9) * flight.delta / flight.parts
+    transitions = powers(expm(flight.system.A * flight.delta / flight.parts), len(times) - 1)
+    place = np.einsum("jin,sn->sji", transitions, runs.states[run, node])
     for o, item in enumerate(flight.sets):
-        offsets = item.offsets_at(node[:, None] * h + ahead, flight.delta)
+        offsets = item.offsets_at(node[:, None] * h + times, flight.delta)
         rows = item.rows(flight.system)
-        pushed = _pushes(flight.system, rows, moved, ahead)
-        best = (place @ rows.T - offsets).argmax(axis=-1)
-        hit = place + pushed[best, np.arange(len(ahead))]
+        pushes = _pushes(flight.system, rows, transitions, times)
+        facet = (place @ rows.T - offsets).argmax(axis=-1)
+        hit = place + pushes[facet, np.arange(len(times))]
         out[:, o] = (hit @ rows.T - offsets).max(axis=-1).min(axis=1)
-    stop, least = np.unravel_index(int(out.argmin()), out.shape)
+    stop, set_index = np.unravel_index(int(out.argmin()), out.shape)
     values = float(runs.times[node[stop]]), float(out.min()), passive.least or 0.0
-    return Failure("drift", flight.sets[least].name, *values), int(run[stop])
+    return Failure("drift", flight.sets[set_index].name, *values), int(run[stop])
 
 
-def _pushes(system: LinearSystem, rows: Array, moved: Array, ahead: Array) -> Array:
+def _pushes(system: LinearSystem, rows: Array, transitions: Array, times: Array) -> Array:
     """Return the largest displacement along each row by disturbance and constant, (F, J, n)."""
-    kicks = moved @ system.D
+    kicks = transitions @ system.D
     ways = np.einsum("fi,jip->fjp", rows, kicks)
     ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-300)
     rate = -system.w_max * np.einsum("jip,fjp->jfi", kicks, ways)
-    pushed, constant = _integrated(rate, ahead), _integrated(moved @ system.biases, ahead)
+    forced, constant = _integrated(rate, times), _integrated(transitions @ system.biases, times)
     signs = np.sign(np.einsum("fi,jic->jfc", rows, constant))
-    return np.asarray((pushed - np.einsum("jfc,jic->jfi", signs, constant)).swapaxes(0, 1))
+    return np.asarray((forced - np.einsum("jfc,jic->jfi", signs, constant)).swapaxes(0, 1))
 
 
-def _integrated(rate: Array, ahead: Array) -> Array:
+def _integrated(rate: Array, times: Array) -> Array:
     """Integral of rates (J, ...) until each instant, by the trapezoid rule."""
-    gained = ((rate[1:] + rate[:-1]).T / 2 * np.diff(ahead)).T
-    return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(gained, axis=0)])
+    increments = ((rate[1:] + rate[:-1]).T / 2 * np.diff(times)).T
+    return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(increments, axis=0)])

@@ -154,36 +154,36 @@ class _Search:
         self.spent = 0.0
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
-        usual = max(min(BATCH // self.main.flight.steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
-        batch, refuted, beyond = 0, None, self.tail is None
+        size = max(min(BATCH // self.main.flight.steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
+        batch, refuted, tail_done = 0, None, self.tail is None
         while self.flown < self.wanted and refuted is None:
-            left = self.wanted - self.flown
-            due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
+            remaining = self.wanted - self.flown
+            due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not tail_done and remaining <= size and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
             attacker = self.faults if self.faults is not None and batch % FAULTS_EVERY == 1 else attacker
-            beyond = beyond or attacker is self.tail
-            count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
+            tail_done = tail_done or attacker is self.tail
+            count = min(max(min(size, BATCH // attacker.flight.steps), SMALLEST), remaining)
             if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
                 refuted, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
                 continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
-            flown = attack.fly(attacker.flight)
-            measured = attained(attacker.claims, flown, attack.faults)
+            runs = attack.fly(attacker.flight)
+            measured = attained(attacker.claims, runs, attack.faults)
             self.flown, batch = self.flown + count, batch + 1
             refuted = self._record(attacker.claims, attack, measured)
             bare = attacker is self.faults or attacker.claims.asks is not None
-            refuted = refuted if refuted or bare else self._besides(attack, flown)
+            refuted = refuted if refuted or bare else self._besides(attack, runs)
             if attacker is self.main:
-                self.last = flown, measured
+                self.last = runs, measured
                 self._keep(attack, measured)
             if progress:
                 progress(self.flown, self.wanted)
         failure, case = refuted or (None, None)
-        names, spent = self.main.claims.names, time.perf_counter() - begun
+        names, clock = self.main.claims.names, time.perf_counter() - start
         limits = names, self.least, self.proven, self.at
-        return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort, self.spent)
+        return Falsification(self.schedule, *limits, self.flown, clock, failure, case, self.abort, self.spent)
 
     def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
         if attacker is self.main:
@@ -197,10 +197,10 @@ class _Search:
 
     def _record(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
         """Note the least margins; the worst violation."""
-        every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
-        least, when = measured.margin[best, every], measured.when[best, every]
-        less = (least < self.least) & (not claims.faults)
-        self.least[less], self.at[less] = least[less], when[less]
+        limits, runs = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
+        margins, times = measured.margin[runs, limits], measured.when[runs, limits]
+        improved = (margins < self.least) & (not claims.faults)
+        self.least[improved], self.at[improved] = margins[improved], times[improved]
         return self._confirmed(claims, attack, measured)
 
     def _confirmed(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
@@ -223,14 +223,14 @@ class _Search:
         self.abort = step if refuted else None
         return refuted
 
-    def _besides(self, attack: Attack, flown: Runs) -> Found | None:
+    def _besides(self, attack: Attack, runs: Runs) -> Found | None:
         """Return the worst violation of claims of the drift after all thrust stops, or of the spending."""
         passive, failures = self.schedule.passive, []
         if passive is not None and passive.least is not None:
-            failures.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))
-        if len(flown.modes) == self.main.claims.cells:
-            self.spent = max(self.spent, float(flown.delta_v.max()))
-            failures.append(overspent(flown))
+            failures.append(drifted(passive, runs, *stopped(passive, runs, self.main.rng)))
+        if len(runs.modes) == self.main.claims.cells:
+            self.spent = max(self.spent, float(runs.delta_v.max()))
+            failures.append(overspent(runs))
         broken = ((each, (attack.pick(np.array([run])), False)) for each, run in failures if each.broken)
         return next(broken, None)
 

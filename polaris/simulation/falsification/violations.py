@@ -53,7 +53,7 @@ class Failure:
         claimed = (
             f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
         )
-        what = {
+        event = {
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S demands more {self.limit} than the limit",
             "margin": f"the margin to {self.limit} is below the proven one",
@@ -61,7 +61,7 @@ class Failure:
             "abort": f"an aborted flight exceeds its {self.limit}",
             "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
         }[self.kind]
-        return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
+        return f"{event} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
 
 
 Found = tuple[Failure, tuple[Attack, bool]]
@@ -85,9 +85,9 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
         which = np.flatnonzero(mask[run])
         if len(which):
             limit = int(which[np.argmin(size[which])])
-            when, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
-            floor = float(claims.floor[claims.period_at(when), limit])
-            return Failure(kind, claims.names[limit], when, margin, floor)
+            time_s, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
+            floor = float(claims.floor[claims.period_at(time_s), limit])
+            return Failure(kind, claims.names[limit], time_s, margin, floor)
     return None
 
 
@@ -95,8 +95,8 @@ def overspent(runs: Runs) -> tuple[Failure, int]:
     """Return the failure of the run that spends most until T, against any claim of that; and the run."""
     schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
     bound = schedule.delta_v[1] if schedule.guarantee == "proved" else np.inf
-    left = bound - float(runs.delta_v[run])
-    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, bound), run
+    margin = bound - float(runs.delta_v[run])
+    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), margin, bound), run
 
 
 def confirm(claims: Claims, attack: Attack, code: FlightCode | None = None) -> Failure | None:

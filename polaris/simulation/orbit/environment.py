@@ -89,8 +89,8 @@ class Environment:
         if table is None or eta is None:
             rule = "must be given to bound the model error (see the scenario reference)"
             raise ScenarioError("orbit", None, rule, scenario.source)
-        made: Environment = table.make("orbit", mean_motion=eta)
-        return made
+        environment: Environment = table.make("orbit", mean_motion=eta)
+        return environment
 
     @property
     def radius(self) -> float:
@@ -100,8 +100,8 @@ class Environment:
     @property
     def distances(self) -> tuple[float, float]:
         """Least and largest distance [m] of the target from the Earth's centre."""
-        off = self.radius * self.eccentricity + self.radius_deviation
-        return self.radius - off, self.radius + off
+        deviation = self.radius * self.eccentricity + self.radius_deviation
+        return self.radius - deviation, self.radius + deviation
 
     @property
     def ellipse_rates(self) -> tuple[float, float, float]:

@@ -54,11 +54,11 @@ def relative_rate(
     origin = np.zeros_like(p)
     origin[..., 0] = target[..., 0]
     pole, place = target[..., 3:], origin + p
-    own = np.zeros_like(p)  # inertial velocity of the target, in the frame's axes
-    own[..., 0], own[..., 1] = target[..., 1], target[..., 0] * omega[..., 2]
+    orbital = np.zeros_like(p)  # inertial velocity of the target, in the frame's axes
+    orbital[..., 0], orbital[..., 1] = target[..., 1], target[..., 0] * omega[..., 2]
     across = np.cross(omega, p)
     pull = env.gravity(place, pole) - env.gravity(origin, pole)
-    pull = pull + env.drag(place, own + v + across, ballistic) - env.drag(origin, own, env.ballistic)
+    pull = pull + env.drag(place, orbital + v + across, ballistic) - env.drag(origin, orbital, env.ballistic)
     acceleration = pull - 2 * np.cross(omega, v) - np.cross(omega_rate, p) - np.cross(omega, across)
     linear = (x @ cw_matrix(env.mean_motion).T)[..., 3:]
     return np.concatenate([v, acceleration], axis=-1), target_rate, acceleration - linear

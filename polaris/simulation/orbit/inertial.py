@@ -78,10 +78,10 @@ def propagate(env: Environment, state: Array, times: Array) -> Array:
         return np.concatenate([x[3:], pull])
 
     span = 0.0, max(float(times[-1]), 1e-9)
-    flown = solve_ivp(rate, span, state, method="DOP853", t_eval=times, rtol=1e-12, atol=1e-6)
-    if not flown.success or not np.isfinite(flown.y).all():
-        raise NotCertified(f"the target's orbit cannot be integrated ({flown.message})")
-    return np.asarray(flown.y.T)
+    solution = solve_ivp(rate, span, state, method="DOP853", t_eval=times, rtol=1e-12, atol=1e-6)
+    if not solution.success or not np.isfinite(solution.y).all():
+        raise NotCertified(f"the target's orbit cannot be integrated ({solution.message})")
+    return np.asarray(solution.y.T)
 
 
 def hill_axes(target: Array, j2: bool = True) -> tuple[Array, Array]:
@@ -108,5 +108,5 @@ def from_hill(target: Array, x: Array, j2: bool = True) -> Array:
     """Inertial states (..., 6) of craft at states (..., 6) in the target's frame: inverse of `to_hill`."""
     axes, omega = hill_axes(target, j2)
     r, v = x[..., :3], x[..., 3:] + np.cross(omega, x[..., :3])
-    turned = [np.einsum("...ji,...j->...i", axes, part) for part in (r, v)]
-    return np.asarray(target + np.concatenate(turned, axis=-1))
+    rotated = [np.einsum("...ji,...j->...i", axes, part) for part in (r, v)]
+    return np.asarray(target + np.concatenate(rotated, axis=-1))

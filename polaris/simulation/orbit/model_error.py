@@ -158,8 +158,8 @@ def justify(scenario: Any) -> ModelError:
     """
     error = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=0)
     for _ in range(MOST_ROUNDS):
-        wanted = two_digits(max(error.bound, error.declared))
-        error = model_error(scenario.set("system.disturbance_max_m_s2", wanted))
+        bound = two_digits(max(error.bound, error.declared))
+        error = model_error(scenario.set("system.disturbance_max_m_s2", bound))
         if error.covered:
             return error
     rule = f"has no value that covers the model error in {MOST_ROUNDS} rounds, as tubes grow with it"
@@ -183,16 +183,16 @@ def sample_residual(env: Environment, region: Region, count: int, rng: np.random
 
 def _targets(env: Environment, count: int, rng: np.random.Generator) -> Array:
     """Random states of the target within declared ranges, corners among them."""
-    off = rng.uniform(-1.0, 1.0, (count, 3))
-    off[: count // 2] = np.sign(off[: count // 2])
+    shares = rng.uniform(-1.0, 1.0, (count, 3))
+    shares[: count // 2] = np.sign(shares[: count // 2])
     e = env.eccentricity * np.where(rng.random(count) < 0.5, 1.0, rng.random(count))
     anomaly = np.where(rng.random(count) < 0.5, rng.integers(0, 4, count) / 2, 2 * rng.random(count)) * np.pi
     R, climb, turn = on_ellipse(env, e, anomaly)
-    R = R + off[:, 0] * env.radius_deviation
-    turn = turn + off[:, 2] * env.rate_deviation * env.mean_motion
+    R = R + shares[:, 0] * env.radius_deviation
+    turn = turn + shares[:, 2] * env.rate_deviation * env.mean_motion
     tilt = env.inclination_max * np.sqrt(rng.random(count))
     tilt[: count // 2] = env.inclination_max
     u = rng.uniform(0, 2 * np.pi, count)
     pole = np.stack([np.sin(tilt) * np.sin(u), np.sin(tilt) * np.cos(u), np.cos(tilt)], axis=-1)
-    kept = np.stack([R, climb + off[:, 1] * env.radial_rate, R**2 * turn], axis=-1)
-    return np.concatenate([kept, pole], axis=-1)
+    orbit = np.stack([R, climb + shares[:, 1] * env.radial_rate, R**2 * turn], axis=-1)
+    return np.concatenate([orbit, pole], axis=-1)

@@ -51,14 +51,14 @@ def parse_epoch(text: str) -> int:
         moment = datetime.strptime(f"{year}-{day} {clock}", f"{form} %H:%M:%S")
     except ValueError:
         raise ValueError("must be a date and a time that exist; leap seconds are not read") from None
-    apart = moment - _BEGIN
-    return (apart.days * 86400 + apart.seconds) * SECOND + int((part or "0").ljust(9, "0")[:9])
+    elapsed = moment - _BEGIN
+    return (elapsed.days * 86400 + elapsed.seconds) * SECOND + int((part or "0").ljust(9, "0")[:9])
 
 
 def epoch_text(epoch: int) -> str:
     """Return an epoch [ns] as text, to the microsecond if that is exact: some readers know no more."""
-    seconds, rest = divmod(epoch, SECOND)
-    share = f"{rest:09d}" if rest % 1000 else f"{rest // 1000:06d}"
+    seconds, remainder = divmod(epoch, SECOND)
+    share = f"{remainder:09d}" if remainder % 1000 else f"{remainder // 1000:06d}"
     return f"{(_BEGIN + timedelta(seconds=seconds)).isoformat()}.{share}"
 
 
@@ -112,15 +112,15 @@ class Ephemeris:
             rule = "lies between two segments of the file; choose an epoch within one"
             raise ScenarioError("ephemeris", epoch_text(epoch), rule, self.source)
         low = max(first, min(after - NODES // 2, end - NODES))
-        near = range(low, min(low + NODES, end))
-        apart = max(self.epochs[i + 1] - self.epochs[i] for i in near[:-1]) / SECOND
-        if apart > APART_S:
-            rule = f"lies in a gap: states about it are {apart:g} s apart, at most {APART_S:g} s are allowed"
+        window = range(low, min(low + NODES, end))
+        gap_s = max(self.epochs[i + 1] - self.epochs[i] for i in window[:-1]) / SECOND
+        if gap_s > APART_S:
+            rule = f"lies in a gap: states about it are {gap_s:g} s apart, at most {APART_S:g} s are allowed"
             raise ScenarioError("ephemeris", epoch_text(epoch), rule, self.source)
         # Times as shares of their span keep the divided differences in range.
-        span = (self.epochs[near[-1]] - self.epochs[near[0]]) / SECOND
-        times = np.repeat([(self.epochs[i] - epoch) / SECOND / span for i in near], 2)
-        values = np.array([row for i in near for row in (self.states[i, :3], self.states[i, 3:] * span)])
+        span = (self.epochs[window[-1]] - self.epochs[window[0]]) / SECOND
+        times = np.repeat([(self.epochs[i] - epoch) / SECOND / span for i in window], 2)
+        values = np.array([row for i in window for row in (self.states[i, :3], self.states[i, 3:] * span)])
         polynomial = KroghInterpolator(times, values)
         return np.concatenate([polynomial(0.0), polynomial.derivative(0.0) / span])
 
@@ -140,23 +140,23 @@ def read_oem(path: Path) -> Ephemeris:
     ScenarioError
         In one sentence, at the first line that is not as the standard or this reader wants it.
     """
-    shown = printable(path.name)
+    name = printable(path.name)
     try:
         lines = read_text(path, LARGEST_FILE).removeprefix("\ufeff").splitlines()
     except FileNotFoundError:
-        raise ScenarioError("ephemeris", shown, "there is no such file") from None
+        raise ScenarioError("ephemeris", name, "there is no such file") from None
     except (OSError, ValueError) as error:
-        raise ScenarioError("ephemeris", shown, f"cannot be read: {error}") from None
+        raise ScenarioError("ephemeris", name, f"cannot be read: {error}") from None
     try:
-        return _parsed(lines, shown)
+        return _parsed(lines, name)
     except ValueError as error:
-        raise ScenarioError("ephemeris", shown, printable(str(error))) from None
+        raise ScenarioError("ephemeris", name, printable(str(error))) from None
 
 
 def _parsed(lines: list[str], source: str) -> Ephemeris:
     block, meta = "header", dict[str, str]()
     head, epochs, rows, breaks = dict[str, str](), list[int](), list[list[float]](), list[int]()
-    known: dict[str, str] = {}
+    first_meta: dict[str, str] = {}
     covariances: dict[int, tuple[str, Array]] = {}
     triangle: list[list[float]] = []
     for number, line in enumerate((line.strip() for line in lines), 1):
@@ -169,8 +169,8 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
                 block, meta = "meta", {}
             elif line == "META_STOP" and block == "meta":
                 block = "data"
-                _check_meta(meta, known)
-                known, breaks = known or meta, [*breaks, len(epochs)]
+                _check_meta(meta, first_meta)
+                first_meta, breaks = first_meta or meta, [*breaks, len(epochs)]
             elif line == "COVARIANCE_START" and block == "data":
                 block, meta = "covariance", {}
             elif line == "COVARIANCE_STOP" and block == "covariance" and not triangle:
@@ -195,7 +195,7 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
             elif block == "covariance" and "EPOCH" in meta:
                 triangle.append(_numbers(line.split(), (len(triangle) + 1,)))
                 if len(triangle) == 6:
-                    frame = meta.get("COV_REF_FRAME", known["REF_FRAME"])
+                    frame = meta.get("COV_REF_FRAME", first_meta["REF_FRAME"])
                     covariances[parse_epoch(meta["EPOCH"])] = frame, _covariance(triangle)
                     triangle = []
                     del meta["EPOCH"]
@@ -211,8 +211,8 @@ def _parsed(lines: list[str], source: str) -> Ephemeris:
     if any(epochs[i] < epochs[i - 1] for i in breaks[1:]):
         raise _Fault("has segments that overlap or are out of order")
     states = np.array(rows) * 1e3
-    given = known["OBJECT_NAME"], known["REF_FRAME"], known["TIME_SYSTEM"]
-    return Ephemeris(*given, tuple(epochs), states, covariances, tuple(breaks), source)
+    identity = first_meta["OBJECT_NAME"], first_meta["REF_FRAME"], first_meta["TIME_SYSTEM"]
+    return Ephemeris(*identity, tuple(epochs), states, covariances, tuple(breaks), source)
 
 
 def _numbers(texts: list[str], counts: tuple[int, ...]) -> list[float]:
@@ -224,7 +224,7 @@ def _numbers(texts: list[str], counts: tuple[int, ...]) -> list[float]:
     return numbers
 
 
-def _check_meta(meta: dict[str, str], known: dict[str, str]) -> None:
+def _check_meta(meta: dict[str, str], before: dict[str, str]) -> None:
     """Refuse metadata that is incomplete, of another frame or time, or of another object than before."""
     missing = [key for key in _NEEDED.split() if key not in meta]
     if missing:
@@ -234,8 +234,8 @@ def _check_meta(meta: dict[str, str], known: dict[str, str]) -> None:
             raise _Fault(f"{key} is {meta[key]}; it must be one of {', '.join(allowed)}")
         meta[key] = meta[key].upper()
     for key in ("OBJECT_NAME", "REF_FRAME", "TIME_SYSTEM"):
-        if known and meta[key] != known[key]:
-            raise _Fault(f"{key} is {meta[key]}, but {known[key]} in the segment before: it must not change")
+        if before and meta[key] != before[key]:
+            raise _Fault(f"{key} is {meta[key]}, but {before[key]} in the segment before: it must not change")
 
 
 def _check_state(row: list[float]) -> None:

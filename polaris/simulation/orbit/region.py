@@ -54,15 +54,15 @@ def visited(schedule: Schedule) -> Region:
     curve = _curve(safety)
     lower, upper = [], []
     for k, step in enumerate(schedule.steps):
-        booked = at_nodes(step.tube.intersample) + at_nodes(curve[k])
+        intersample = at_nodes(step.tube.intersample) + at_nodes(curve[k])
         middle = safety.clearance.nodes[k] + step.tube.nodes.c
-        width = step.tube.nodes.half_widths + booked + safety.problem.system.state_offset
+        width = step.tube.nodes.half_widths + intersample + safety.problem.system.state_offset
         lower.append((middle - width).min(axis=0))
         upper.append((middle + width).max(axis=0))
     names = tuple(schedule.controllers[int(mode)].name for mode in schedule.modes)
-    flown = Region(names, _times(0, K, delta), np.array(lower), np.array(upper))
-    alone = _under_s(safety, safety.start, 0, curve)
-    parts = [flown, alone]
+    scheduled = Region(names, _times(0, K, delta), np.array(lower), np.array(upper))
+    under_s = _under_s(safety, safety.start, 0, curve)
+    parts = [scheduled, under_s]
     if safety.reference.cells > K:
         at_end = safety.clearance.after_jump(schedule.final)
         parts.append(_under_s(safety, at_end, K, curve))
@@ -97,19 +97,19 @@ def satellite_region(satellite: SatelliteObstacle, system: LinearSystem, delta: 
     """Return the region where another satellite may be, by the knowledge of it, for so many cells."""
     carried = powers(expm(system.A * delta), cells - 1)
     middle = carried @ np.asarray(satellite.state)
-    within = growth(system.A, delta)
+    exp_bound = growth(system.A, delta)
     # What an acceleration adds by the end of a cell, then carried on: summed over the cells passed.
     push = (
         delta
-        * within
+        * exp_bound
         @ sum((np.abs(M).sum(axis=1) * bound for M, bound in satellite.pushes(system)), np.zeros(system.n))
     )
-    pushed = np.abs(carried) @ push
-    reached = np.concatenate([np.zeros((1, system.n)), np.cumsum(pushed, axis=0)[:-1]])
+    added = np.abs(carried) @ push
+    reached = np.concatenate([np.zeros((1, system.n)), np.cumsum(added, axis=0)[:-1]])
     width = np.abs(carried) @ np.asarray(satellite.state_half_widths) + reached
-    moved = (np.abs(middle) + width) @ (within - np.eye(system.n)).T + push
+    drift = (np.abs(middle) + width) @ (exp_bound - np.eye(system.n)).T + push
     names = (satellite.name,) * cells
-    return Region(names, _times(0, cells, delta), middle - width - moved, middle + width + moved)
+    return Region(names, _times(0, cells, delta), middle - width - drift, middle + width + drift)
 
 
 def _times(first: int, cells: int, delta: float) -> Array:

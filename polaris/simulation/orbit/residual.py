@@ -129,7 +129,7 @@ class _Turning:
 
 def _turning(env: Environment) -> _Turning:
     """Bound how unevenly the frame may turn, from the exact formulas of `frame_rates`, term by term."""
-    eta, eps, off = env.mean_motion, env.rate_deviation, env.radius_deviation
+    eta, eps, deviation = env.mean_motion, env.rate_deviation, env.radius_deviation
     near, far = env.distances
     slowest, fastest, climb = env.ellipse_rates
     slow, fast, V = slowest - eps * eta, fastest + eps * eta, climb + env.radial_rate
@@ -138,17 +138,17 @@ def _turning(env: Environment) -> _Turning:
     force = env.k_j2 / near**4
     brake = 0.5 * float(_dense(env, np.asarray(0.0))) * env.ballistic * float(_own_speed(env))
     tilt = force * mixed / (near * slow)
-    pushed = (force * sine**2 + brake * far * fast) / near
-    turn_rate = pushed + 2 * V * fast / near
+    spin_accel = (force * sine**2 + brake * far * fast) / near
+    turn_rate = spin_accel + 2 * V * fast / near
     # R' omega_z / R against that on the ellipse: each of its factors is off by no more than is declared
-    uneven = env.radial_rate * fast + climb * eps * eta + climb * fastest * off / near
+    uneven = env.radial_rate * fast + climb * eps * eta + climb * fastest * deviation / near
     # normal = -2 k p_x p_z / R^4, and p' = -omega x p
     normal_rate = force * (fast * mixed + tilt * sine**2) + 4 * V / near * force * mixed
     tilt_rate = normal_rate / (near * slow) + tilt * (V / near + turn_rate / slow)
     return _Turning(
         wobble=float(np.hypot(tilt, eps * eta)),
         centrifugal=float(fast**2 - fastest**2 + tilt**2 + tilt * fast),
-        euler=float(np.hypot(tilt_rate, pushed + 2 * uneven / near)),
+        euler=float(np.hypot(tilt_rate, spin_accel + 2 * uneven / near)),
     )
 
 

@@ -36,38 +36,38 @@ def start_set(
     """
     for name in ("frame", "time_system"):
         if getattr(target, name) != getattr(chaser, name):
-            given = f"{getattr(chaser, name)}, but {getattr(target, name)} in the target's"
+            mismatch = f"{getattr(chaser, name)}, but {getattr(target, name)} in the target's"
             rule = "must be the same in both ephemerides"
             raise ScenarioError(
-                "initial_set.ephemeris", given, f"has another {name}: it {rule}", chaser.source
+                "initial_set.ephemeris", mismatch, f"has another {name}: it {rule}", chaser.source
             )
-    own, other = target.states_at([epoch])[0], chaser.states_at([epoch])[0]
-    covariance = _inertial(chaser, epoch, other, rotating)
+    target_state, chaser_state = target.states_at([epoch])[0], chaser.states_at([epoch])[0]
+    covariance = _inertial(chaser, epoch, chaser_state, rotating)
     if covariance is None:
         dates = ", ".join(epoch_text(one) for one in sorted(chaser.covariances)[:3]) or "none"
         rule = f"must have a covariance at the time 0 of the scenario; it has {dates}: choose orbit.epoch"
         raise ScenarioError("initial_set.ephemeris", epoch_text(epoch), rule, chaser.source)
-    carried = _derivative(own, other)
+    carried = _derivative(target_state, chaser_state)
     spread = carried[:, 6:] @ covariance @ carried[:, 6:].T
-    known = _inertial(target, epoch, own, rotating)
-    if known is not None:
-        spread = spread + carried[:, :6] @ known @ carried[:, :6].T
+    target_covariance = _inertial(target, epoch, target_state, rotating)
+    if target_covariance is not None:
+        spread = spread + carried[:, :6] @ target_covariance @ carried[:, :6].T
     size = np.sqrt(np.diag(spread))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     spans = sigma * (1 + ROUND_OFF) * scale[:, None] * root
-    about = "velocities that turn with it" if rotating else "inertial velocities along its axes"
-    both = (
+    kind = "velocities that turn with it" if rotating else "inertial velocities along its axes"
+    sources = (
         "errors of both files independent"
-        if known is not None
+        if target_covariance is not None
         else "the target's file has no covariance: exact"
     )
     assumption = (
         f"assumption: the start set covers {sigma:g} sigma of the covariance at {epoch_text(epoch)}"
-        f" {target.time_system} ({both}; a covariance in RTN is of {about})"
+        f" {target.time_system} ({sources}; a covariance in RTN is of {kind})"
     )
-    return to_hill(own, other), spans, assumption
+    return to_hill(target_state, chaser_state), spans, assumption
 
 
 def _inertial(ephemeris: Ephemeris, epoch: int, state: Array, rotating: bool) -> Array | None:

@@ -95,8 +95,8 @@ def fly_true(
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
     system = schedule.safety.problem.system
     prompt = system.timing.instant and system.observer is None
-    lost = any(not len(fault.thrust) for fault in system.transients)
-    flight = (_TrueMotion if prompt and not lost else _Predicting)(schedule, modes, substeps)
+    blind = any(not len(fault.thrust) for fault in system.transients)
+    flight = (_TrueMotion if prompt and not blind else _Predicting)(schedule, modes, substeps)
     flight.code = code and code.require_schedule(schedule)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
@@ -105,10 +105,10 @@ def fly_true(
         flight.faults = drawn(schedule, substeps, rows, rng.integers(1, flight.steps, n), rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
-    pushed, adjoint = flight.at_their_worst(push, rng)
+    pushes, adjoint = flight.at_their_worst(push, rng)
     if len(adjoint) and initial in ("corners", "mixed"):
         x[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
-    runs = flight.run(np.concatenate([x, target], axis=1), pushed)
+    runs = flight.run(np.concatenate([x, target], axis=1), pushes)
     target = runs.states[..., 6:]
     runs = replace(runs, states=runs.states[..., :6])
     return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
@@ -152,9 +152,9 @@ class _TrueMotion(Integrator):
     def at_their_worst(self, push: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return all that disturbs, (steps, R, 3 and columns of errors), and directions of first starts."""
         system, p, n = self.system, self.system.p, len(push)
-        pushed = np.broadcast_to(push, (self.steps, n, 3))
+        pushes = np.broadcast_to(push, (self.steps, n, 3))
         if system.ideal:
-            return pushed, np.zeros((0, 6))
+            return pushes, np.zeros((0, 6))
         self.errors = system.on_time
         w, adjoint = disturbances(self, n, rng, "mixed")
         worst = np.arange(n) < len(adjoint)
@@ -162,7 +162,7 @@ class _TrueMotion(Integrator):
         axis = rng.normal(size=(n - len(adjoint), 3))
         self.axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
         self.strength = rng.choice([-1.0, 1.0], (len(axis), len(self.ways)))
-        return np.concatenate([np.where(worst[:, None], force, pushed), w[..., p:]], axis=2), adjoint
+        return np.concatenate([np.where(worst[:, None], force, pushes), w[..., p:]], axis=2), adjoint
 
     def applied(self, raw: Array, step: int) -> Array:
         u, errors = super().applied(raw, step), self.errors
@@ -180,15 +180,15 @@ class _TrueMotion(Integrator):
             limits = self.fired if layout is not None else np.minimum(self.fired, self.system.u_max)
             self.asked[built] = thrusts = np.clip(thrusts, -limits, limits)
         shares = errors if layout is None else layout
-        made = (thrusts * (1 + shares.along * self.strength)) @ self.ways
-        made += shares.across * np.cross(self.axis, thrusts @ self.ways)
+        inputs = (thrusts * (1 + shares.along * self.strength)) @ self.ways
+        inputs += shares.across * np.cross(self.axis, thrusts @ self.ways)
         if layout is not None:
-            made = made / (1 + layout.mass * self.strength[:, :1])
+            inputs = inputs / (1 + layout.mass * self.strength[:, :1])
         self.made = u.copy()
-        self.made[built] = made
+        self.made[built] = inputs
         if self.faults is not None:
-            made = made + self.faults.added(self.asked @ self.ways, step)[built]
-        u[built] = made
+            inputs = inputs + self.faults.added(self.asked @ self.ways, step)[built]
+        u[built] = inputs
         return u
 
     def _unclipped(self, *cell: Any) -> None:
@@ -196,10 +196,10 @@ class _TrueMotion(Integrator):
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         def rates(u: Array, state: Array) -> tuple[Array, Array]:
-            own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
-            own = own + u @ self.system.B.T
-            own[:, 3:] += w
-            return np.concatenate([own, target], axis=1), left_out + w
+            rate, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
+            rate = rate + u @ self.system.B.T
+            rate[:, 3:] += w
+            return np.concatenate([rate, target], axis=1), left_out + w
 
         def under(u: Array) -> Callable[[Array], Array]:
             return lambda state: rates(u, state)[0]
@@ -209,10 +209,10 @@ class _TrueMotion(Integrator):
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
         if not self.parts:
             return runge_kutta(under(u), x, self.dt, first)
-        for one, other in pairwise(self._switches(step % self.substeps)):
-            if np.any(one < other):
-                flown, dt = u + self.pulsed(one, other), (other - one) * self.dt * self.substeps
-                x = runge_kutta(under(flown), x, dt, rates(flown, x)[0])
+        for begin, end in pairwise(self._switches(step % self.substeps)):
+            if np.any(begin < end):
+                inputs, dt = u + self.pulsed(begin, end), (end - begin) * self.dt * self.substeps
+                x = runge_kutta(under(inputs), x, dt, rates(inputs, x)[0])
         return x
 
     def _switches(self, sub: int) -> Array:
@@ -220,8 +220,8 @@ class _TrueMotion(Integrator):
         start, end = (np.arange(2) + sub) / self.substeps
         ends = np.broadcast_to([start, end], (len(self.asked), 2))
         parts = (each + edge for _, _, *part in self.parts for each in part for edge in self.edges)
-        every = np.hstack([ends, *parts])
-        return np.sort(np.clip(every, start, end), axis=1).T[:, :, None]
+        switches = np.hstack([ends, *parts])
+        return np.sort(np.clip(switches, start, end), axis=1).T[:, :, None]
 
 
 class _Predicting(Predicting, _TrueMotion):
@@ -234,6 +234,6 @@ def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
     turn = frame_rates(env, target)[0][..., 2]
     tilt = np.hypot(target[..., 3], target[..., 4])
     near, climb, rate = on_ellipse(env, *ellipse_place(env, R, V, env.eccentricity))
-    kept = (np.abs(R - near) <= env.radius_deviation) & (np.abs(V - climb) <= env.radial_rate)
-    kept &= np.abs(turn - rate) <= env.rate_deviation * env.mean_motion
-    return np.asarray(np.all(kept & (tilt <= np.sin(env.inclination_max)), axis=-1))
+    inside = (np.abs(R - near) <= env.radius_deviation) & (np.abs(V - climb) <= env.radial_rate)
+    inside &= np.abs(turn - rate) <= env.rate_deviation * env.mean_motion
+    return np.asarray(np.all(inside & (tilt <= np.sin(env.inclination_max)), axis=-1))

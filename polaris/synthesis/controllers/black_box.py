@@ -50,16 +50,16 @@ class FittedSegment(TubeSegment):
     """The thrust from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
     the error there; shape (q, m, n + 2)."""
 
-    def outside(self, errors: Array, inputs: Array, moved: Array) -> Array:
-        """Return how far inputs (R, q, m) are from the fit at errors (R, q, n) within `moved` (n,): (R,).
+    def outside(self, errors: Array, inputs: Array, spread: Array) -> Array:
+        """Return how far inputs (R, q, m) are from the fit at errors (R, q, n) within `spread` (n,): (R,).
 
         In units of their bands.
         """
         assert self.fit is not None
         n = errors.shape[-1]
         fitted = np.einsum("iab,rib->ria", self.fit[..., :n], errors) + self.fit[..., n]
-        off = np.abs(inputs - fitted) + np.abs(self.fit[..., :n]) @ moved
-        return np.asarray((off / self.fit[..., n + 1]).max(axis=(1, 2)))
+        deviation = np.abs(inputs - fitted) + np.abs(self.fit[..., :n]) @ spread
+        return np.asarray((deviation / self.fit[..., n + 1]).max(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,21 +182,21 @@ class BlackBox:
         if np.any(system.navigation):
             eta = system.navigation * rng.choice([-1.0, 1.0], (len(w), *e.shape))
         fit, boxes = [], {id(law): law for law in laws if isinstance(law, BlackBox)}
-        own = {id(law): part.fine(q) for law in laws if (part := getattr(law, "own", None)) is not None}
+        paths = {id(law): part.fine(q) for law in laws if (part := getattr(law, "own", None)) is not None}
         nodes = self.reference.fine(q)[k - len(before) : k + 1, :-1].reshape(-1, system.n)
         for node, xi in enumerate(nodes):
-            law, (past, i) = laws[node // q], divmod(node, q)
-            past, seen = past + k - len(before), e + xi + eta[node]
-            asked = {key: box.command(past, xi, xi, seen, i * self.flow.h) for key, box in boxes.items()}
-            if id(law) in asked:
-                u = asked[id(law)]
+            law, (step, i) = laws[node // q], divmod(node, q)
+            step, states = step + k - len(before), e + xi + eta[node]
+            commands = {key: box.command(step, xi, xi, states, i * self.flow.h) for key, box in boxes.items()}
+            if id(law) in commands:
+                u = commands[id(law)]
             else:
-                at = past, xi, own[id(law)][past, i] if id(law) in own else xi, seen
+                at = step, xi, paths[id(law)][step, i] if id(law) in paths else xi, states
                 u = law.command(*at, *([i * self.flow.h] if isinstance(law, NeuralController) else []))
             u = np.clip(u, -system.u_max, system.u_max)
             if node >= len(nodes) - q:
                 fit.append(self._line(e, u, xi))
-            e = e @ Ad.T + (u - self.reference.nu[past]) @ Bd.T + w[node] @ Dd.T
+            e = e @ Ad.T + (u - self.reference.nu[step]) @ Bd.T + w[node] @ Dd.T
         return np.array(fit)
 
     def _line(self, e: Array, u: Array, xi: Array) -> Array:
@@ -207,9 +207,9 @@ class BlackBox:
         base = np.hstack([(e - middle) / scale, np.ones((len(e), 1))])
         solved = np.linalg.lstsq(base, u, rcond=1e-9)[0]
         K = (solved[:n] / scale[:, None]).T
-        left = np.abs(u - base @ solved).max(axis=0)
-        book = ROUNDING * (self.system.u_max + np.abs(K) @ size)
-        return np.asarray(np.column_stack([K, solved[n] - K @ middle, self.wider * left + book]))
+        residual = np.abs(u - base @ solved).max(axis=0)
+        rounding = ROUNDING * (self.system.u_max + np.abs(K) @ size)
+        return np.asarray(np.column_stack([K, solved[n] - K @ middle, self.wider * residual + rounding]))
 
 
 @dataclass(frozen=True)

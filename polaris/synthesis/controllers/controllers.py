@@ -116,28 +116,28 @@ class AffineController(AffineLaw):
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
         holds every flight: none can be the first to exceed it.
         """
-        here, start = self.in_step(k), self.tracking.whole_state(start)
+        law, start = self.in_step(k), self.tracking.whole_state(start)
         if not self.system.proportional:
-            return here._flown(start, k)[0]
-        bound = here.foreseen(start - self.whole_offset(k)[0], k)
+            return law._flown(start, k)[0]
+        bound = law.foreseen(start - self.whole_offset(k)[0], k)
         while True:
-            tube, commanded = here._like(bound, here.off)._flown(start, k)
+            tube, commanded = law._like(bound, law.off)._flown(start, k)
             if np.all(commanded <= bound):
                 return tube
             bound = raised(bound, commanded, self.system.u_max)
 
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
-        more = self.tracking.step_errors
-        return self._like(self.most, more[min(k, len(more) - 1)]) if np.any(more) else self
+        errors = self.tracking.step_errors
+        return self._like(self.most, errors[min(k, len(errors) - 1)]) if np.any(errors) else self
 
-    def _like(self, commands: Array | None, off: Array | None) -> "AffineController":
+    def _like(self, commands: Array | None, estimate_error: Array | None) -> "AffineController":
         """Return the law, made once, with bounds on commands (m,) and on further estimate errors (n,)."""
-        key = tuple(b"" if bound is None else bound.tobytes() for bound in (commands, off))
+        key = tuple(b"" if bound is None else bound.tobytes() for bound in (commands, estimate_error))
         law = self._levels.get(key)
         if law is None:
-            law = self._levels[key] = replace(self, most=commands, off=off, _levels={})
-            if off is self.off:
+            law = self._levels[key] = replace(self, most=commands, off=estimate_error, _levels={})
+            if estimate_error is self.off:
                 vars(law).update(flow=self.flow, closed=self.closed, powers=self.powers)
                 vars(law).update(offset=self.offset, _whole_offsets=self._whole_offsets)
         assert isinstance(law, AffineController)
@@ -154,8 +154,8 @@ class AffineController(AffineLaw):
         nodes = self.powers @ d + self.disturbance
         intersample = affine_bow(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, intersample, k), "", None
-        over = commanded + self.noise - self.system.u_max
-        excess, axis = float(over.max()), int(np.argmax(over))
+        excesses = commanded + self.noise - self.system.u_max
+        excess, axis = float(excesses.max()), int(np.argmax(excesses))
         if excess > 0 and self.clips:  # errors of the estimate come after the clip (Proposition 5 (a))
             nodes = self.powers @ d + self.disturbance_if_cut
             intersample = affine_bow(self, nodes[:-1], k)
@@ -170,8 +170,8 @@ class AffineController(AffineLaw):
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         states = nodes + zeta
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
-        whole = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
-        order = ORDER if self.system.ideal else WIDE if states.dim == n else whole
+        loop_order = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
+        order = ORDER if self.system.ideal else WIDE if states.dim == n else loop_order
         segment = TubeSegment(states, intersample + rounding, end.reduce(order, "parallel"), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
@@ -182,8 +182,8 @@ class AffineController(AffineLaw):
 
     def with_reference(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """Return the law beside another safe reference, which is its own as well if the first one was."""
-        own = reference if self.own is self.reference else self.own
-        law = replace(self, reference=reference, own=own, tracking=tracking, _levels={})
+        own_reference = reference if self.own is self.reference else self.own
+        law = replace(self, reference=reference, own=own_reference, tracking=tracking, _levels={})
         if tracking is self.tracking:
             vars(law).update({name: vars(self)[name] for name in LOOP_ALONE & vars(self).keys()})
         return law
@@ -255,17 +255,17 @@ class AnyThrust:
         step = -(self.flow.input_map(self.system.B) @ self.reference.nu[k])
         nodes = [start]
         for _ in range(self.tracking.feedback.nodes_per_cell):
-            moved = self.flow.phi @ nodes[-1] + step + push + self.flow.period_zonotope
-            nodes.append(moved.reduce(ORDER))
+            successor = self.flow.phi @ nodes[-1] + step + push + self.flow.period_zonotope
+            nodes.append(successor.reduce(ORDER))
         # Between nodes the input's share is that of a part of the period: inside the whole's.
         spread = [node + push for node in nodes[:-1]] + [nodes[-1]]
         stack = Zonotope.stack(spread)
         drift = np.abs(self.system.B @ self.reference.nu[k])  # the known part of the rate
-        bent = (
+        curvature = (
             self.flow.intersample(stack[:-1])
             + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
-        intersample = bent + self.flow.period_box
+        intersample = curvature + self.flow.period_box
         return TubeSegment(stack, intersample, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
@@ -280,18 +280,18 @@ def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> Tu
     """Return a tube of true errors with the other loop states, which move by themselves from `start` on."""
     if tube.end.dim == start.dim:
         return tube
-    idle, n, away = s.idle, s.system.n, s.tracking.state_offset
-    caused = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
-    others = idle.powers[:, n:, n:] @ Zonotope(start.c[n:], start.G[n:]) + caused
+    idle, n, offset = s.idle, s.system.n, s.tracking.state_offset
+    disturbance = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
+    others = idle.powers[:, n:, n:] @ Zonotope(start.c[n:], start.G[n:]) + disturbance
 
     def joined(errors: Zonotope, others: Zonotope) -> Zonotope:
-        errors = errors.inflate(away) if np.any(away) else errors
+        errors = errors.inflate(offset) if np.any(offset) else errors
         G = np.zeros((*errors.batch, start.dim, errors.order_count + others.order_count))
         G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
         return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)
 
-    whole = (WHOLE if s.system.observer is None else FILTERED) * n / start.dim
-    end = joined(tube.end, others[-1]).reduce(whole, "parallel")
+    order = (WHOLE if s.system.observer is None else FILTERED) * n / start.dim
+    end = joined(tube.end, others[-1]).reduce(order, "parallel")
     return replace(tube, states=joined(tube.states, others), end=end)
 
 

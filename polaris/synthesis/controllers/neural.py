@@ -77,8 +77,8 @@ class NeuralController:
 
     def with_reference(self, reference: Reference, tracking: Tracking) -> "NeuralController":
         """Return it beside another safe reference, which is its own too if it shares the present one."""
-        own = reference if self.own is self.reference else self.own
-        return replace(self, reference=reference, own=own, tracking=tracking)
+        own_reference = reference if self.own is self.reference else self.own
+        return replace(self, reference=reference, own=own_reference, tracking=tracking)
 
     @cached_property
     def senses(self) -> Senses:
@@ -101,11 +101,11 @@ class NeuralController:
 
     def _slopes(self, x: Array, bodies: Array) -> Array:
         """Return the change of the policy's inputs per row of states and obstacle motion, shape (r, rows)."""
-        other = (np.zeros((len(x), size)) for size in (1, self.system.m))
-        return self._stack(0 * x, x, *other, bodies).T
+        zeros = (np.zeros((len(x), size)) for size in (1, self.system.m))
+        return self._stack(0 * x, x, *zeros, bodies).T
 
-    def _stack(self, *given: Array) -> Array:
-        return self.policy.stack(self.senses.parts(*given))
+    def _stack(self, *values: Array) -> Array:
+        return self.policy.stack(self.senses.parts(*values))
 
     @cached_property
     def offset(self) -> Array:
@@ -134,21 +134,21 @@ class NeuralController:
         cells, q = len(self.offset), self.feedback.nodes_per_cell
         times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
         nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
-        own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
+        xi_U, xi = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
         bodies, C = self.obstacle_motion[0], np.abs(self.loop.C)
-        read = self._stack(own, safe, times, nu, bodies)
+        read = self._stack(xi_U, xi, times, nu, bodies)
         # The two references are stored states: their inputs are known up to their round-off.
-        off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * bodies)
-        off = np.abs(off) + self.reference.rounding[:cells, None] @ C.T
-        return read, off + gamma(self.system.n + 4) * (np.abs(read) + np.abs(safe) @ C.T)
+        errors = self._stack(self.own.rounding[:cells, None], 0 * xi, 0 * times, 0 * nu, 0 * bodies)
+        errors = np.abs(errors) + self.reference.rounding[:cells, None] @ C.T
+        return read, errors + gamma(self.system.n + 4) * (np.abs(read) + np.abs(xi) @ C.T)
 
     @property
     def slope(self) -> AffineController:
         """Return the clipped affine law that it is to first order at the start of its reference: no bound."""
-        own, m = self.own.chi[0], self.system.m
-        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m)) @ self.loop.C
-        known = self.reference, self.own, self.tracking
-        return AffineController(self.name, self.system, gain, *known, clips=True)
+        start, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, start, np.repeat(start[None], m, axis=0), np.eye(m)) @ self.loop.C
+        references = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *references, clips=True)
 
     @cached_property
     def booked(self) -> Array:
@@ -156,13 +156,13 @@ class NeuralController:
         return np.asarray(ROUNDING * np.abs(self.loop.flow.input_map(self.system.B)) @ self.system.u_max)
 
     def command(
-        self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0, told: Array | None = None
+        self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0, scene: Array | None = None
     ) -> Array:
         """Thrust command before clipping, shape (..., m), some seconds after the start of step k.
 
         Obstacle data (..., 2d per body) are the middle of their range if they are left out.
         """
-        return np.asarray(self.policy.network(self._read(k, own, x, later, told)) * self.policy.output_scale)
+        return np.asarray(self.policy.network(self._read(k, own, x, later, scene)) * self.policy.output_scale)
 
     def pullback(self, k: int, own: Array, x: Array, weights: Array, later: float = 0.0) -> Array:
         """Gradient of ``weights . command`` by the policy's inputs, shape (..., r), for weights (..., m)."""
@@ -181,17 +181,17 @@ class NeuralController:
     def propagate(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
         nodes, intersamples, mu = [start], [], self.reference.nu[k]
-        read, off = self.reference_input
+        read, errors = self.reference_input
         try:
             for i in range(self.feedback.nodes_per_cell):
                 spread = self.sight * self.obstacle_motion[1][k, i]
-                after, intersample, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
-                open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
-                wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
+                after, intersample, command = self.loop.step(nodes[-1], read[k, i], -mu, errors[k, i], spread)
+                band = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
+                widening = np.abs(self.loop.flow.input_map(self.system.B)) @ band * WIDER
                 commanded = np.abs(command.c) + command.half_widths * (1 + WIDER)
                 push, within = thruster_offset(self.system, self.loop.flow, commanded)
-                nodes.append(reduced(after.inflate(wider + self.booked) + push))
-                intersamples.append(intersample + wider + within)
+                nodes.append(reduced(after.inflate(widening + self.booked) + push))
+                intersamples.append(intersample + widening + within)
         except Unresolved as error:
             return TubeSegment(*no_tube(start, self.feedback.nodes_per_cell), str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
@@ -204,22 +204,22 @@ class NeuralController:
         `nodes` are errors about the law's own reference. The command at a node is held from there on.
         """
         error, spread = nodes + self.offset[k], self.sight * self.obstacle_motion[1][k, :, None]
-        known = zip(*(part[k] for part in self.reference_input), spread, strict=True)
-        sets = [self.loop.command(error[i], *given) for i, given in enumerate(known)]
+        inputs = zip(*(part[k] for part in self.reference_input), spread, strict=True)
+        sets = [self.loop.command(error[i], *node_inputs) for i, node_inputs in enumerate(inputs)]
         return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
 
 
-def thruster_offset(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
-    """Return the effect of thruster errors at the next node and until then, (n,), commands up to `most`."""
+def thruster_offset(system: Craft, flow: LinearFlow, level: Array) -> tuple[Zonotope, Array]:
+    """Return the effect of thruster errors at the next node and until then, (n,), commands up to `level`."""
     if system.thrusters.exact and not system.unknown.size:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
-    error, drift = system.thrusters.error(most), system.unknown
+    error, drift = system.thrusters.error(level), system.unknown
     size = np.abs(system.B) @ error
-    moved = flow.input_zonotope(system.B, np.diag(error), size)
+    effect = flow.input_zonotope(system.B, np.diag(error), size)
     if drift.size:
         carried = np.abs(drift).sum(axis=1)
-        moved, size = moved + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
-    return moved, flow.h * flow.growth @ size
+        effect, size = effect + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
+    return effect, flow.h * flow.growth @ size
 
 
 def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:

@@ -31,13 +31,13 @@ class Senses:
         cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
     ) -> "Senses":
         """Return the senses that inputs require in a scene; names the field if an input is none of them."""
-        known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
-        named = dict.fromkeys(name.partition(":")[2] for name in inputs)
-        senses = cls(system, tuple(known[name] for name in named if name in known))
+        bodies = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
+        names = dict.fromkeys(name.partition(":")[2] for name in inputs)
+        senses = cls(system, tuple(bodies[name] for name in names if name in bodies))
         if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= senses.sizes.keys():
             plain = ", ".join(name for name in senses.sizes if ":" not in name)
             rule = f"must name each once, of {plain}, or {', '.join(OF_BODY)} with a colon and an obstacle"
-            raise ScenarioError(field, list(inputs), f"{rule} (here {', '.join(known) or 'there is none'})")
+            raise ScenarioError(field, list(inputs), f"{rule} (here {', '.join(bodies) or 'there is none'})")
         return senses
 
     @property
@@ -47,21 +47,21 @@ class Senses:
         plain = {"error": n, "state": n, "time": 1, "reference_input": self.system.m}
         return plain | {f"{kind}:{body.name}": d for body in self.bodies for kind in OF_BODY}
 
-    def parts(self, own: Array, x: Array, time: Array, nu: Array, told: Array) -> dict[str, Array]:
+    def parts(self, reference: Array, x: Array, time: Array, nu: Array, bodies: Array) -> dict[str, Array]:
         """Inputs by name: a reference's state and input, a time, and obstacle data (..., 2d per body)."""
-        inputs, d = {"error": own - x, "state": x, "time": time, "reference_input": nu}, self.system.d
+        inputs, d = {"error": reference - x, "state": x, "time": time, "reference_input": nu}, self.system.d
         for j, body in enumerate(self.bodies):
             for i, rows in enumerate((self.system.position, self.system.velocity)):
-                at = told[..., (2 * j + i) * d : (2 * j + i + 1) * d]
-                inputs[f"{OF_BODY[i]}:{body.name}"] = at
-                inputs[f"{OF_BODY[i + 2]}:{body.name}"] = at - x @ rows.T
+                values = bodies[..., (2 * j + i) * d : (2 * j + i + 1) * d]
+                inputs[f"{OF_BODY[i]}:{body.name}"] = values
+                inputs[f"{OF_BODY[i + 2]}:{body.name}"] = values - x @ rows.T
         return inputs
 
     def state_boxes(self, h: float, count: int) -> tuple[Array, Array]:
         """Box of obstacle data at times h [s] apart: middle and half-widths, (count, 2d per body)."""
         boxes = [body.state_boxes(self.system, h, count) for body in self.bodies]
-        none = np.zeros((count, 0))
-        return np.hstack([none, *(c for c, _ in boxes)]), np.hstack([none, *(half for _, half in boxes)])
+        empty = np.zeros((count, 0))
+        return np.hstack([empty, *(c for c, _ in boxes)]), np.hstack([empty, *(half for _, half in boxes)])
 
     def seen(self, t: float, states: Mapping[str, Array], runs: int) -> Array:
         """Return the motion of bodies; states (R, n) of satellites are given by name; (R, 2d per body)."""
@@ -108,21 +108,20 @@ class Policy:
         if self.network.outputs != outputs:
             rule = f"must be a network of {outputs} outputs, one per input, but has {self.network.outputs}"
             raise ScenarioError(f"{field}.path", None, rule)
-        for name, given, size in (
+        for name, scale, size in (
             ("input_scale", self.input_scale, read),
             ("output_scale_N", self.output_scale, outputs),
         ):
-            if np.shape(given) != (size,):
-                raise ScenarioError(f"{field}.{name}", np.ravel(given).tolist(), f"must have {size} numbers")
+            if np.shape(scale) != (size,):
+                raise ScenarioError(f"{field}.{name}", np.ravel(scale).tolist(), f"must have {size} numbers")
 
     def steepest(self, system: Craft, unsafe: Iterable[object]) -> Array:
         """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
         senses, n = Senses.from_inputs(system, self.inputs, unsafe, "inputs"), system.n
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
         read = senses.parts(np.zeros(n), np.eye(n), *others)
-        M, own = self.network.steepest(self.stack(read).T), self.network.rounding
-        if own is not None:  # of the outputs' scale, and of their limits
-            M = M * (1 + own.relative(1 + MORE)) * (1 + own.relative(2))
+        M, rounding = self.network.steepest(self.stack(read).T), self.network.rounding
+        M = M if rounding is None else M * (1 + rounding.relative(1 + MORE)) * (1 + rounding.relative(2))
         return np.asarray(self.output_scale[:, None] * M * (1 + ROUNDING))
 
     def stack(self, parts: dict[str, Array]) -> Array:

@@ -77,28 +77,28 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     states = np.concatenate([safety.reference.chi[K][None], *(cell[1:] for cell in cells)])
     clearance = sides - states @ rows.T - ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     clearance = clearance - CHECKED * np.abs(np.concatenate([half_widths, half_widths]))
-    tightening, far = tail.tightenings(along, len(states)), _settled(tail, along, len(states))
-    off = system.navigation + system.state_offset_at_nodes
+    tightening, settled = tail.tightenings(along, len(states)), _settled(tail, along, len(states))
+    error = system.navigation + system.state_offset_at_nodes
     if system.error_by_step is not None:
-        off = system.error_by_step[-1] + system.state_offset_at_nodes
-    seen = np.concatenate([off, off])
+        error = system.error_by_step[-1] + system.state_offset_at_nodes
+    errors = np.concatenate([error, error])
     inside = np.all(tightening <= clearance, axis=1)
-    used = 1 + (tightening - clearance) / np.maximum(np.concatenate([half_widths, half_widths]), 1e-300)
-    best = min(only, len(used) - 1) if only is not None else int(np.argmin(used.max(axis=1)))
+    shares = 1 + (tightening - clearance) / np.maximum(np.concatenate([half_widths, half_widths]), 1e-300)
+    node = min(only, len(shares) - 1) if only is not None else int(np.argmin(shares.max(axis=1)))
     if only is not None:
         inside &= np.arange(len(states)) == only
     later, h = np.zeros(len(states), dtype=bool), tracking.flow.h
-    bent = np.max(np.abs(states @ (system.A @ system.A).T), axis=0) @ growth(system.A, h).T * h**2 / 8
-    far = far + np.concatenate([bent, bent])
+    curvature = np.max(np.abs(states @ (system.A @ system.A).T), axis=0) @ growth(system.A, h).T * h**2 / 8
+    settled = settled + np.concatenate([curvature, curvature])
     if only is None and safety.end.horizon == "infinite":
-        later = np.all(far <= clearance, axis=1)
-    shown = [tightening[inside] + 2 * seen <= clearance[inside], far + 2 * seen <= clearance[later]]
-    first, again = _windows(inside), _windows(later)
+        later = np.all(settled <= clearance, axis=1)
+    checks = [tightening[inside] + 2 * errors <= clearance[inside], settled + 2 * errors <= clearance[later]]
+    first, repeated = _windows(inside), _windows(later)
     if in_hills_frame(system):
-        again = [(a, b) for a, b in again if b > a]  # no node need lie at a single phase
-    assured = bool(first or again) and all(map(np.all, shown))
-    nearest = float(used[best].max()), int(used[best].argmax()), best
-    return Joint(center, np.asarray(half_widths * (1 - ROUNDING) - off), first, again, assured, nearest)
+        repeated = [(a, b) for a, b in repeated if b > a]  # no node need lie at a single phase
+    assured = bool(first or repeated) and all(map(np.all, checks))
+    nearest = float(shares[node].max()), int(shares[node].argmax()), node
+    return Joint(center, np.asarray(half_widths * (1 - ROUNDING) - error), first, repeated, assured, nearest)
 
 
 def turn_of(schedule: Schedule) -> float:

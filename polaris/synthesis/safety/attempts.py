@@ -64,12 +64,12 @@ class Attempts:
     end: EndCondition
 
     def __init__(
-        self, problem: Problem, tracking: Tracking, clock: StageClock, given: Plan | None = None
+        self, problem: Problem, tracking: Tracking, clock: StageClock, known_plan: Plan | None = None
     ) -> None:
-        self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
+        self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, known_plan
         self.tail = tail_length(tracking)
-        ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
-        self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, ahead))
+        drift_cells = 0 if problem.abort is None else problem.abort.cells(problem.delta)
+        self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, drift_cells))
         self.start = start_about(problem, tracking)
         self.cut_by_clock: tuple[str, ...] = ()
 
@@ -78,39 +78,39 @@ class Attempts:
         if self.given is not None:
             yield from self._references(self.given)
             return
-        asked = plan_problem(self.problem, self.tracking, self.unsafe)
+        task = plan_problem(self.problem, self.tracking, self.unsafe)
         self.clock.lap("bounds")
-        plan = find_plan(asked, self.problem.planner)
+        plan = find_plan(task, self.problem.planner)
         self.cut_by_clock = plan.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(plan)
         for _ in range(AFRESH):
-            if (more := self._allowing(asked)) is None:
+            if (widened := self._allowing(task)) is None:
                 break
-            asked, plan = more, find_plan(more, self.problem.planner)
+            task, plan = widened, find_plan(widened, self.problem.planner)
             self.clock.lap("plan")
             yield from self._references(plan)
         if not self.margin.inside:
             return
         self.clock.lap("recoverable")
-        again = self._with_coasting(asked)
+        coasting = self._with_coasting(task)
         self.clock.lap("plan")
-        if again is not None:
-            yield next(self._references(again))
+        if coasting is not None:
+            yield next(self._references(coasting))
             names, short = (
-                [body.name for body in asked.unsafe],
+                [body.name for body in task.unsafe],
                 self.margin.tightening - self.margin.clearance,
             )
             if (
                 short > 0 and self.margin.limit in names
             ):  # as after T, where the plan leaves less than it needs
-                pairs = zip(names, asked.margins, strict=True)
-                wider = (margin + 1.1 * short * (name == self.margin.limit) for name, margin in pairs)
-                again = self._with_coasting(replace(asked, margins=tuple(wider))) or again
+                pairs = zip(names, task.margins, strict=True)
+                margins = (margin + 1.1 * short * (name == self.margin.limit) for name, margin in pairs)
+                coasting = self._with_coasting(replace(task, margins=tuple(margins))) or coasting
                 self.clock.lap("plan")
-            yield from self._references(again)
+            yield from self._references(coasting)
 
-    def _allowing(self, asked: PlanProblem) -> PlanProblem | None:
+    def _allowing(self, task: PlanProblem) -> PlanProblem | None:
         """Return the problem with margins that the last plan lacked; None if it fails for other reasons.
 
         They hold errors by the time of the flight, as large as along that plan, and how much the bounds here
@@ -119,36 +119,36 @@ class Attempts:
         if self.margin.inside:
             return None
         system, K = self.problem.system, self.problem.K
-        last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
-        clearances = (facet_clearance(self.tracking, last, unsafe).min(axis=1) for unsafe in asked.unsafe)
+        path = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
+        clearances = (facet_clearance(self.tracking, path, unsafe).min(axis=1) for unsafe in task.unsafe)
         intersamples = [
-            seen - clearance for seen, clearance in zip(path_bounds(asked, last), clearances, strict=True)
+            bound - clearance for bound, clearance in zip(path_bounds(task, path), clearances, strict=True)
         ]
         short = self.margin.tightening - self.margin.clearance
         if not self.tracking.varies and all(np.all(intersample < short) for intersample in intersamples):
             return None
-        caused, rows = Feedforward(self.tracking, last, K), self.tracking.commands
+        errors, rows = Feedforward(self.tracking, path, K), self.tracking.commands
         margins = tuple(
-            margin + np.clip(intersample, 0, 1.1 * short) + caused.response(-each.rows(system)).max(axis=1)
-            for each, margin, intersample in zip(asked.unsafe, asked.margins, intersamples, strict=True)
+            margin + np.clip(intersample, 0, 1.1 * short) + errors.response(-each.rows(system)).max(axis=1)
+            for each, margin, intersample in zip(task.unsafe, task.margins, intersamples, strict=True)
         )
-        limit = np.maximum(asked.u_limit - caused.response(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
-        return replace(asked, margins=margins, u_limit=limit)
+        limit = np.maximum(task.u_limit - errors.response(rows[: len(task.system.u_max)]).max(axis=1), 0.0)
+        return replace(task, margins=margins, u_limit=limit)
 
-    def _with_coasting(self, asked: PlanProblem) -> Plan | None:
+    def _with_coasting(self, task: PlanProblem) -> Plan | None:
         """Plan again, so that coasting after the end is safe; return None if there is no such plan."""
         options = self.problem.planner
         limit = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
         try:
-            again = plan(replace(asked, tail_cells=self.tail), replace(options, max_linear_programs=limit))
+            coasting = plan(replace(task, tail_cells=self.tail), replace(options, max_linear_programs=limit))
         except OutOfTime as error:
             self.cut_by_clock += ("plan with coasting",)
             warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=4)
             return None
         except (SynthesisInfeasible, NotCertified):
             return None
-        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in again.cut_by_clock)
-        return again
+        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in coasting.cut_by_clock)
+        return coasting
 
     def _references(self, plan: Plan) -> Iterator[tuple[Reference, Array]]:
         self.plan, problem = plan, self.problem
@@ -209,12 +209,12 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         errors = errors_alone(tracking, int(axis), system.as_ideal())
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
-        late = 0.0 if system.timing.instant else errors_alone(tracking, int(axis), system.without_delay)
-        if late > 0:
-            share += f" ({late:.4g} of that for delay, missed periods and jitter)"
+        portion = 0.0 if system.timing.instant else errors_alone(tracking, int(axis), system.without_delay)
+        if portion > 0:
+            share += f" ({portion:.4g} of that for delay, missed periods and jitter)"
         if system.transients:
-            late = errors_alone(tracking, int(axis), replace(system, transients=()))
-            share += f" ({late:.4g} of that for a fault until it is isolated)"
+            portion = errors_alone(tracking, int(axis), replace(system, transients=()))
+            share += f" ({portion:.4g} of that for a fault until it is isolated)"
         raise SynthesisInfeasible(
             f"the tracking feedback may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
@@ -239,19 +239,19 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
 
 def errors_alone(tracking: Tracking, axis: int, other: Craft) -> float:
     """Return the command of S on an axis, once settled, beyond that in a system with fewer errors."""
-    better = replace(tracking, system=other)
-    sums = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, better))
+    fewer = replace(tracking, system=other)
+    sums = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, fewer))
     return float(next(sums) - next(sums))
 
 
-def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
+def find_plan(task: PlanProblem, options: PlannerOptions) -> Plan:
     """Plan; if that fails in a scene about as small as the clearance added for the solver, say so."""
     try:
-        return plan(asked, options)
+        return plan(task, options)
     except (SynthesisInfeasible, NotCertified) as error:
-        lengths = [np.abs(unsafe.offsets).max() for unsafe in asked.unsafe]
-        size = max(float(np.abs(asked.system.position @ asked.x0).max()), *lengths, 0.0)
-        if not asked.unsafe or size > 100 * SOLVER_BOOK_M:
+        lengths = [np.abs(unsafe.offsets).max() for unsafe in task.unsafe]
+        size = max(float(np.abs(task.system.position @ task.x0).max()), *lengths, 0.0)
+        if not task.unsafe or size > 100 * SOLVER_BOOK_M:
             raise
         hint = (
             f"another unit of length: this scene is {size:.2g} m wide, and the planner adds "

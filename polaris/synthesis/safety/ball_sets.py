@@ -37,8 +37,8 @@ class BallSets(RecoverableSet):
         rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)
-        more = self.clearance.round_off(rows) + tracking.transient_tightening(rows)[-1]
-        return gamma, gain * tracking.system.unbiased.w_max + more
+        constant = self.clearance.round_off(rows) + tracking.transient_tightening(rows)[-1]
+        return gamma, gain * tracking.system.unbiased.w_max + constant
 
     @cached_property
     def _clearance(self) -> Array:
@@ -48,24 +48,24 @@ class BallSets(RecoverableSet):
     @cached_property
     def allowed(self) -> Array:
         """Norm allowed with no time to decay, per period and row, shape (nodes, r)."""
-        gamma, more = self._tightenings
-        return np.asarray((self._clearance - more) / gamma * (1 - ROUNDING))
+        gamma, constant = self._tightenings
+        return np.asarray((self._clearance - constant) / gamma * (1 - ROUNDING))
 
     def _decayed(self, count: int) -> Array:
         """Least factor by which an error shrinks from anywhere in one period to anywhere in a later one.
 
         In the first `count` of them: from period i to period j at least j - i - 1 periods pass.
         """
-        gone = np.maximum(np.arange(count) - 1, 0) * self.clearance.tracking.flow.h
-        return np.exp(np.minimum(self.bounds.beta * gone, np.log(1e12)))
+        elapsed = np.maximum(np.arange(count) - 1, 0) * self.clearance.tracking.flow.h
+        return np.exp(np.minimum(self.bounds.beta * elapsed, np.log(1e12)))
 
     @cached_property
     def _radii(self) -> Array:
         """Radius for every period."""
-        least = self.allowed.min(axis=1)
-        count = len(least)
+        allowed = self.allowed.min(axis=1)
+        count = len(allowed)
         decayed = self._decayed(count)
-        later = (least[i:] * np.where(least[i:] > 0, decayed[: count - i], 1.0) for i in range(count))
+        later = (allowed[i:] * np.where(allowed[i:] > 0, decayed[: count - i], 1.0) for i in range(count))
         return np.array([each.min() for each in later])
 
     def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
@@ -76,17 +76,17 @@ class BallSets(RecoverableSet):
             + np.linalg.norm(intersample @ np.abs(W).T, axis=-1)
         ) * (1 + ROUNDING)
         # A node belongs to the period before it too, as far as that lies in the cell.
-        own = np.minimum(np.maximum(first + np.arange(len(norms)) - (len(norms) > 1), first), last)
-        margins = [self._tightest(int(period), float(norm)) for period, norm in zip(own, norms, strict=True)]
+        periods = np.minimum(np.maximum(first + np.arange(len(norms)) - (len(norms) > 1), first), last)
+        margins = [self._tightest(int(i), float(norm)) for i, norm in zip(periods, norms, strict=True)]
         return min(margins, key=lambda margin: margin.value)
 
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
-        gamma, more = self._tightenings
-        taken = self.clearance.limits.tightening[0, period:]
-        clearance = self._clearance[period:] + taken
+        gamma, constant = self._tightenings
+        by_time = self.clearance.limits.tightening[0, period:]
+        clearance = self._clearance[period:] + by_time
         size = norm / self._decayed(len(clearance))
-        tightening = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
+        tightening = (gamma * size[:, None] + constant) * (1 + 2 * ROUNDING) + by_time
         share = np.where(np.isinf(clearance), np.inf, slack_share(tightening, clearance))
         j, row = (int(x) for x in np.unravel_index(int(np.argmin(share)), share.shape))
         time = float((period + j) * self.clearance.tracking.flow.h)

@@ -74,8 +74,8 @@ class CarriedRows:
         """Tightening by the states handed over beside a true error, after any law, (settling + 3, r)."""
         tracking = self.tracking
         size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.state_offset))
-        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.curvature * size
-        return np.asarray(np.vstack([own, self.beyond * size]) + self.handed[0] @ tracking.remembered)
+        bound = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.curvature * size
+        return np.asarray(np.vstack([bound, self.beyond * size]) + self.handed[0] @ tracking.remembered)
 
     @cached_property
     def disturbance(self) -> Array:
@@ -100,8 +100,8 @@ class CarriedRows:
     @cached_property
     def sizes(self) -> Array:
         """``norm(row phi^l W^-1)``: tightening at nodes per unit of ``norm(W e)``, (settling + 2, r)."""
-        own = self.carried[..., : self.tracking.system.n]
-        return np.asarray(np.linalg.norm(own @ self.tracking.W_inverse, axis=-1))
+        error_rows = self.carried[..., : self.tracking.system.n]
+        return np.asarray(np.linalg.norm(error_rows @ self.tracking.W_inverse, axis=-1))
 
     @cached_property
     def beyond(self) -> Array:
@@ -116,8 +116,8 @@ class CarriedRows:
 
     def long_after(self, start: Zonotope) -> Array:
         """Bound rows at nodes more than `Tracking.long` periods after a hand-over of a set, shape (r,)."""
-        faded = 1.0 if self.tracking.feedback_bound is None else self.tracking.decay[-1]
-        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled_tightening)
+        decay = 1.0 if self.tracking.feedback_bound is None else self.tracking.decay[-1]
+        return np.asarray(self.beyond * self.sizes_of(start)[0] * decay + self.settled_tightening)
 
     def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
         """Return the tightenings from a set at ages within the settling horizon, shape (ages, r)."""
@@ -147,13 +147,13 @@ class CarriedRows:
 
         Elementwise, (sets, n), the intersample bound bounds the states between each node and its neighbours.
         """
-        exact, n = self.carried[lag, row], self.tracking.system.n
-        centre = sets.c @ exact.T
-        support = _rounded(centre, np.stack([_spread(exact, G) for G in sets.G]))
+        rows, n = self.carried[lag, row], self.tracking.system.n
+        centre = sets.c @ rows.T
+        support = _rounded(centre, np.stack([_spread(rows, G) for G in sets.G]))
         if np.any(intersample > 0):
             # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
             before = self.carried[np.maximum(lag - 1, 0), row]
-            support += np.maximum(intersample @ np.abs(exact[:, :n]).T, intersample @ np.abs(before[:, :n]).T)
+            support += np.maximum(intersample @ np.abs(rows[:, :n]).T, intersample @ np.abs(before[:, :n]).T)
         return support
 
 
@@ -161,8 +161,8 @@ def _spread(rows: Array, G: Array) -> Array:
     """Return ``sum |rows G|``, shape (rows,), block by block: large arrays anew would cost more than sums."""
     sums, block = np.empty(len(rows)), np.empty((min(BLOCK, len(rows)), G.shape[1]))
     for first in range(0, len(rows), BLOCK):
-        some = rows[first : first + BLOCK]
-        products = np.matmul(some, G, out=block[: len(some)])
+        chunk = rows[first : first + BLOCK]
+        products = np.matmul(chunk, G, out=block[: len(chunk)])
         np.abs(products, out=products).sum(axis=1, out=sums[first : first + BLOCK])
     return sums
 

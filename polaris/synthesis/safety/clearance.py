@@ -147,8 +147,8 @@ class Limits:
     def rows(self) -> Array:
         """All rows, shape (r, N)."""
         tracking = self.clearance.tracking
-        often = 1 if tracking.feedback_bound is None else 2
-        return np.vstack([tracking.whole(self.clearance.obstacle_rows[0]), *[tracking.commands] * often])
+        copies = 1 if tracking.feedback_bound is None else 2
+        return np.vstack([tracking.whole(self.clearance.obstacle_rows[0]), *[tracking.commands] * copies])
 
     @property
     def facets(self) -> int:
@@ -182,9 +182,9 @@ class Limits:
     @cached_property
     def _scheduled(self) -> Array:
         """Part of the clearance taken by errors that depend on the time of the flight."""
-        taken = by_ends(self.clearance.scheduled(self.rows))
-        taken[..., self.booked :] = 0.0  # their tightening is separate
-        return taken
+        tightening = by_ends(self.clearance.scheduled(self.rows))
+        tightening[..., self.booked :] = 0.0  # their tightening is separate
+        return tightening
 
     @cached_property
     def tightening(self) -> Array:
@@ -212,16 +212,16 @@ class Limits:
         clearance, system = self.clearance, self.clearance.tracking.system
         if row >= self.facets:
             return system.input_names[(row - self.facets) % system.m]
-        mine = clearance.obstacle_rows[1][cell] == row
+        matches = clearance.obstacle_rows[1][cell] == row
         return clearance.unsafe[
-            int(np.where(mine, clearance.distances[cell].min(axis=0), np.inf).argmin())
+            int(np.where(matches, clearance.distances[cell].min(axis=0), np.inf).argmin())
         ].name
 
 
-def by_ends(places: Array) -> Array:
+def by_ends(values: Array) -> Array:
     """Values at both ends of every period, (2, periods, r), from those at nodes of cells, (cells, q+1, r)."""
-    cells, nodes, r = places.shape
-    return np.stack([part.reshape(cells * (nodes - 1), r) for part in (places[:, :-1], places[:, 1:])])
+    cells, nodes, r = values.shape
+    return np.stack([part.reshape(cells * (nodes - 1), r) for part in (values[:, :-1], values[:, 1:])])
 
 
 def facet_clearance(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) -> Array:

@@ -64,13 +64,13 @@ class PathRows:
         state_offset = np.abs(plant) @ clearance.tracking.system.state_offset_at_nodes
         return np.asarray(tightening + clearance.round_off(plant) + state_offset * (not self.between))
 
-    def tightenings(self, handed: HandOver, first: int, last: int) -> Array:
+    def tightenings(self, hand_over: HandOver, first: int, last: int) -> Array:
         """Return the tightenings at both ends of the periods between two nodes, (2, last - first, r)."""
-        ages = np.arange(first, last + 1)[:, None] - np.arange(handed.first, handed.last + 1)
-        tightenings = self.table.tube(handed.states).at_ages(ages).max(axis=1)
+        ages = np.arange(first, last + 1)[:, None] - np.arange(hand_over.first, hand_over.last + 1)
+        tightenings = self.table.tube(hand_over.states).at_ages(ages).max(axis=1)
         if not self.between:
             far = ages[:, -1] > self.clearance.tracking.long
-            tightenings[far] = np.minimum(tightenings[far], self.table.long_after(handed.states))
+            tightenings[far] = np.minimum(tightenings[far], self.table.long_after(hand_over.states))
         period = np.minimum(np.arange(first, last), self.path.shape[1] - 1)
         return np.stack([tightenings[:-1], tightenings[1:]]) + self.path[:, period]
 
@@ -118,9 +118,9 @@ class LimitsAhead:
     def work_out(self, entries: NDArray[np.bool_]) -> None:
         """Replace bounds by the norm by exact tightenings, where these are less, of entries (entries,)."""
         count = len(self.pushed)
-        some = np.flatnonzero((entries[:count] | entries[count : 2 * count]) & ~self._worked_out)
-        self._worked_out[some] = True
-        self.near[:, some] = np.minimum(self.exact(some), self.near[:, some])
+        pending = np.flatnonzero((entries[:count] | entries[count : 2 * count]) & ~self._worked_out)
+        self._worked_out[pending] = True
+        self.near[:, pending] = np.minimum(self.exact(pending), self.near[:, pending])
 
 
 def _least(values: Array, count: int) -> NDArray[np.bool_]:
@@ -197,59 +197,59 @@ class Continuation(RecoverableSet):
         radius, others = sizes
         limits, table = self.clearance.limits, self.table
         r, last = len(limits.rows), limits.available.shape[1] - 1
-        least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
-        handed, between = table.handed
-        beside = handed @ others.max(axis=0, initial=0.0)
-        upper = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
-        lag, row = np.nonzero(upper > least)
-        size, curvature, pushed = (
+        threshold = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
+        per_state, between = table.handed
+        from_others = per_state @ others.max(axis=0, initial=0.0)
+        upper = (self._per_size * radius.max() + from_others[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
+        lag, row = np.nonzero(upper > threshold)
+        size, curvature, response = (
             part[lag, row] for part in (self._per_size, table.curvature, self.disturbance)
         )
-        near = np.multiply.outer(radius, size) + others @ handed[lag, row].T
+        near = np.multiply.outer(radius, size) + others @ per_state[lag, row].T
 
-        def exact(some: NDArray[np.int_]) -> Array:
-            tightening = table.supports(lag[some], row[some], sets, intersample) + np.multiply.outer(
-                radius, curvature[some]
+        def exact(entries: NDArray[np.int_]) -> Array:
+            tightening = table.supports(lag[entries], row[entries], sets, intersample) + np.multiply.outer(
+                radius, curvature[entries]
             )
-            return np.asarray(tightening + others @ between[lag[some], row[some]].T)
+            return np.asarray(tightening + others @ between[lag[entries], row[entries]].T)
 
         node, start = at[:, None] + lag, self._later(int(at[0]))
         end, rows = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
         period = np.hstack([node, node - 1, np.full((len(at), r), start)])
-        where = end, np.clip(period, 0, last), rows
-        clearance, taken = limits.available[where], limits.tightening[where]
+        indices = end, np.clip(period, 0, last), rows
+        clearance, by_time = limits.available[indices], limits.tightening[indices]
         clearance[(period < at[0]) | (period > last)] = np.inf
-        clearance[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
-        beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
-        return LimitsAhead(near, pushed, beyond, taken, clearance + taken, (end, period, rows), exact)
+        clearance[:, -r:], by_time[:, -r:] = limits.ahead[start], limits.most_taken
+        beyond = np.multiply.outer(radius, table.beyond) + others @ per_state[-1].T + self.disturbance[-1]
+        return LimitsAhead(near, response, beyond, by_time, clearance + by_time, (end, period, rows), exact)
 
     def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
         """Return share of the clearance left, tightening, clearance and place of the limits ahead.
 
         They are exact wherever the least share may be; elsewhere the tightening is a larger one, by the norm.
         """
-        ahead = self._ahead(*tube)
-        ahead.work_out(_least(self._left(ahead).min(axis=0), FIRST))
-        share = self._left(ahead).min(axis=0)
-        ahead.work_out(np.asarray(share <= share[ahead.is_final].min(initial=np.inf)))
-        return self._left(ahead), ahead.tightening, ahead.clearance, ahead.where
+        limits_ahead = self._ahead(*tube)
+        limits_ahead.work_out(_least(self._left(limits_ahead).min(axis=0), FIRST))
+        share = self._left(limits_ahead).min(axis=0)
+        limits_ahead.work_out(np.asarray(share <= share[limits_ahead.is_final].min(initial=np.inf)))
+        return self._left(limits_ahead), limits_ahead.tightening, limits_ahead.clearance, limits_ahead.where
 
-    def _left(self, ahead: "LimitsAhead") -> Array:
+    def _left(self, limits: "LimitsAhead") -> Array:
         """Return the slack as shares of the clearance; a limit of `booked` that is met is no tightest one."""
-        share, rows = slack_share(ahead.tightening, ahead.clearance), ahead.where[2]
-        share[np.isinf(ahead.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+        share, rows = slack_share(limits.tightening, limits.clearance), limits.where[2]
+        share[np.isinf(limits.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share
 
     def _met(
         self, at: NDArray[np.int_], sets: Zonotope, intersample: Array, sizes: tuple[Array, Array]
     ) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        ahead = self._ahead(at, sets, intersample, sizes, 1.0)
-        met = ahead.met()
-        if not met.all():
-            ahead.work_out(np.asarray(~met.all(axis=0)))
-            met = ahead.met()
-        return np.asarray(np.all(met, axis=1))
+        limits_ahead = self._ahead(at, sets, intersample, sizes, 1.0)
+        satisfied = limits_ahead.met()
+        if not satisfied.all():
+            limits_ahead.work_out(np.asarray(~satisfied.all(axis=0)))
+            satisfied = limits_ahead.met()
+        return np.asarray(np.all(satisfied, axis=1))
 
     def _sizes(self, sets: Zonotope, intersample: Array) -> tuple[Array, Array]:
         """Bounds over a tube on ``norm(W e)``, and on the other loop states at every node.
@@ -271,15 +271,15 @@ class Continuation(RecoverableSet):
             shares = self._shares(at, sets, intersample, sizes, spare)
         share, tightening, clearance, (end, period, row) = shares
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
-        when, limit = int(period[tight]), int(row[entry])
-        node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
+        start, limit = int(period[tight]), int(row[entry])
+        node, limits, q = start + int(end[entry]), self.clearance.limits, self.clearance.q
         if entry >= len(row) - len(
             limits.rows
         ):  # beyond the settling horizon: the start of the tightest step
-            when = node = (when + int(limits.available[:, when:, limit].min(axis=0).argmin())) // q * q
+            start = node = (start + int(limits.available[:, start:, limit].min(axis=0).argmin())) // q * q
         value, needed, available = (float(part[tight]) for part in (share, tightening, clearance))
         time = node * self.clearance.tracking.flow.h
-        return Margin(value, limits.name(when // q, limit), time, needed, available)
+        return Margin(value, limits.name(start // q, limit), time, needed, available)
 
     def holds(self, k: int, nodes: Zonotope, intersample: Array) -> bool:
         """Return True if a tube over cell k is inside: only cases left open by the norm are worked out."""

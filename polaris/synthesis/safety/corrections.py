@@ -34,18 +34,18 @@ class Corrections:
     def _inputs(self) -> Inputs:
         """Values that enter in every period of any step, under any commands."""
         tracking, system = self.tracking, self.tracking.system
-        off = tracking.step_errors.max(axis=0)
+        estimate_error = tracking.step_errors.max(axis=0)
         return Inputs.from_loop(
-            tracking.tightening.closed, system, (system.u_max,) * 2, off, np.zeros(system.n)
+            tracking.tightening.closed, system, (system.u_max,) * 2, estimate_error, np.zeros(system.n)
         )
 
     @cached_property
     def mean(self) -> float | None:
         """Bound on the thrust that answers to them on average [N], None if there is no bound."""
-        lasting, system = self._inputs.lasting(), self.tracking.system
-        if lasting is None or self._amplified is None:
+        storage, system = self._inputs.lasting(), self.tracking.system
+        if storage is None or self._amplified is None:
             return None
-        return lasting[1] + float(np.sum(system.weights * system.on_time.bit))
+        return storage[1] + float(np.sum(system.weights * system.on_time.bit))
 
     @cached_property
     def _answers(self) -> Array:
@@ -71,8 +71,8 @@ class Corrections:
     def _errors(self, commands: Array) -> Array:
         """Bound errors that are proportional to commands up to some sizes (..., m), as in `_by_error`."""
         system = self.tracking.system
-        lead, each = system.timing.lead, [system.thrusters.part(commands)]
-        return np.concatenate([*each, *([] if lead is None else [lead.part(commands)])], axis=-1)
+        lead, parts = system.timing.lead, [system.thrusters.part(commands)]
+        return np.concatenate([*parts, *([] if lead is None else [lead.part(commands)])], axis=-1)
 
     @cached_property
     def _amplified(self) -> Array | None:
@@ -92,8 +92,8 @@ class Corrections:
     def _later(self, sizes: Array, count: int) -> Array:
         """Sums of the rest, beyond the settling horizon, of loop states up to some sizes (N,), (m,)."""
         limits = self.tracking.tightening
-        rest = limits.remainder(limits.closed.K) * np.max(sizes / limits.v)
-        return np.asarray(rest * max(count - limits.horizon, 0))
+        remainder = limits.remainder(limits.closed.K) * np.max(sizes / limits.v)
+        return np.asarray(remainder * max(count - limits.horizon, 0))
 
     def planned(self, inputs: Array) -> float:
         """Bound the thrust of inputs of a path, and of corrections of their errors [N].
@@ -101,8 +101,8 @@ class Corrections:
         `inputs` (periods, m) are those of every period.
         """
         errors = self._errors(np.abs(inputs)).sum(axis=0)
-        own = float(self._inputs.spends @ np.abs(inputs).sum(axis=0))
-        return own + self._spent(self._by_error @ errors)
+        thrust = float(self._inputs.spends @ np.abs(inputs).sum(axis=0))
+        return thrust + self._spent(self._by_error @ errors)
 
     def once(self, sets: Zonotope, count: int) -> float:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
@@ -130,17 +130,17 @@ class Corrections:
             sums = difference.support(self._answers).sum(axis=0)
             sums = sums + self._later(difference.support(np.eye(self.tracking.loop.N)), count)
             until = fault.lasts + system.timing.delay + h * (2 * system.timing.missed + 1)
-            meanwhile = touched(until, h)
+            periods = touched(until, h)
             if not len(fault.thrust) and self.tracking.loop.settled is None:
-                meanwhile = 0 if system.observer is None else max(count, meanwhile)
-            sums = sums + meanwhile * difference.support(self._answers[0])
+                periods = 0 if system.observer is None else max(count, periods)
+            sums = sums + periods * difference.support(self._answers[0])
             largest = max(largest, self._spent(sums) + wrong * fault.lasts / h)
         return largest
 
     def _faults(self) -> Iterator[tuple[Transient, OutageDifference, float]]:
         """Return faults, the effect of each kind of wrong thrust on the loop state, and its sum [N]."""
-        left = iter(self.tracking.transients)
+        differences = iter(self.tracking.transients)
         for fault in self.tracking.system.transients:
             wrong = fault.wrong(self.tracking.system.thrusters).sum(axis=1) if len(fault.thrust) else [0.0]
             for each in wrong:
-                yield fault, next(left), float(each)
+                yield fault, next(differences), float(each)

@@ -47,11 +47,11 @@ class Feedforward:
         bound, u_max = self.nu, self.tracking.system.u_max
         effects = self._effects(self.tracking.commands[: len(u_max)])
         for _ in range(ROUNDS):
-            more = self._along(effects, bound, len(u_max)).max(axis=1)
-            more[self.constant :] = more[self.constant :].max(axis=0, initial=0.0)
-            more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
-            before, bound = bound, self.nu + more * (1 + SPARE)
-            if np.all(bound - before <= SETTLED * more) or np.any(more > u_max):
+            response = self._along(effects, bound, len(u_max)).max(axis=1)
+            response[self.constant :] = response[self.constant :].max(axis=0, initial=0.0)
+            response[self.planned :] = np.maximum.accumulate(response[self.planned :][::-1])[::-1]
+            before, bound = bound, self.nu + response * (1 + SPARE)
+            if np.all(bound - before <= SETTLED * response) or np.any(response > u_max):
                 return np.asarray(bound)
         return np.asarray(bound + u_max / SPARE)
 
@@ -73,18 +73,18 @@ class Feedforward:
     def _along(self, effects: Effects, commanded: Array, count: int, between: bool = True) -> Array:
         cells, q = len(commanded), self.tracking.feedback.nodes_per_cell
         T, constant = self.planned * q, (cells - self.constant) * q
-        at, later, bent = (np.zeros((nodes, count)) for nodes in (cells * q + 1, cells * q - T + 1, 1))
+        at, later, intersample = (np.zeros((nodes, count)) for nodes in (cells * q + 1, cells * q - T + 1, 1))
         for channel, effect in effects:
             sizes = np.repeat(self._sizes(channel, commanded), q, axis=0)
             at += effect.at_nodes(sizes)
-            bent += effect.between @ sizes.max(axis=0) * between
+            intersample += effect.between @ sizes.max(axis=0) * between
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
                 last, largest = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
                 later += effect.at_nodes(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
                 later += effect.ever(largest - last, constant, len(later))
         parts = at[: T + 1], np.maximum(at[T:], later)
         ends = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
-        return np.asarray((np.array(ends) + bent) * (1 + ROUNDING))
+        return np.asarray((np.array(ends) + intersample) * (1 + ROUNDING))
 
     def _sizes(self, channel: Channel, commanded: Array) -> Array:
         """Sizes of a channel in every cell, under commands of as many periods as it remembers."""
@@ -116,8 +116,8 @@ def command_errors(system: Craft, gain: Array, cells: int, planned: int) -> Arra
 
 def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
     """Bound on the part of a command that `Tracking.commands` omits, in each cell, shape (cells, m)."""
-    off = errors_by_cell(tracking.step_errors, cells, planned)
-    return np.asarray(tracking.noise + off @ np.abs(tracking.gain).T)
+    errors = errors_by_cell(tracking.step_errors, cells, planned)
+    return np.asarray(tracking.noise + errors @ np.abs(tracking.gain).T)
 
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:

@@ -136,8 +136,8 @@ def get_safety(
     NotCertified
         If none was found in the time given, or its plan failed its re-check.
     """
-    given = {"initial_set": initial_set, "unsafe": unsafe, "K": K, "delta": delta, "Q": Q, "R": R}
-    problem = as_problem(problem, given, options)
+    arguments = {"initial_set": initial_set, "unsafe": unsafe, "K": K, "delta": delta, "Q": Q, "R": R}
+    problem = as_problem(problem, arguments, options)
     try:
         return find_safety(problem, along)
     except SynthesisInfeasible as error:

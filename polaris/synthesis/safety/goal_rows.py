@@ -20,9 +20,9 @@ def goal_rows(problem: Problem) -> tuple[Array, Array]:
 
 def inset(problem: Problem, goal: Goal, length: float) -> Goal:
     """Return a goal, rows as the problem's, whose inequalities are met by a length as `goal_rows` has it."""
-    known = goal.conditions
-    clearance = length / _weights(problem, _unweighted(known))[2 * len(known.E) :]
-    ends = np.cumsum([len(known.G), *(len(N) for N, _ in known.one_of)])
+    conditions = goal.conditions
+    clearance = length / _weights(problem, _unweighted(conditions))[2 * len(conditions.E) :]
+    ends = np.cumsum([len(conditions.G), *(len(N) for N, _ in conditions.one_of)])
     return Inset(goal, tuple(np.split(clearance, ends[:-1])))
 
 
@@ -49,18 +49,18 @@ def _weights(problem: Problem, rows: Array) -> Array:
     seconds = velocity_times(problem, rows)
     if problem.goal_velocity_tolerance is not None:
         assert problem.goal_tolerance is not None  # checked on construction
-        wanted: Array | float = problem.goal_tolerance / problem.goal_velocity_tolerance
+        target: Array | float = problem.goal_tolerance / problem.goal_velocity_tolerance
     else:
-        wanted = np.minimum(seconds, SOON * problem.K * problem.delta)
-    return np.divide(wanted, seconds, out=np.ones(len(rows)), where=seconds > 0)
+        target = np.minimum(seconds, SOON * problem.K * problem.delta)
+    return np.divide(target, seconds, out=np.ones(len(rows)), where=seconds > 0)
 
 
-def distance(goal: GoalConditions, over: Array) -> Array:
+def distance(goal: GoalConditions, excess: Array) -> Array:
     """Largest excess over the goal's conditions [m], given that of every row, shape (nodes,)."""
     fixed = 2 * len(goal.E) + len(goal.G)
-    worst = np.max(over[:, :fixed], axis=1, initial=0.0)
+    worst = np.max(excess[:, :fixed], axis=1, initial=0.0)
     first = fixed
     for N, _ in goal.one_of:
-        worst = np.maximum(worst, over[:, first : first + len(N)].min(axis=1))
+        worst = np.maximum(worst, excess[:, first : first + len(N)].min(axis=1))
         first += len(N)
     return np.asarray(worst)

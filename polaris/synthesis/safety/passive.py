@@ -96,8 +96,8 @@ class FreeFlight:
     @cached_property
     def _weight(self) -> tuple[Array, Array]:
         """Root L of the Gramian, ``L L'``: how far states move the position over the horizon; its inverse."""
-        moved = self.system.position @ self._powers
-        gram = np.einsum("tdi,tdj->ij", moved, moved) / len(moved)
+        positions = self.system.position @ self._powers
+        gram = np.einsum("tdi,tdj->ij", positions, positions) / len(positions)
         L = np.linalg.cholesky(gram + 1e-9 * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram)))
         return L, np.asarray(np.linalg.inv(L))
 
@@ -108,15 +108,15 @@ class FreeFlight:
         rows = -np.vstack([np.zeros((0, system.n)), *(item.rows(system) for item in self.sets)])
         flow, carried = LinearFlow.continuous(system.A, system.D, system.w_max, h), rows @ self._powers
         curvature = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
-        pushed = flow.disturbance_support(rows, len(carried) - 1)[1:]
+        disturbance = flow.disturbance_support(rows, len(carried) - 1)[1:]
         if (biases := system.biases).size:  # constant all along: the effect of one may cancel
             ends = np.cumsum(carried[:-1] @ flow.input_map(biases), axis=0)
             ends = np.abs(np.concatenate([0 * ends[:1], ends])).sum(axis=-1)
-            bent = np.abs(carried[:-1] @ system.A) @ flow.growth @ np.abs(biases).sum(axis=1)
-            each = np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bent
-            less = [np.pad(each, ((j, 0), (0, 0)))[: len(each)] for j in range(self.parts + 1)]
-            pushed = pushed + np.max(less, axis=0)  # thrust stops up to a step later
-        return carried, curvature, pushed
+            bias_rate = np.abs(carried[:-1] @ system.A) @ flow.growth @ np.abs(biases).sum(axis=1)
+            each = np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bias_rate
+            shifted = [np.pad(each, ((j, 0), (0, 0)))[: len(each)] for j in range(self.parts + 1)]
+            disturbance = disturbance + np.max(shifted, axis=0)  # thrust stops up to a step later
+        return carried, curvature, disturbance
 
     def drifts(self, k: int, nodes: Zonotope, intersample: Array) -> tuple[Drift, ...]:
         """Return the drifts of flights whose thrust stops in step k: one of all, or groups if not clear.
@@ -143,14 +143,14 @@ class FreeFlight:
         h = self.delta / q
         back = powers(expm(-system.A * h), first + len(intersample))[first:]
         centre, spread = np.einsum("qij,qj->qi", back, nodes.c), back @ nodes.G
-        half, grown = nodes.half_widths, growth(system.A, h)
+        half, growth_map = nodes.half_widths, growth(system.A, h)
         largest = np.maximum((np.abs(nodes.c) + half)[:-1], (np.abs(nodes.c) + half)[1:])
-        apart = np.abs(np.diff(nodes.c, axis=0)) + half[:-1] + half[1:]
-        bent = h / 8 * (h * largest @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
-        beyond = (intersample + bent) @ grown.T
+        travel = np.abs(np.diff(nodes.c, axis=0)) + half[:-1] + half[1:]
+        curvature = h / 8 * (h * largest @ np.abs(system.A @ system.A).T + 2 * travel @ np.abs(system.A).T)
+        beyond = (intersample + curvature) @ growth_map.T
         L, inverse = self._weight
-        tall = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
-        _, axes = np.linalg.eigh(L.T @ (tall @ tall.T + np.diag(beyond.max(0) ** 2)) @ L)
+        columns = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
+        _, axes = np.linalg.eigh(L.T @ (columns @ columns.T + np.diag(beyond.max(0) ** 2)) @ L)
         T, rows = inverse.T @ axes, axes.T @ L.T
         at, reach = centre @ rows.T, np.abs(rows @ spread).sum(-1)
         extra = np.einsum("qij,qj->qi", np.abs(rows @ back[:-1]), beyond)
@@ -161,13 +161,13 @@ class FreeFlight:
 
     def _drift(self, k: int, periods: int, start: Zonotope) -> Drift:
         """Return the drift of a set of starts at the beginning of step k."""
-        (rows, curvature, pushed), shape = self._rows, (len(self.sets), self.cells * self.parts)
+        (rows, curvature, disturbance), shape = self._rows, (len(self.sets), self.cells * self.parts)
         fine = [item.fine(self.parts)[k : k + self.cells] for item in self.sets]
         offsets = np.concatenate([np.zeros((self.cells, self.parts + 1, 0)), *fine], axis=-1)
         ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, shape[1], len(rows[0]))
         size = np.abs(self._powers @ start.c) + np.abs(self._powers @ start.G).sum(-1)
         at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
-        chord, upper, large = size[:-1] @ curvature.T + pushed, at + reach, np.abs(at) + reach
+        chord, upper, large = size[:-1] @ curvature.T + disturbance, at + reach, np.abs(at) + reach
         rounded = ROUNDING * (np.abs(ends) + np.maximum(large[:-1], large[1:]) + chord)
         clearance = (-ends - (np.stack([upper[:-1], upper[1:]]) + chord) - rounded).min(axis=0)
         last = np.cumsum([len(item.normals) for item in self.sets])[:-1].astype(int)
@@ -229,11 +229,11 @@ class PassiveSafety:
         if np.all(self.clear):
             return None
         flight = self.flight
-        known = [(k, part) for k, parts in enumerate(self.drifts) for part in parts if not part.clear]
-        step, drift = min(known, key=lambda item: float(item[1].middle.min()))
+        drifts = [(k, part) for k, parts in enumerate(self.drifts) for part in parts if not part.clear]
+        step, drift = min(drifts, key=lambda item: float(item[1].middle.min()))
         o, part = np.unravel_index(int(np.argmin(drift.middle)), drift.middle.shape)
         if drift.middle[o, part] > 0:
-            step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].clearance <= 0, axis=0))))
+            step, drift = min(drifts, key=lambda item: int(np.argmax(np.any(item[1].clearance <= 0, axis=0))))
             part = np.argmax(np.any(drift.clearance <= 0, axis=0))
             o = np.argmin(drift.clearance[:, part])
         return {

@@ -189,11 +189,11 @@ class Problem:
 
 def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: float) -> None:
     """Raise a ScenarioError unless a tolerance of velocities bounds some of every coordinate's."""
-    rates, asked = velocities(system.A, system.position), goal.for_system(system).conditions
+    rates, conditions = velocities(system.A, system.position), goal.for_system(system).conditions
     if not rates.any(axis=1).all():
         rule = "must be left out, as a coordinate of the position has no velocity among the states (C A x)"
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
-    if not np.vstack([asked.E, asked.G])[:, rates.any(axis=0)].any():
+    if not np.vstack([conditions.E, conditions.G])[:, rates.any(axis=0)].any():
         rule = "must be left out, as the goal sets no condition on velocities"
         raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
 
@@ -201,35 +201,35 @@ def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: fl
 ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # arguments that a bare system requires besides
 
 
-def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
+def as_problem(source: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
     """Return the argument of `get_safety`, in any of its forms, as a `Problem`.
 
     `arguments` are the positional ones but the first, by name, which only a bare system reads; `options`
     further fields of `Problem`.
     """
-    if callable(getattr(asked, "problem", None)):
-        asked = asked.problem()
-    if isinstance(asked, Problem):
-        return replace(asked, **options) if options else asked
-    if not isinstance(asked, LinearSystem) and not all(hasattr(asked, name) for name in "ABC"):
+    if callable(getattr(source, "problem", None)):
+        source = source.problem()
+    if isinstance(source, Problem):
+        return replace(source, **options) if options else source
+    if not isinstance(source, LinearSystem) and not all(hasattr(source, name) for name in "ABC"):
         rule = "must be a Scenario (polaris.load_scenario reads a file), a Problem, a LinearSystem or a"
-        given = asked if isinstance(asked, str) else type(asked).__name__
-        raise ScenarioError("problem", given, f"{rule} control.StateSpace")
-    known = {"goal": None, **arguments, **options}
-    missing = [name for name in ARGUMENTS if known[name] is None]
+        label = source if isinstance(source, str) else type(source).__name__
+        raise ScenarioError("problem", label, f"{rule} control.StateSpace")
+    values = {"goal": None, **arguments, **options}
+    missing = [name for name in ARGUMENTS if values[name] is None]
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
-    if not isinstance(asked, LinearSystem):
-        if short := [name for name in ("u_max", "C") if name not in known]:
+    if not isinstance(source, LinearSystem):
+        if short := [name for name in ("u_max", "C") if name not in values]:
             rule = "C maps the state to the position, one row per axis"
             raise TypeError(f"get_safety(control.StateSpace, ...) also needs {', '.join(short)}; {rule}")
-        extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
-        asked = LinearSystem.from_statespace(asked, **extra)
-    wrong = sorted(set(known) - {field.name for field in fields(Problem)})
+        extra = {name: values.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in values}
+        source = LinearSystem.from_statespace(source, **extra)
+    wrong = sorted(set(values) - {field.name for field in fields(Problem)})
     if wrong:
         raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
-    if not isinstance(known["unsafe"], Iterable):
+    if not isinstance(values["unsafe"], Iterable):
         raise ScenarioError(
-            "unsafe", type(known["unsafe"]).__name__, "must be a tuple of obstacles, even of one"
+            "unsafe", type(values["unsafe"]).__name__, "must be a tuple of obstacles, even of one"
         )
-    return Problem(asked, **known | {"unsafe": tuple(known["unsafe"])})
+    return Problem(source, **values | {"unsafe": tuple(values["unsafe"])})

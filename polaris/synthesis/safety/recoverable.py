@@ -127,6 +127,6 @@ def slack_share(tightening: Array, clearance: Array) -> Array:
 
     Rounded down: a tightening that is too small to show beside 1 still leaves less than everything.
     """
-    some = clearance > 0
-    share = np.where(some, np.nextafter(1 - tightening / np.where(some, clearance, 1), -np.inf), -np.inf)
+    valid = clearance > 0
+    share = np.where(valid, np.nextafter(1 - tightening / np.where(valid, clearance, 1), -np.inf), -np.inf)
     return np.asarray(np.where(np.isnan(share), -np.inf, share))  # a share that is not a number is not met

@@ -33,12 +33,12 @@ class Takeover:
 
     @classmethod
     def for_steps(
-        cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
+        cls, safety: Safety, tubes: Sequence[tuple[int, TubeSegment]], delta_v: Array
     ) -> tuple["Takeover", ...]:
         """Return all steps' takeovers, by who flies each, in which tube, for which delta-v (K,) [m/s]."""
-        takeovers, since, until = [], 0, np.cumsum(spent) * (1 + SPARE)
+        takeovers, since, until = [], 0, np.cumsum(delta_v) * (1 + SPARE)
         n, start = safety.tracking.system.n, safety.start
-        for k, (mode, tube) in enumerate(flown):
+        for k, (mode, tube) in enumerate(tubes):
             if mode:
                 takeovers.append(
                     cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.intersample), until[k])
@@ -87,68 +87,68 @@ class AbortBranch:
         """Distance from the orbit, and S's commands, a fault included."""
         return Nearness(self.safety, faults=True)
 
-    def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> AbortStep:
+    def serve(self, takeover: Takeover, abort: PoweredAbort, place: int) -> AbortStep:
         """Return the abort of a step along this branch, at a place in the list, or why it is not proven."""
-        margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.intersample)
+        margin = self.safety.recoverable.tightest(takeover.first, takeover.sets, takeover.intersample)
         if not margin.inside:
             return AbortStep(
                 None, why=f"S is not proven to recover: {margin}", short=margin.tightening - margin.clearance
             )
-        cell, off = self._reached(taken, asked.within)
+        cell, miss = self._reached(takeover, abort.within)
         if cell is None:
-            why = f"it ends within {off:.4g} m of the orbit, the tolerance is {self.goal.tolerance:.4g} m"
+            text = f"it ends within {miss:.4g} m of the orbit, the tolerance is {self.goal.tolerance:.4g} m"
             return AbortStep(
-                None, why=f"the orbit is not reached in time: {why}", short=off - self.goal.tolerance
+                None, why=f"the orbit is not reached in time: {text}", short=miss - self.goal.tolerance
             )
-        spent = self._spent(taken, cell)
-        if asked.budget is not None and spent > asked.budget:
-            why = f"S may need {directed(spent, '.4g', up=True)} m/s, the budget is {asked.budget:g} m/s"
-            return AbortStep(None, why=why, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
+        delta_v = self._spent(takeover, cell)
+        if abort.budget is not None and delta_v > abort.budget:
+            text = f"S may need {directed(delta_v, '.4g', up=True)} m/s, the budget is {abort.budget:g} m/s"
+            return AbortStep(None, why=text, short=delta_v - abort.budget, budget="abort.delta_v_max_m_s")
         tank = self.safety.problem.tank
-        if tank is not None and taken.spent + spent > tank:
-            parts = (directed(x, ".4g", up=True) for x in (taken.spent, spent))
-            why = "up to {} m/s are used and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
-            return AbortStep(None, why=why, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
-        return AbortStep(place, cell, spent)
+        if tank is not None and takeover.spent + delta_v > tank:
+            parts = (directed(x, ".4g", up=True) for x in (takeover.spent, delta_v))
+            text = "up to {} m/s are used and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
+            return AbortStep(None, why=text, short=takeover.spent + delta_v - tank, budget="tank.delta_v_m_s")
+        return AbortStep(place, cell, delta_v)
 
-    def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
+    def _reached(self, takeover: Takeover, within: float | None) -> tuple[int | None, float]:
         """Return the first cell of the tail at whose start the orbit is reached in time; least distance."""
         K, q, last = self.safety.problem.K, self.safety.clearance.q, self.safety.reference.cells
         if within is not None:
-            last = min(last, taken.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
+            last = min(last, takeover.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
         if last < K:
             return None, np.inf
-        tightening = self.goal.goal_rows.tightenings(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
-        off = self.goal.distance(self.safety.reference.chi[K : last + 1], tightening)
-        there = np.flatnonzero(off <= self.goal.tolerance)
-        return (K + int(there[0]) if len(there) else None), float(off.min())
+        bounds = self.goal.goal_rows.tightenings(takeover.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
+        misses = self.goal.distance(self.safety.reference.chi[K : last + 1], bounds)
+        indices = np.flatnonzero(misses <= self.goal.tolerance)
+        return (K + int(indices[0]) if len(indices) else None), float(misses.min())
 
-    def _spent(self, taken: Takeover, end: int) -> float:
+    def _spent(self, takeover: Takeover, end: int) -> float:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s].
 
         The lesser of the sum of its periods' bounds and of that of all periods at once.
         """
         system, q = self.safety.problem.system, self.safety.clearance.q
-        spent = tracked(self.goal.commands, [taken.handed], taken.k * q, end * q)
+        delta_v = tracked(self.goal.commands, [takeover.handed], takeover.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
-        more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
-        spent = min(spent + more / system.mass, self._together(taken, end))
-        return (spent + system.carried_impulse / system.mass) * (1 + SPARE)
+        impulse = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
+        delta_v = min(delta_v + impulse / system.mass, self._together(takeover, end))
+        return (delta_v + system.carried_impulse / system.mass) * (1 + SPARE)
 
-    def _together(self, taken: Takeover, end: int) -> float:
+    def _together(self, takeover: Takeover, end: int) -> float:
         """Bound the same by all periods at once since S may have taken over, carried impulse apart [m/s]."""
         mean, system = self.corrections.mean, self.safety.problem.system
         if mean is None:
             return np.inf
         reference, clearance = self.safety.reference, self.safety.clearance
-        first, last = min(taken.first, taken.k * clearance.q), end * clearance.q
+        first, last = min(takeover.first, takeover.k * clearance.q), end * clearance.q
         inputs, count = np.repeat(reference.nu, clearance.q, axis=0)[first:last], last - first
-        moved = clearance.jump + count * reference.rounding.max(axis=0)
+        jump = clearance.jump + count * reference.rounding.max(axis=0)
         parts = (
             count * mean,
-            self.corrections.once(taken.sets, count),
+            self.corrections.once(takeover.sets, count),
             self.corrections.planned(inputs),
-            self.corrections.answer_bound(moved, count),
+            self.corrections.answer_bound(jump, count),
             self.corrections.late_fault_thrust(count),
         )
         return system.longest * sum(parts) * self.safety.tracking.flow.h / system.mass

@@ -130,8 +130,8 @@ class Nearness:
         """Return the distance of flights about states (nodes, n) under tightenings of the rows [m]."""
         rows, sides = self.rows
         rounded = size * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-        over = states @ rows.T - sides + tightening + rounded
-        return distance(self.safety.problem.goal.conditions, over)
+        excess = states @ rows.T - sides + tightening + rounded
+        return distance(self.safety.problem.goal.conditions, excess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,24 +163,24 @@ class Tail(Nearness):
         sets that S flies may tighten less than those of any hand-over, within the settling horizon.
         """
         tracking, rows = self.safety.tracking, along.rows
-        each = [along.tightenings(handed, self.T, self.T + nodes)[0] for handed in self.held]
-        tightening: Array = np.min(each, axis=0)
+        bounds = [along.tightenings(start, self.T, self.T + nodes)[0] for start in self.held]
+        tightening: Array = np.min(bounds, axis=0)
         tightening = tightening + SPARE * np.abs(tightening) * (not tracking.system.ideal)
         near = min(nodes - 1, tracking.settling)
         if tracking.feedback_bound is None:
             return tightening
-        away = np.abs(rows) @ tracking.system.state_offset_at_nodes
+        offset = np.abs(rows) @ tracking.system.state_offset_at_nodes
         parts = [spell.tube.nodes.support(rows)[:-1] for spell in self.steps_until(near)]
-        flown = np.concatenate([tightening[:0], *parts])[:near]
-        flown = flown * (1 + ROUNDING) + SPARE * np.abs(flown) + away
-        return np.concatenate([np.minimum(tightening[:near], flown), tightening[near:]])
+        supports = np.concatenate([tightening[:0], *parts])[:near]
+        supports = supports * (1 + ROUNDING) + SPARE * np.abs(supports) + offset
+        return np.concatenate([np.minimum(tightening[:near], supports), tightening[near:]])
 
     def correcting(self, nodes: int) -> float:
         """Bound S's velocity change over so many periods after T, each for itself [m/s]."""
         tracking, system = self.safety.tracking, self.safety.problem.system
-        flown = FlightSpending(self.steps_until(nodes), nodes).apart(nodes) if nodes else 0.0
-        flown *= tracking.flow.h / system.mass
-        return min(tracked(self.commands, self.held, self.T, self.T + nodes), flown) * (
+        delta_v = FlightSpending(self.steps_until(nodes), nodes).apart(nodes) if nodes else 0.0
+        delta_v *= tracking.flow.h / system.mass
+        return min(tracked(self.commands, self.held, self.T, self.T + nodes), delta_v) * (
             1 + slack_factor(tracking)
         )
 
@@ -195,11 +195,11 @@ class Tail(Nearness):
         until = flight.thrust_bound(T) * scale * (1 + ROUNDING)
 
         def at(node: int) -> float:
-            apart = until * (1 + slack_factor(tracking)) + self.correcting(node)
+            sum_bound = until * (1 + slack_factor(tracking)) + self.correcting(node)
             if node not in nodes:
-                return apart * (1 + ROUNDING)
-            whole = flight.thrust_bound(T + node) * scale * (1 + slack_factor(tracking))
-            return min(apart, whole) * (1 + ROUNDING)
+                return sum_bound * (1 + ROUNDING)
+            joint_bound = flight.thrust_bound(T + node) * scale * (1 + slack_factor(tracking))
+            return min(sum_bound, joint_bound) * (1 + ROUNDING)
 
         settled = None if self.max_commands is None else at(self.settling)
         return Spending(until, at(approach.node), settled, flight.weights)
@@ -223,36 +223,36 @@ class Tail(Nearness):
         states = np.concatenate([reference.chi[problem.K][None], *(cell[1:] for cell in cells)])
         distances = self.distance(states, self.tightenings(self.goal_rows, len(states)))
         within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
-        best = int(within[0]) if len(within) else int(np.argmin(distances))
+        node = int(within[0]) if len(within) else int(np.argmin(distances))
         middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
         return GoalDistance(
             reached=True if len(within) else "not_proven" if near else False,
-            by=problem.K * problem.delta + best * tracking.flow.h if len(within) else None,
-            distance=float(distances[best]),
+            by=problem.K * problem.delta + node * tracking.flow.h if len(within) else None,
+            distance=float(distances[node]),
             tolerance=self.tolerance,
-            drift=self.drift(states[best], best),
+            drift=self.drift(states[node], node),
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
-            node=best,
+            node=node,
         )
 
     def long_flight(self, nodes: int, most: Array) -> tuple[float, float]:
         """Bound S's thrust from so many nodes after T on, on average and once besides [N]."""
         tracking, system, clearance = self.safety.tracking, self.safety.problem.system, self.safety.clearance
-        alone, moved = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
-        within = most, self.commanded_before(nodes)
+        alone, rounding = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
+        limits = most, self.commanded_before(nodes)
         closed = tracking.tightening.closed
-        lasting = Inputs.from_loop(closed, system, within, tracking.step_errors[-1], moved).lasting()
-        if lasting is None:
+        storage = Inputs.from_loop(closed, system, limits, tracking.step_errors[-1], rounding).lasting()
+        if storage is None:
             return alone, 0.0
-        rows, each = lasting
+        rows, cost = storage
         states = PathRows(clearance, np.vstack([rows, -rows]), self.faults)
         tightenings = [
-            states.tightenings(held, self.T + nodes - 1, self.T + nodes)[1, -1] for held in self.held
+            states.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.held
         ]
         size = np.min(tightenings, axis=0).reshape(2, -1).max(axis=0)
-        mean = each + float(np.sum(system.weights * system.on_time.bit))
+        mean = cost + float(np.sum(system.weights * system.on_time.bit))
         mean, once = (system.longest * bound for bound in (mean, float(size @ size) / 2))
         return (mean, once) if mean < alone else (alone, 0.0)
 
@@ -270,9 +270,9 @@ class Tail(Nearness):
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
         tracking, rows = self.safety.tracking, self.safety.tracking.estimate_error_rows
         both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.faults, between=False)
-        each = [both.tightenings(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
+        bounds = [both.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.held]
         return np.asarray(
-            np.min(each, axis=0).reshape(2, -1).max(axis=0)
+            np.min(bounds, axis=0).reshape(2, -1).max(axis=0)
             + tracking.unremembered(self.commanded_before(nodes))
         )
 
@@ -296,20 +296,20 @@ class Tail(Nearness):
     def upkeep(self, spending: Spending) -> Upkeep | None:
         """Bound S's velocity change for all time (Proposition 14 (d)); None where `max_commands` is None."""
         problem, tracking, system = self.safety.problem, self.safety.tracking, self.safety.problem.system
-        tops, nodes, taken = self.max_commands, self.settling, spending.schedule
+        tops, nodes, delta_v = self.max_commands, self.settling, spending.schedule
         if tops is None or spending.settled is None:
             return None
         thrust = self.long_flight(nodes, tops)
         rate, once = (part / system.mass * (1 + slack_factor(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
-        ahead = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.pulse_thrust)
-        ahead = ahead * (1 + slack_factor(tracking)) + once * h  # a pulse ends before its period does
-        until = spending.settled + ahead
+        extra = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.pulse_thrust)
+        extra = extra * (1 + slack_factor(tracking)) + once * h  # a pulse ends before its period does
+        until = spending.settled + extra
         before = system.carried_impulse / system.mass
-        orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
+        orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + extra + before
         tank, lasts = problem.tank, None
         if tank is not None and rate > 0:
             usable = tank / (1 + CHECKED)
-            early = problem.K * problem.delta if usable >= taken else 0.0
+            early = problem.K * problem.delta if usable >= delta_v else 0.0
             lasts = settled + (usable - until) / rate if usable >= until else early
         return Upkeep(settled, until, rate, orbit, tank, lasts)

@@ -54,31 +54,31 @@ class HandOvers:
     def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
         """Nodes at both ends and in the middle of each cell, and which of them each cell has, (K, 3)."""
         q, last = self.tracking.feedback.nodes_per_cell, self.tracking.settling + 1
-        every = np.arange(self.K)[:, None] * q + np.array([0, q // 2, q])
-        nodes, index = np.unique(np.minimum(every, last), return_inverse=True)
+        cell_nodes = np.arange(self.K)[:, None] * q + np.array([0, q // 2, q])
+        nodes, index = np.unique(np.minimum(cell_nodes, last), return_inverse=True)
         return nodes, np.asarray(index).reshape(self.K, 3)
 
-    def since(self, handed: Zonotope) -> list[Array]:
+    def since(self, errors: Zonotope) -> list[Array]:
         """Return S's tightening in each cell after taking over a set of errors, one (K, F) per unsafe set."""
         nodes, index = self._lags
-        return self._by_set(self._rows.from_set(handed, nodes)[index].max(axis=1))
+        return self._by_set(self._rows.from_set(errors, nodes)[index].max(axis=1))
 
-    def tables(self, handed: Sequence[Zonotope]) -> list[Array]:
+    def tables(self, sets: Sequence[Zonotope]) -> list[Array]:
         """Stack `since` of several sets, one (sets, K, F) per unsafe set."""
-        return [np.array(each) for each in zip(*map(self.since, handed), strict=True)]
+        return [np.array(each) for each in zip(*map(self.since, sets), strict=True)]
 
     def feedforward(self, reference: Reference) -> list[Array]:
         """Return the feedforward tightening along a reference, one (K, F) per unsafe set."""
         tightenings = Feedforward(self.tracking, reference, reference.cells).response(self._rows.rows)
         return self._by_set(tightenings.max(axis=1)[: self.K])
 
-    def tighten(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
+    def tighten(self, reference: Reference, sets: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
         """Return S's tightening along a reference, and the lack of clearance at the best facet of each cell.
 
         Parameters
         ----------
         reference : Reference
-        handed : mapping
+        sets : mapping
             Sets of errors by the cell at whose start S may take over.
 
         Returns
@@ -86,25 +86,25 @@ class HandOvers:
         list of tuple
             Per unsafe set the tightening (K, F) and the lack (K, 1) [m].
         """
-        pairs, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
+        pairs, tables = [], dict(zip(sets, map(self.since, sets.values()), strict=True))
         for i, (body, tightening) in enumerate(zip(self.unsafe, self.feedforward(reference), strict=True)):
             largest = np.zeros_like(tightening)
             for k, table in tables.items():
                 largest[k:] = np.maximum(largest[k:], table[i][: self.K - k])
             clearance = facet_clearance(self.tracking, reference, body)
-            lack = (largest + tightening - clearance.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
-            pairs.append((largest + tightening, np.maximum(lack, 0.0)))
+            shortfall = (largest + tightening - clearance.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
+            pairs.append((largest + tightening, np.maximum(shortfall, 0.0)))
         return pairs
 
 
 def reached_sets(
-    laws: Sequence[Controller], start: Zonotope, s: AffineController, known: Sequence[Zonotope] = ()
+    laws: Sequence[Controller], start: Zonotope, s: AffineController, past_sets: Sequence[Zonotope] = ()
 ) -> list[Zonotope]:
     """Return the loop states at the start of every step and after the last one, one law flying each.
 
-    `s` is the safety controller; `known` are the sets after the first steps, if these have been flown.
+    `s` is the safety controller; `past_sets` are the sets after the first steps, if these have been flown.
     """
-    sets = [start, *known]
-    for k in range(len(known), len(laws)):
+    sets = [start, *past_sets]
+    for k in range(len(past_sets), len(laws)):
         sets.append(propagate_states(laws[k], sets[-1], k, s).end)
     return sets

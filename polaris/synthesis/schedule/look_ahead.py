@@ -97,19 +97,19 @@ class LookAhead:
 
     def _greedy(self, root: _Place, dwell: int, cap: int) -> _Path:
         """Algorithm 2's own choice: the first controller that is proven for its dwell, else S."""
-        path, held = _Path(root), dwell
+        path, age = _Path(root), dwell
         while path.place.k < self.K:
             mode = path.place.mode
             for following in range(1, len(self.objective)):
                 stays = following == mode
-                if stays or held >= dwell:
+                if stays or age >= dwell:
                     longer = self._go(path, following, 1 if stays else dwell)
                     if longer is not None and (stays or longer.spent <= cap):
                         break
             else:
                 longer = self._go(path, SAFETY, 1)
             assert longer is not None
-            held = longer.place.k - path.place.k + (held if longer.place.mode == mode and path.place.k else 0)
+            age = longer.place.k - path.place.k + (age if longer.place.mode == mode and path.place.k else 0)
             path = longer
         return path
 
@@ -125,17 +125,17 @@ class LookAhead:
         waiting[0][0, SAFETY] = [_Path(root)]
         for k in range(self.K):
             added = []
-            rest = (self.K - k) * highest
+            potential = (self.K - k) * highest
             groups = {
-                key: [path for path in paths if path.objective + rest > bars[path.spent]]
+                key: [path for path in paths if path.objective + potential > bars[path.spent]]
                 for key, paths in waiting[k].items()
             }
             for path in self._kept(groups):
                 for mode in range(len(self.objective)):
                     stays = mode == path.place.mode and k > 0
-                    spent = path.switches + (k > 0 and not stays) + (mode != SAFETY)
+                    switches = path.switches + (k > 0 and not stays) + (mode != SAFETY)
                     # From S only a return to U, for two switches more, could still add anything.
-                    if cap < APART and spent + 2 * (mode == SAFETY) > cap:
+                    if cap < APART and switches + 2 * (mode == SAFETY) > cap:
                         continue
                     longer = self._go(path, mode, 1 if stays else dwell)
                     if longer is not None:
@@ -151,20 +151,20 @@ class LookAhead:
 
         Paths are left out first if another is as good and as near, with no more switches.
         """
-        kept: list[_Path] = []
+        beam: list[_Path] = []
         fronts: dict[int, list[tuple[float, float]]] = {}
         for (_, mode), paths in sorted(groups.items(), key=lambda item: item[0]):
             sizes = {id(path): self.size(path.place.reached) for path in paths}
             front = fronts.setdefault(mode, [])
-            fresh = []
+            chosen = []
             for path in sorted(paths, key=lambda p: (-p.objective, sizes[id(p)])):
-                here = path.objective, sizes[id(path)]
-                if not any(w >= here[0] and s <= here[1] for w, s in front):
-                    front.append(here)
-                    fresh.append(path)
-            last, places = len(fresh) - 1, min(self.beam, len(fresh))
-            kept += [fresh[i * last // max(places - 1, 1)] for i in range(places)]
-        return kept
+                point = path.objective, sizes[id(path)]
+                if not any(w >= point[0] and s <= point[1] for w, s in front):
+                    front.append(point)
+                    chosen.append(path)
+            last, places = len(chosen) - 1, min(self.beam, len(chosen))
+            beam += [chosen[i * last // max(places - 1, 1)] for i in range(places)]
+        return beam
 
     def _go(self, path: _Path, mode: int, steps: int) -> _Path | None:
         """Return the path after some steps under a mode, or to the end; None if they are not all proven."""
@@ -180,8 +180,8 @@ class LookAhead:
             if place is None:
                 return None
         assert place is not None
-        gained = (place.k - path.place.k) * self.objective[mode]
-        return _Path(place, path.objective + gained, path.switches + switched)
+        gain = (place.k - path.place.k) * self.objective[mode]
+        return _Path(place, path.objective + gain, path.switches + switched)
 
 
 def dwell_times(dwell: int, K: int) -> tuple[int, ...]:

@@ -42,8 +42,8 @@ class Objective:
         problem = alone.problem
         largest = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
         scale = max(alone.plan.delta_v, 1e-3 * largest)
-        usual = printed.delta_v_middle if problem.system.ideal else np.inf
-        return cls(rules, scale, printed.share(), usual, printed.safety.end.until)
+        delta_v = printed.delta_v_middle if problem.system.ideal else np.inf
+        return cls(rules, scale, printed.share(), delta_v, printed.safety.end.until)
 
     @property
     def prices(self) -> Prices:
@@ -52,9 +52,9 @@ class Objective:
 
     def value(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """Return the value by the prices, less a penalty for losses to the printed algorithms' schedule."""
-        less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
-        more = max(delta_v - self.delta_v, 0.0) / self.scale
-        return self.prices(shares, delta_v, switches) - WORSE * (less + more)
+        loss = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
+        extra = max(delta_v - self.delta_v, 0.0) / self.scale
+        return self.prices(shares, delta_v, switches) - WORSE * (loss + extra)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Rank a schedule: the rules allow it, is safe as long as the printed one, arrives; its objective."""
@@ -66,13 +66,13 @@ class Objective:
     def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
         """Rank a schedule regardless of the printed one; without prices as the printed algorithms choose."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        spent = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
-        return *self(schedule)[:3], self.prices(shares, *spent)
+        costs = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
+        return *self(schedule)[:3], self.prices(shares, *costs)
 
     def allows(self, mask: Mask) -> bool:
         """Return True if S may fly just these steps, by the dwell time and the cap on switches."""
         edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
         switches = len(edges) - 2
         cap = self.rules.max_switches
-        spent = switches + (not mask[-1] and switches > 0)
-        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or spent <= cap)
+        total = switches + (not mask[-1] and switches > 0)
+        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or total <= cap)

@@ -57,11 +57,11 @@ class PoweredSafety:
 
     def require(self) -> None:
         """Raise `SynthesisInfeasible`, or `NotCertified` for a budget, if a required abort is not proven."""
-        lost = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
-        if not (self.asked.required and lost):
+        unproven = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
+        if not (self.asked.required and unproven):
             return
-        k, way = max(lost, key=lambda each: (not each[1].budget, each[1].short))
-        message = f"the required powered abort is not proven in {len(lost)} of {len(self.ways)} steps"
+        k, way = max(unproven, key=lambda each: (not each[1].budget, each[1].short))
+        message = f"the required powered abort is not proven in {len(unproven)} of {len(self.ways)} steps"
         message += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
         if way.budget:
             raise NotCertified(f"{message}; raise {way.budget} by {way.short:.4g}")
@@ -92,38 +92,38 @@ class KnownBranches:
 
 
 def powered(
-    safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array, known: KnownBranches | None = None
+    safety: Safety, tubes: Sequence[tuple[int, TubeSegment]], costs: Array, known: KnownBranches | None = None
 ) -> PoweredSafety | None:
     """Return the proven powered aborts from every step of a schedule, or None if none are required.
 
-    `flown` holds who flies each step (0 is S), and in which tube; `spent` the velocity change (K,) [m/s].
+    `tubes` holds who flies each step (0 is S), and in which tube; `costs` the velocity change (K,) [m/s].
     Branches are planned unless they are `known`.
     """
-    asked, delta = safety.problem.powered, safety.problem.delta
-    if asked is None:
+    abort, delta = safety.problem.powered, safety.problem.delta
+    if abort is None:
         return None
-    taken = Takeover.for_steps(safety, flown, spent)
-    search = BranchSearch(safety, asked, taken)
-    if asked.goal is None:
-        own = AbortBranch(safety.problem.K, safety, search.corrections)
-        return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
+    takeovers = Takeover.for_steps(safety, tubes, costs)
+    search = BranchSearch(safety, abort, takeovers)
+    if abort.goal is None:
+        trunk = AbortBranch(safety.problem.K, safety, search.corrections)
+        return PoweredSafety(abort, delta, (trunk,), tuple(trunk.serve(each, abort, 0) for each in takeovers))
     if known is not None:
         parts = zip(known.steps, known.inputs, known.facets, strict=True)
-        made = tuple(search.branch(*part) for part in parts)
+        rebuilt = tuple(search.branch(*part) for part in parts)
         replayed = (
-            AbortStep(None, why=why) if place is None else made[place].serve(each, asked, place)
-            for each, place, why in zip(taken, known.serve, known.why, strict=True)
+            AbortStep(None, why=reason) if place is None else rebuilt[place].serve(each, abort, place)
+            for each, place, reason in zip(takeovers, known.serve, known.why, strict=True)
         )
-        return PoweredSafety(asked, delta, made, tuple(replayed))
+        return PoweredSafety(abort, delta, rebuilt, tuple(replayed))
     branches, ways = list[AbortBranch](), list[AbortStep]()
-    while len(ways) < len(taken):
+    while len(ways) < len(takeovers):
         served, lost = list[AbortStep](), list[AbortStep]()
         for branch in search.branches(len(ways)):
             if isinstance(branch, str):
                 lost.append(AbortStep(None, why=branch))
                 continue
-            for each in taken[len(ways) : branch.step]:
-                way = branch.serve(each, asked, len(branches))
+            for each in takeovers[len(ways) : branch.step]:
+                way = branch.serve(each, abort, len(branches))
                 if way.branch is None:
                     break
                 served.append(way)
@@ -134,7 +134,7 @@ def powered(
         ways += served or [
             min(lost, key=lambda way: way.lacks, default=AbortStep(None, why="there is no time for a branch"))
         ]
-    return PoweredSafety(asked, delta, tuple(branches), tuple(ways))
+    return PoweredSafety(abort, delta, tuple(branches), tuple(ways))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class BranchSearch:
         assert self.asked.within is not None
         time, steps = int(self.asked.within / self.safety.problem.delta * (1 + ROUNDING)), len(self.taken)
         stride = max(1, round(LATEST * time))
-        for b in dict.fromkeys(min(k + ahead, steps) for ahead in (stride, max(1, stride // 2), 1)):
+        for b in dict.fromkeys(min(k + count, steps) for count in (stride, max(1, stride // 2), 1)):
             for arrives in dict.fromkeys(k + round(share * time) for share in ARRIVES):
                 if b < arrives:
                     yield (branch := self._leave(k, b, arrives - b))
@@ -170,8 +170,8 @@ class BranchSearch:
         unsafe = perceive_unsafe(problem, problem.K + tail)
         limit = min(problem.planner.max_linear_programs, PROGRAMS)
         try:
-            wanted = self._wanted(plan_problem(problem, tracking, unsafe), self.taken[k:b], tail)
-            planned = plan(wanted, replace(problem.planner, max_linear_programs=limit, progress=None))
+            task = self._wanted(plan_problem(problem, tracking, unsafe), self.taken[k:b], tail)
+            planned = plan(task, replace(problem.planner, max_linear_programs=limit, progress=None))
         except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
             return f"no branch is found: {error}"
         facets = np.vstack([self.safety.clearance.facets[:b], planned.facets.T, planned.tail_facets.T])
@@ -179,8 +179,8 @@ class BranchSearch:
 
     def _aborted(self, K: int) -> Problem:
         """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
-        problem, asked = self.safety.problem, self.asked
-        near, slow, goal = asked.tolerance, asked.velocity_tolerance, asked.goal or problem.goal
+        problem, abort = self.safety.problem, self.asked
+        near, slow, goal = abort.tolerance, abort.velocity_tolerance, abort.goal or problem.goal
         aborted = replace(problem, K=K, abort=None, powered=None)
         return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
 
@@ -202,37 +202,37 @@ class BranchSearch:
         )
         return AbortBranch(b, proven, self.corrections)
 
-    def _wanted(self, asked: PlanProblem, taken: Sequence[Takeover], tail: int) -> PlanProblem:
+    def _wanted(self, task: PlanProblem, takeovers: Sequence[Takeover], tail: int) -> PlanProblem:
         """Return the planning problem of a branch, with S's tightening wherever it may take over."""
-        safety, tracking, system = self.safety, self.safety.tracking, asked.system
-        b, q = taken[-1].k + 1, tracking.feedback.nodes_per_cell
-        chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
+        safety, tracking, system = self.safety, self.safety.tracking, task.system
+        b, q = takeovers[-1].k + 1, tracking.feedback.nodes_per_cell
+        chi = Reference.propagate(system, task.delta, task.x0, safety.reference.nu[:b]).chi[-1]
 
         def needed(rows: Array) -> Array:
-            tubes = (each for one in taken for each in self._from(one, rows))
-            parts = [tube.over_cells(asked.K, q, node)[b:] for node, tube in tubes]
+            tubes = (each for one in takeovers for each in self._from(one, rows))
+            parts = [tube.over_cells(task.K, q, node)[b:] for node, tube in tubes]
             largest: Array = np.max(parts, axis=0) * (1 + SPARE)
             return np.asarray(largest + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
         margins = [
-            np.maximum(known[b:], needed(-body.rows(system)))
-            for body, known in zip(asked.unsafe, asked.margins, strict=True)
+            np.maximum(margin[b:], needed(-body.rows(system)))
+            for body, margin in zip(task.unsafe, task.margins, strict=True)
         ]
-        thrust = needed(tracking.commands).reshape(asked.K - b, 2, -1).max(axis=1)
-        left = system.u_max * (1 - SPARE) - thrust - tracking.worst_noise
-        unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
-        limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
-        asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
-        return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)
+        thrust = needed(tracking.commands).reshape(task.K - b, 2, -1).max(axis=1)
+        slack = system.u_max * (1 - SPARE) - thrust - tracking.worst_noise
+        unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in task.unsafe)
+        limit = np.maximum(np.minimum(task.u_limit[b:], slack), 0.0)
+        task = replace(task, x0=chi, K=task.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
+        return replace(task, objective="fuel", extra_margin=0.0, tail_cells=tail)
 
-    def _from(self, taken: Takeover, rows: Array) -> list[tuple[int, SetTightening]]:
+    def _from(self, takeover: Takeover, rows: Array) -> list[tuple[int, SetTightening]]:
         """Return first nodes and tightenings of rows for some of the sets that S may take over in a step."""
-        key, n = (rows.tobytes(), taken.k), self.safety.problem.system.n
+        key, n = (rows.tobytes(), takeover.k), self.safety.problem.system.n
         if key not in self._tubes:
             table = CarriedRows.from_tracking(self.safety.tracking, rows)
             self._tubes[key] = []
-            for i in sorted({0, len(taken.sets) // 2, len(taken.sets) - 1}):
-                one = Zonotope(taken.sets.c[i], taken.sets.G[i])
-                one = one.inflate(np.pad(taken.intersample[i], (0, one.dim - n)))
-                self._tubes[key].append((taken.first + i, table.tube(one)))
+            for i in sorted({0, len(takeover.sets) // 2, len(takeover.sets) - 1}):
+                one = Zonotope(takeover.sets.c[i], takeover.sets.G[i])
+                one = one.inflate(np.pad(takeover.intersample[i], (0, one.dim - n)))
+                self._tubes[key].append((takeover.first + i, table.tube(one)))
         return self._tubes[key]

@@ -61,19 +61,19 @@ def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
     return mask
 
 
-def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
+def neighbours(mask: Mask, splits: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
     """Windows a little shorter, longer, earlier, later, split or joined."""
     parts, K = stretches(mask), len(mask)
     for i, (a, b) in enumerate(parts):
         before, after = parts[:i], parts[i + 1 :]
         for size in (4, 2, 1):
             for first, last in ((size, 0), (0, -size), (size, size), (-size, -size), (-size, 0), (0, size)):
-                moved = [(a + first, b + last)] if a + first < b + last else []
-                yield in_windows(before + moved + after, K)
+                shifted = [(a + first, b + last)] if a + first < b + last else []
+                yield in_windows(before + shifted + after, K)
         for left in (4, 2):
             if b - a > 2 * left:
                 yield in_windows([*before, (a, a + left), (b - left, b), *after], K)
-        for left, right in apart:
+        for left, right in splits:
             if b - a > left + right + 2:
                 yield in_windows([*before, (a, a + left), (b - right, b), *after], K)
         if b - a >= 4:
@@ -99,21 +99,21 @@ class ReferenceSearch:
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         self.renewed = not system.ideal and any(body.keep_in for body in sets)
         self.hand_overs = HandOvers(tracking, sets, problem.K)
-        handed = reached_sets([law.with_reference(law.own, tracking)] * problem.K, safety.start, s)
+        reached = reached_sets([law.with_reference(law.own, tracking)] * problem.K, safety.start, s)
         if self.renewed:
             settled = reached_sets([s] * min(SETTLED, problem.K), safety.start, s)[-1]
-            handed += reached_sets([law.with_reference(law.own, tracking)] * problem.K, settled, s)
-        self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.feedforward(law.own)
+            reached += reached_sets([law.with_reference(law.own, tracking)] * problem.K, settled, s)
+        self.tables, self.caused = self.hand_overs.tables(reached), self.hand_overs.feedforward(law.own)
         self.fades = system.ideal
         # Coasting after T that is proven safe along the printed reference shall stay so.
-        asked = plan_problem(problem, tracking, sets)
+        task = plan_problem(problem, tracking, sets)
         if self.fades:
-            both = zip(asked.margins, self._fading(), strict=True)
-            asked = replace(asked, margins=tuple(margin + tube for margin, tube in both))
+            both = zip(task.margins, self._fading(), strict=True)
+            task = replace(task, margins=tuple(margin + tube for margin, tube in both))
         transition = law.powers[-1][: system.n, : system.n]
         self.followed = Followed.from_law(system, transition, law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
-        self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
+        self._ask(replace(task, objective="fuel", tail_cells=tail), problem.planner.deadline)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
@@ -123,14 +123,14 @@ class ReferenceSearch:
         safety, law, system = self.safety, self.law, self.safety.tracking.system
         demand = np.abs(law.gain @ safety.tracking.error(safety.start).G).sum(axis=-1) / system.u_max
         feedback, delta = safety.tracking.feedback, safety.problem.delta
-        own, q = Tracking(system, law.gain, feedback, delta, float(demand.max())), feedback.nodes_per_cell
+        tracker, q = Tracking(system, law.gain, feedback, delta, float(demand.max())), feedback.nodes_per_cell
         rows = (-body.rows(system) for body in safety.clearance.unsafe)
-        return [error_tube(own, safety.start, each).over_cells(self.K, q) for each in rows]
+        return [error_tube(tracker, safety.start, each).over_cells(self.K, q) for each in rows]
 
-    def _ask(self, asked: PlanProblem, deadline: float) -> None:
+    def _ask(self, task: PlanProblem, deadline: float) -> None:
         """Search paths of a planning problem from now on, until a deadline."""
-        self.asked, self.rows = asked, PlanRows(asked)
-        self.lacking = [np.zeros((self.K, len(body.normals))) for body in asked.unsafe]
+        self.asked, self.rows = task, PlanRows(task)
+        self.lacking = [np.zeros((self.K, len(body.normals))) for body in task.unsafe]
         self.search = FollowingSearch(self.rows, deadline, self.followed)
         self.unit = float(self.rows.price.max())
         self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
@@ -172,12 +172,12 @@ class ReferenceSearch:
     def starts(self) -> list[tuple[Mask, CheckedPath | None]]:
         """Return windows to begin with, of paths near U's own past every side of each obstacle."""
         self._priced(np.full(self.K, STICKING[0] * self.unit))
-        own = self.search.solve({})
-        if own is None:
+        base = self.search.solve({})
+        if base is None:
             return []
         sides: list[tuple[dict[Key, int], CheckedPath | None]] = [({}, None), ({}, self.planned)]
         ways: list[tuple[float, int, dict[Key, int]]] = []
-        for i, surplus in enumerate(self.search.look(own).surplus):
+        for i, surplus in enumerate(self.search.look(base).surplus):
             cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
             for f in range(surplus.shape[1]) if cells and surplus.shape[1] > 1 else ():
                 path = self.search.solve({(i, k): f for k in cells})
@@ -201,8 +201,8 @@ class ReferenceSearch:
         candidates.sort(key=lambda item: item[:2])
         candidates.reverse()
         distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in candidates}
-        kept = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
-        return [start for (_, cost), start in kept[:STARTS] if np.isfinite(cost)]
+        ranked = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
+        return [start for (_, cost), start in ranked[:STARTS] if np.isfinite(cost)]
 
     def schedules(self, prove: Prove) -> Iterator[Schedule]:
         """Yield the schedule that is proven along the best path from every start.
@@ -244,7 +244,7 @@ class ReferenceSearch:
             return short or (schedule is not None and self._short(schedule, intended))
         tracking, safety = self.hand_overs.tracking, self.safety
         laws: tuple[Controller, ...]
-        known = list[Zonotope]()
+        past_sets = list[Zonotope]()
         if schedule is None:
             start, problem = safety.problem.initial_set.c, safety.problem
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
@@ -256,14 +256,14 @@ class ReferenceSearch:
             reference = schedule.safety.reference
             laws = schedule.controllers[0], schedule.controllers[self.mode]
             as_meant = np.logical_and.accumulate(schedule.modes == intended)
-            known = [step.tube.end for step in schedule.steps[: int(as_meant.sum())]]
-        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller, known)
+            past_sets = [step.tube.end for step in schedule.steps[: int(as_meant.sum())]]
+        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller, past_sets)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.tighten(reference, {k: sets[k] for k in sorted(ends)})
-        for i, (tightening, lack) in enumerate(parts):
-            more = np.where(lack > 0, tightening + (SPARE - 1) * lack, 0.0)
-            self.lacking[i] = np.maximum(self.lacking[i], more)
-        return short or any(np.any(lack > 0) for _, lack in parts)
+        for i, (tightening, shortfall) in enumerate(parts):
+            needed = np.where(shortfall > 0, tightening + (SPARE - 1) * shortfall, 0.0)
+            self.lacking[i] = np.maximum(self.lacking[i], needed)
+        return short or any(np.any(shortfall > 0) for _, shortfall in parts)
 
     def _short(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
         """Add the clearance that U lacked where meant to fly, near the limit; True if it lacked any."""
@@ -297,13 +297,13 @@ class ReferenceSearch:
 
     def _descend(self, mask: Mask) -> Mask:
         cost = self.path(mask)[0]
-        better = True
-        while better and len(self.known) < PROGRAMS:
-            better = False
+        improved = True
+        while improved and len(self.known) < PROGRAMS:
+            improved = False
             for other in neighbours(mask, APART if self.renewed else ()):
                 other_cost = self.path(other)[0]
                 if other_cost < cost - 1e-9:
-                    cost, mask, better = other_cost, other, True
+                    cost, mask, improved = other_cost, other, True
                     break
                 if len(self.known) >= PROGRAMS:
                     break
@@ -318,9 +318,9 @@ class ReferenceSearch:
         if path is None:
             return None
         nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
-        none = np.zeros((len(self.asked.unsafe), self.K))
+        targets = np.zeros((len(self.asked.unsafe), self.K))
         try:
-            return certified(self.asked, nu, none, path.fuel, -np.inf, REPLAN)
+            return certified(self.asked, nu, targets, path.fuel, -np.inf, REPLAN)
         except NotCertified:
             return None
 
@@ -330,8 +330,8 @@ def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
 
     A plan with a stand-in is proven with the law itself, or flown by S.
     """
-    for mode, given in enumerate(printed.controllers[1:], start=1):
-        law = given.slope if isinstance(given, NeuralController) else given
+    for mode, controller in enumerate(printed.controllers[1:], start=1):
+        law = controller.slope if isinstance(controller, NeuralController) else controller
         if isinstance(law, AffineController) and law.own is not printed.safety.reference:
             with suppress(PolarisError, ValueError, ArithmeticError):
                 law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own

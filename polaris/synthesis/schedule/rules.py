@@ -74,13 +74,13 @@ class SwitchingRules:
 
     def mode_values(self, modes: int) -> tuple[float, ...]:
         """Return the objective of a step under each mode: 0 under S, 1 where no weight is given."""
-        given = (0.0, *self.weights)[:modes]
-        return given + (1.0,) * (modes - len(given))
+        weights = (0.0, *self.weights)[:modes]
+        return weights + (1.0,) * (modes - len(weights))
 
     def prices(self, unit: float) -> Prices:
         """Return the objective by which schedules are compared; S alone spends `unit` [m/s]."""
         return Prices(self.weights, self.delta_v_price, self.switch_price, unit)
 
-    def affords(self, spent: float) -> bool:
+    def affords(self, delta_v: float) -> bool:
         """Return True if the budget allows a velocity change [m/s]."""
-        return self.delta_v_max is None or spent * (1 + CHECKED) <= self.delta_v_max
+        return self.delta_v_max is None or delta_v * (1 + CHECKED) <= self.delta_v_max

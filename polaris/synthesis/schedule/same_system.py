@@ -37,11 +37,11 @@ def check_safety(safety: Safety, problem: Problem) -> None:
     _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
     try:
         kind, share = safety.recoverable.kind, safety.problem.thrust_share
-        made = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
+        derived = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
     except SynthesisInfeasible as error:
         rule = "must contain the initial set at the start"
         raise ScenarioError("safety.recoverable", str(error), rule) from error
-    _same_parts("safety", safety, made)
+    _same_parts("safety", safety, derived)
 
 
 def check_controller(controller: Controller, safety: Safety) -> None:
@@ -75,8 +75,8 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     _same_parts(f"{name}.own.system", Craft.from_system(own.system), problem.system)
     _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
     shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
-    given = np.shape(own.chi), np.shape(own.nu)
-    _same(f"{name}.own.chi and nu", given, shapes, f"shapes of a path of {K} steps or more")
+    own_shapes = np.shape(own.chi), np.shape(own.nu)
+    _same(f"{name}.own.chi and nu", own_shapes, shapes, f"shapes of a path of {K} steps or more")
     if not (np.all(np.isfinite(own.chi)) and np.all(np.isfinite(own.nu))):
         raise ScenarioError(f"{name}.own", "nan or inf", "must be finite numbers")
 
@@ -108,30 +108,30 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     return tube
 
 
-def _same_parts(field: str, given: Any, wanted: Any) -> None:
+def _same_parts(field: str, actual: Any, needed: Any) -> None:
     """Refuse a value that differs from the required one in kind or parts, its arrays beyond rounding."""
-    if given is wanted:
+    if actual is needed:
         return
-    if is_dataclass(wanted):
-        if type(given) is not type(wanted):
-            raise ScenarioError(field, type(given).__name__, f"must be of the kind {type(wanted).__name__}")
-        for part in fields(wanted):
+    if is_dataclass(needed):
+        if type(actual) is not type(needed):
+            raise ScenarioError(field, type(actual).__name__, f"must be of the kind {type(needed).__name__}")
+        for part in fields(needed):
             if part.name not in UNPROVEN:
-                _same_parts(f"{field}.{part.name}", getattr(given, part.name), getattr(wanted, part.name))
-    elif isinstance(wanted, tuple) and isinstance(given, tuple) and len(given) == len(wanted):
-        for i, (one, other) in enumerate(zip(given, wanted, strict=True)):
+                _same_parts(f"{field}.{part.name}", getattr(actual, part.name), getattr(needed, part.name))
+    elif isinstance(needed, tuple) and isinstance(actual, tuple) and len(actual) == len(needed):
+        for i, (one, other) in enumerate(zip(actual, needed, strict=True)):
             _same_parts(f"{field}[{i}]", one, other)
-    elif not (isinstance(wanted, np.ndarray) and _close(given, wanted)):
-        _same(field, given, wanted, "one that its problem and plan lead to")
+    elif not (isinstance(needed, np.ndarray) and _close(actual, needed)):
+        _same(field, actual, needed, "one that its problem and plan lead to")
 
 
-def _close(given: Any, wanted: Array) -> bool:
-    same = isinstance(given, np.ndarray) and given.shape == wanted.shape
-    return same and bool(np.all(np.abs(given - wanted) <= REFERENCE * np.max(np.abs(wanted), initial=0.0)))
+def _close(actual: Any, needed: Array) -> bool:
+    same = isinstance(actual, np.ndarray) and actual.shape == needed.shape
+    return same and bool(np.all(np.abs(actual - needed) <= REFERENCE * np.max(np.abs(needed), initial=0.0)))
 
 
-def _same(field: str, given: Any, wanted: Any, whose: str) -> None:
-    if np.array_equal(np.asarray(given, dtype=object), np.asarray(wanted, dtype=object)):
+def _same(field: str, actual: Any, needed: Any, label: str) -> None:
+    if np.array_equal(np.asarray(actual, dtype=object), np.asarray(needed, dtype=object)):
         return
-    a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (given, wanted))
-    raise ScenarioError(field, a, f"must be the {whose}, {b}" if a != b else f"must be the {whose}")
+    a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (actual, needed))
+    raise ScenarioError(field, a, f"must be the {label}, {b}" if a != b else f"must be the {label}")

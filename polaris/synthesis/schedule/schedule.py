@@ -200,9 +200,9 @@ class Schedule:
     def tail(self) -> Tail:
         """Build S's flight after T; not cached, as its tubes take too much memory."""
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
-        handed = self.steps[last - 1].tube.end if last else self.safety.start
+        start = self.steps[last - 1].tube.end if last else self.safety.start
         T = len(self.steps) * q
-        return Tail(self.safety, held=(HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
+        return Tail(self.safety, held=(HandOver(start, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
     def approach(self) -> GoalDistance:
@@ -212,8 +212,8 @@ class Schedule:
     @cached_property
     def arrival(self) -> Arrival:
         """Proof of the goal, with the velocity change until then."""
-        known = {each.name: getattr(self.approach, each.name) for each in fields(self.approach)}
-        return Arrival(**known, delta_v=self.spending.goal)
+        values = {each.name: getattr(self.approach, each.name) for each in fields(self.approach)}
+        return Arrival(**values, delta_v=self.spending.goal)
 
     @cached_property
     def upkeep(self) -> Upkeep | None:
@@ -229,16 +229,16 @@ class Schedule:
         tracking = self.safety.tracking
         if tracking.system.observer is None:
             return None
-        rows, beside = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
-        flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
-        largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
+        rows, extra = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
+        tubes = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
+        largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in tubes]
         least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # under any commands
         bounds = {
             "settled": None if self.upkeep is None else self.tail.estimate(tracking.settling + 2),
-            "experimental": np.max(largest, axis=0) + beside if flown else None,
+            "experimental": np.max(largest, axis=0) + extra if tubes else None,
         }
-        more = 1 + slack_factor(tracking)
-        return {k: None if x is None else (np.minimum(x, least) * more).tolist() for k, x in bounds.items()}
+        factor = 1 + slack_factor(tracking)
+        return {k: None if x is None else (np.minimum(x, least) * factor).tolist() for k, x in bounds.items()}
 
     @cached_property
     def passive(self) -> PassiveSafety | None:
@@ -251,9 +251,9 @@ class Schedule:
     @cached_property
     def powered(self) -> PoweredSafety | None:
         """Return the steps from which S reaches the orbit of an abort with thrust; None if none is asked."""
-        flown = [(step.mode, step.tube) for step in self.steps]
+        tubes = [(step.mode, step.tube) for step in self.steps]
         impulse = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
-        return powered(self.safety, flown, impulse / self.safety.problem.system.mass, self.branches)
+        return powered(self.safety, tubes, impulse / self.safety.problem.system.mass, self.branches)
 
     def aborted(self, k: int) -> "Schedule":
         """Return the flight that is aborted with thrust at the start of step k: S from there on its branch.
@@ -289,10 +289,10 @@ class Schedule:
         """Bound `spent` by that of every period [m/s], which takes little time."""
         tail, spells = self.tail, self._spells
         scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass
-        apart = (
+        delta_v = (
             FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + slack_factor(tail.safety.tracking))
         )
-        return apart + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)
+        return delta_v + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

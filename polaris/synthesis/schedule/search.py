@@ -111,11 +111,11 @@ class ScheduleSearch:
         if self.progress and k:
             self.progress(k, K)
         settled = k == 0 or branch.held >= self.rules.min_dwell
-        spent = branch.switches + (k > 0) + 1  # there, and back to S should it fail
+        switches = branch.switches + (k > 0) + 1  # there, and back to S should it fail
         for mode in self.candidates(k):
             if mode == branch.mode:
                 yield mode, 1
-            elif settled and (cap is None or spent <= cap):
+            elif settled and (cap is None or switches <= cap):
                 yield mode, self.rules.min_dwell
         yield SAFETY, 1  # U has always flown its whole dwell, so S may take over
 
@@ -127,17 +127,17 @@ class ScheduleSearch:
                 return None
             step = Step(mode, tube, branch.k, self.safety.recoverable)
             switched = branch.k > 0 and mode != branch.mode
-            held = 1 if switched or branch.k == 0 else branch.held + 1
-            branch = PartialSchedule(tube.end, (*branch.steps, step), held, branch.switches + switched)
+            dwell = 1 if switched or branch.k == 0 else branch.held + 1
+            branch = PartialSchedule(tube.end, (*branch.steps, step), dwell, branch.switches + switched)
         return branch
 
     def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
         """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
         controller, tracking = self.controllers[mode], self.safety.tracking
         recalls = isinstance(controller, BlackBox) and controller.memory
-        known = start if isinstance(controller, AffineController) else tracking.true_error(start)
-        flown = controller.propagate(known, k, *([self._before(start)] if recalls else []))  # GetReach
-        tube = check_segment(controller, known, flown, self.safety)
+        states = start if isinstance(controller, AffineController) else tracking.true_error(start)
+        claimed = controller.propagate(states, k, *([self._before(start)] if recalls else []))  # GetReach
+        tube = check_segment(controller, states, claimed, self.safety)
         tube = beside_errors(tube, start, self.safety.controller)
         self.came[tube.end] = start, mode
         if mode == SAFETY:

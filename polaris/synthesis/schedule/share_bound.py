@@ -54,16 +54,16 @@ class Master:
         self.size = K * modes + K
         self.rows: list[tuple[dict[int, float], float]] = []
         for k in range(K):
-            one = dict.fromkeys(range(k * modes, (k + 1) * modes), 1.0)
-            self.rows += [(one, 1.0), (dict.fromkeys(one, -1.0), -1.0)]
+            ones = dict.fromkeys(range(k * modes, (k + 1) * modes), 1.0)
+            self.rows += [(ones, 1.0), (dict.fromkeys(ones, -1.0), -1.0)]
         dwell, cap = rules.min_dwell, rules.max_switches
         dwell = dwell if K * modes * dwell <= ROWS else 1
         for k in range(1, K):
             for mode in range(modes):
-                here, before = self._at(k, mode), self._at(k - 1, mode)
-                self.rows.append(({K * modes + k: 1.0, here: -1.0, before: 1.0}, 0.0))
+                current, before = self._at(k, mode), self._at(k - 1, mode)
+                self.rows.append(({K * modes + k: 1.0, current: -1.0, before: 1.0}, 0.0))
                 for later in range(k + 1, min(k + dwell, K)):
-                    self.rows.append(({self._at(later, mode): 1.0, here: -1.0, before: 1.0}, 0.0))
+                    self.rows.append(({self._at(later, mode): 1.0, current: -1.0, before: 1.0}, 0.0))
         if cap is not None:  # the return to S from a last step under U is held back
             switched = dict.fromkeys(range(K * modes, K * modes + K), -1.0)
             self.rows.append((switched | {self._at(K - 1, FREE): 1.0}, 1.0 - cap))
@@ -71,9 +71,9 @@ class Master:
     def _at(self, k: int, mode: int) -> int:
         return k * self.modes + mode
 
-    def demand(self, held: Held) -> None:
+    def demand(self, modes: Held) -> None:
         """Demand that at least one of the steps held is flown otherwise."""
-        at = [self._at(k, mode) for k, mode in enumerate(held) if mode != FREE]
+        at = [self._at(k, mode) for k, mode in enumerate(modes) if mode != FREE]
         self.rows.append((dict.fromkeys(at, -1.0), 1.0 - len(at)))
 
     def _cheapest(self, prices: Sequence[float]) -> tuple[float, Any]:
@@ -81,58 +81,58 @@ class Master:
         entries = [(i, at, value) for i, (row, _) in enumerate(self.rows) for at, value in row.items()]
         i, at, value = (np.array(part) for part in zip(*entries, strict=True))
         A = coo_array((value, (i, at)), shape=(len(self.rows), self.size)).tocsr()
-        cost, whole = np.zeros(self.size), np.ones(self.size)
+        cost, integral = np.zeros(self.size), np.ones(self.size)
         cost[: self.K * self.modes] = np.tile(prices, self.K)
-        whole[self.K * self.modes :] = 0.0
+        integral[self.K * self.modes :] = 0.0
         answer = milp(
             cost,
-            integrality=whole,
+            integrality=integral,
             bounds=Bounds(0.0, 1.0),
-            constraints=LinearConstraint(A, [least for _, least in self.rows]),
+            constraints=LinearConstraint(A, [bound for _, bound in self.rows]),
             options={"node_limit": NODES},
         )
         if answer.status == 2:
             return np.inf, answer
-        least = answer.mip_dual_bound
-        return 0.0 if least is None or not np.isfinite(least) else max(float(least) - SLACK, 0.0), answer
+        bound = answer.mip_dual_bound
+        return 0.0 if bound is None or not np.isfinite(bound) else max(float(bound) - SLACK, 0.0), answer
 
     def solve(self) -> tuple[int, Held | None]:
         """Proven number of steps under S, K + 1 if there is no schedule; and modes with as few, if found."""
-        least, answer = self._cheapest([float(mode == FREE) for mode in range(self.modes)])
-        fewest = self.K + 1 if np.isinf(least) else int(np.ceil(least))
+        bound, answer = self._cheapest([float(mode == FREE) for mode in range(self.modes)])
+        fewest = self.K + 1 if np.isinf(bound) else int(np.ceil(bound))
         if answer.x is None:
             return fewest, None
-        flown = answer.x[: self.K * self.modes].reshape(self.K, self.modes)
-        return fewest, tuple(int(mode) for mode in flown.argmax(axis=1))
+        choice = answer.x[: self.K * self.modes].reshape(self.K, self.modes)
+        return fewest, tuple(int(mode) for mode in choice.argmax(axis=1))
 
     def objective_bound(self, objectives: Sequence[float]) -> float:
         """Proven bound on the mean objective of a step, by that of each mode; 0 if there is no schedule."""
         largest = max(objectives)
-        least = self._cheapest([1.0 - objective / largest for objective in objectives])[0]
-        return largest * max(1.0 - least / self.K, 0.0)
+        bound = self._cheapest([1.0 - objective / largest for objective in objectives])[0]
+        return largest * max(1.0 - bound / self.K, 0.0)
 
 
 def share_bound(schedule: Schedule, rules: SwitchingRules, limit: int) -> ShareBound:
     """Bound the share of the time under experimental controllers, with at most about `limit` programs."""
     safety = schedule.safety
     problem, laws = safety.problem, schedule.controllers[1:]
-    own = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
+    affine = [law for law in laws if isinstance(law, AffineController) and law.own is not law.reference]
     objectives = rules.mode_values(len(laws) + 1)
-    if limit == 0 or len(own) < len(laws) or problem.K > STEPS:
+    if limit == 0 or len(affine) < len(laws) or problem.K > STEPS:
         return ShareBound(1.0, max(objectives))
-    flights, master = UndisturbedFlights(safety, own), Master(problem.K, len(laws) + 1, rules)
-    demands, least, ended = 0, 0, "effort_limit"
+    flights, master = UndisturbedFlights(safety, affine), Master(problem.K, len(laws) + 1, rules)
+    demands, proven, ended = 0, 0, "effort_limit"
     while flights.programs < limit:
-        fewest, held = master.solve()
-        least = max(least, fewest)
-        if held is None:
+        fewest, modes = master.solve()
+        proven = max(proven, fewest)
+        if modes is None:
             break
-        if not flights.impossible(held):
+        if not flights.impossible(modes):
             ended = "reached"
             break
-        master.demand(flights.widened(held))
+        master.demand(flights.widened(modes))
         demands += 1
-    share = 1.0 - min(least, problem.K) / problem.K
+    share = 1.0 - min(proven, problem.K) / problem.K
     objective = (
         share * max(objectives) if len(set(objectives[1:])) <= 1 else master.objective_bound(objectives)
     )

@@ -49,13 +49,13 @@ class Spell:
             return cls(law, tube, k, middle[:-1], law.system.spent(largest)[:-1])
         if not isinstance(law, AffineController):
             limit = getattr(law, "system", None)
-            spent = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
-            return cls(law, tube, k, spent, spent)
-        here, system = law.in_step(k), law.system
-        centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.intersample, k)
+            thrust = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
+            return cls(law, tube, k, thrust, thrust)
+        step_law, system = law.in_step(k), law.system
+        centre, spread = step_law.commanded(tube.states - step_law.whole_offset(k), tube.intersample, k)
         largest = centre + 0.0
         for i in range(q + 1):
-            top = (np.abs(centre[i]) + spread[i] + _noise(here, largest, i)) * (1 + ROUNDING)
+            top = (np.abs(centre[i]) + spread[i] + _noise(step_law, largest, i)) * (1 + ROUNDING)
             largest[i] = np.minimum(top, system.u_max)
         middle = np.minimum(np.abs(centre), system.u_max)
         return cls(law, tube, k, middle[:-1], system.spent(largest)[:-1], largest[:-1])
@@ -77,23 +77,23 @@ class Spell:
             return None
         law = self.law
         assert isinstance(law, AffineController)
-        here, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.intersample)
-        d, rounding = self.tube.states - here.whole_offset(self.k), law.reference.rounding[self.k]
-        within = self.commands.max(axis=0), law.system.u_max
-        known: dict[bytes, Inputs] = {}
-        inputs, middles = list[Inputs](), mu - d.c[:q] @ here.closed.K.T
+        step_law, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.intersample)
+        d, rounding = self.tube.states - step_law.whole_offset(self.k), law.reference.rounding[self.k]
+        limits = self.commands.max(axis=0), law.system.u_max
+        cache: dict[bytes, Inputs] = {}
+        inputs, middles = list[Inputs](), mu - d.c[:q] @ step_law.closed.K.T
         for i in range(q):
-            closed, bands = here.closed, _noise(here, self.commands, i)
+            closed, bands = step_law.closed, _noise(step_law, self.commands, i)
             if self.tube.slopes is not None:
-                slope, offset, radius = clip_band(here, d[i], mu)
-                closed, bands = ClosedLoop(closed.loop, slope[:, None] * here.gain), bands + radius
+                slope, offset, radius = clip_band(step_law, d[i], mu)
+                closed, bands = ClosedLoop(closed.loop, slope[:, None] * step_law.gain), bands + radius
                 middles[i] = slope * middles[i] + offset
             key = closed.gain.tobytes() + bands.tobytes()
-            if key not in known:
-                known[key] = Inputs.from_loop(closed, law.system, within, 0 * rounding, rounding, bands)
-            inputs.append(known[key])
+            if key not in cache:
+                cache[key] = Inputs.from_loop(closed, law.system, limits, 0 * rounding, rounding, bands)
+            inputs.append(cache[key])
         if np.any(law.system.matrix):
-            loop = here.closed.loop
+            loop = step_law.closed.loop
             inputs = [each.about(loop, middle) for each, middle in zip(inputs, middles, strict=True)]
             middles = np.hstack([middles, 0 * middles])
         return LinearStep(tuple(inputs), middles)
@@ -122,8 +122,8 @@ class FlightSpending:
     @cached_property
     def runs(self) -> list[list[int]]:
         """Steps on end that are all linear, or all not."""
-        alike = groupby(range(len(self.spells)), lambda k: self.spells[k].commands is None)
-        return [list(run) for _, run in alike]
+        groups = groupby(range(len(self.spells)), lambda k: self.spells[k].commands is None)
+        return [list(run) for _, run in groups]
 
     @cached_property
     def weights(self) -> list[Weights | None]:
@@ -142,9 +142,9 @@ class FlightSpending:
         steps = []
         for k in run:
             q = len(self.spells[k].most)
-            left, step = periods - k * q, self.spells[k].linear
-            if left > 0 and step is not None:
-                steps.append(step.first_periods(left))
+            remaining, step = periods - k * q, self.spells[k].linear
+            if remaining > 0 and step is not None:
+                steps.append(step.first_periods(remaining))
         return steps
 
     def apart(self, periods: int) -> float:
@@ -156,16 +156,16 @@ class FlightSpending:
         total = 0.0
         for run in self.runs:
             first = run[0] * len(self.spells[0].most)
-            alone = [self.spells[k].most for k in run]
-            apart = float(np.concatenate(alone)[: max(periods - first, 0)].sum())
+            bounds = [self.spells[k].most for k in run]
+            thrust = float(np.concatenate(bounds)[: max(periods - first, 0)].sum())
             steps = self._steps(run, periods)
             weights = [each for k, _ in zip(run, steps, strict=False) if (each := self.weights[k])]
             if steps and len(weights) == len(steps):
                 law = self.spells[run[0]].law
                 assert isinstance(law, AffineController)
                 start = self.spells[run[0]].start
-                apart = min(apart, together(law.system, steps, weights, start))
-            total += apart
+                thrust = min(thrust, together(law.system, steps, weights, start))
+            total += thrust
         return total * (1 + ROUNDING)
 
 
@@ -177,21 +177,21 @@ def together(
     return float(system.longest * (storage.bound(steps, weights, start) * (1 + EXACT) + count * bits))
 
 
-def commanded(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> Array:
+def commanded(rows: PathRows, hand_overs: Sequence[HandOver], first: int, last: int) -> Array:
     """Bound S's commands at both ends of the periods from a node until another, (2, last - first, m) [N].
 
     The rows are `Tracking.commands`. Each of the sets holds all errors that S may take over.
     """
     clearance, tracking = rows.clearance, rows.clearance.tracking
-    tightening = np.min([rows.tightenings(each, first, last) for each in held], axis=0)
+    tightening = np.min([rows.tightenings(each, first, last) for each in hand_overs], axis=0)
     noise = command_noise(tracking, clearance.cells, clearance.planned)
     cell = np.minimum(np.arange(first, last) // clearance.q, clearance.cells - 1)
     both = tightening.reshape(*tightening.shape[:2], 2, noise.shape[1])
     return np.asarray(both.max(axis=2) + (np.abs(clearance.reference.nu) + noise)[cell])
 
 
-def tracked(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> float:
+def tracked(rows: PathRows, hand_overs: Sequence[HandOver], first: int, last: int) -> float:
     """Bound S's velocity change in the periods from a node until another [m/s], see `commanded`."""
     system, h = rows.clearance.tracking.system, rows.clearance.tracking.flow.h
-    spent = system.spent(np.minimum(commanded(rows, held, first, last), system.u_max))
-    return float(spent.sum(axis=-1).max(axis=0).sum()) * h / system.mass
+    thrust = system.spent(np.minimum(commanded(rows, hand_overs, first, last), system.u_max))
+    return float(thrust.sum(axis=-1).max(axis=0).sum()) * h / system.mass

@@ -84,15 +84,15 @@ def synthesize(
 
 def laws_turn(search: ScheduleSearch) -> bool:
     """Return True if all laws are known to fly beside another reference, too."""
-    known = AffineController, AnyThrust, NeuralController
-    return all(isinstance(law, known) for law in search.controllers[1:])
+    kinds = AffineController, AnyThrust, NeuralController
+    return all(isinstance(law, kinds) for law in search.controllers[1:])
 
 
 def with_safety(search: ScheduleSearch, safety: Safety) -> ScheduleSearch:
     """Return the search along the reference of another `Safety`; all its laws must turn (see `laws_turn`)."""
     laws: Any = search.controllers[1:]
-    turned = [law.with_reference(safety.reference, safety.tracking) for law in laws]
-    return replace(search, safety=safety, controllers=(safety.controller, *turned))
+    adapted = [law.with_reference(safety.reference, safety.tracking) for law in laws]
+    return replace(search, safety=safety, controllers=(safety.controller, *adapted))
 
 
 def best_share(search: ScheduleSearch, first: Schedule, recourse: bool) -> Schedule:
@@ -133,16 +133,16 @@ def arriving(search: ScheduleSearch, first: Schedule) -> tuple[ScheduleSearch, S
     Its reference ends inside the goal, by all that the first one's flights may be off, or by their shortfall.
     """
     safety, approach = first.safety, first.approach
-    goal, lack = safety.problem.goal.conditions, approach.distance * (1 + CHECKED) - approach.tolerance
+    goal, shortfall = safety.problem.goal.conditions, approach.distance * (1 + CHECKED) - approach.tolerance
     if approach.reached is True or not goal.inequalities or not laws_turn(search):
         return search, first
-    for length in (approach.distance, lack):
+    for length in (approach.distance, shortfall):
         with suppress(SynthesisInfeasible, NotCertified):
             deeper = replace(safety.problem, goal_inset=length)
             other = with_safety(search, find_safety(deeper, like=safety))
-            again = switching_logic(other)
-            if again.approach.reached is True and again.share() >= first.share():
-                return other, again
+            second = switching_logic(other)
+            if second.approach.reached is True and second.share() >= first.share():
+                return other, second
     return search, first
 
 
@@ -154,9 +154,9 @@ def switching_logic(search: ScheduleSearch) -> Schedule:
     )  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
     while branch.k < safety.problem.K:  # line 7; t1 and t2 of lines 8 and 9 are the ends of step k
         for mode, steps in search.options(branch):  # lines 10 and 16: U is tried first, else S
-            ahead = search.extend(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached
-            if ahead is not None:  # line 13: inside C_S over all of [t1, t2]; S needs no such test
-                branch = ahead  # lines 11 and 17: Theta; 14 and 19: the mode; 20 and 21: the next step
+            extended = search.extend(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached
+            if extended is not None:  # line 13: inside C_S over all of [t1, t2]; S needs no such test
+                branch = extended  # lines 11 and 17: Theta; 14 and 19: the mode; 20 and 21: the next step
                 break
     return search.schedule(branch)  # lines 22 and 23: the switching logic, with S
 
@@ -218,8 +218,8 @@ class Reflown(Sequence[Step]):
         """Return a schedule without its tubes, but with the values that compare it."""
         steps = cls(with_safety(search, schedule.safety), tuple(schedule.modes.tolist()))
         light = replace(schedule, steps=steps)
-        known = {"modes", "approach", "spending", "delta_v_middle", "passive"} & vars(schedule).keys()
-        vars(light).update({name: vars(schedule)[name] for name in known})
+        cached = {"modes", "approach", "spending", "delta_v_middle", "passive"} & vars(schedule).keys()
+        vars(light).update({name: vars(schedule)[name] for name in cached})
         return light
 
     def __len__(self) -> int:
@@ -244,9 +244,9 @@ def with_clearance(search: ScheduleSearch, first: Schedule) -> Iterator[Schedule
     """Yield the schedule along a reference that adds the clearance that U lacked along the first one."""
     problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
     refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)
-    lack = max((margin.tightening - margin.clearance for margin in refused), default=0.0)
-    if lack > 0:
-        extra = problem.extra_margin + lack
+    shortfall = max((margin.tightening - margin.clearance for margin in refused), default=0.0)
+    if shortfall > 0:
+        extra = problem.extra_margin + shortfall
         with suppress(SynthesisInfeasible, NotCertified):
             wider = replace(problem, objective="margin_then_fuel", extra_margin=extra)
             yield switching_logic(with_safety(search, find_safety(wider, like=first.safety)))
@@ -259,7 +259,7 @@ def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
     `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
     references; `NotCertified` if not even S alone keeps the budget along any of them.
     """
-    kept, least, witness = [], min(schedule.spent for schedule in over), None
+    truncated, cheapest, witness = [], min(schedule.spent for schedule in over), None
     for schedule in over:
         along = replace(search, safety=schedule.safety, controllers=schedule.controllers)
         K, modes = len(schedule.steps), tuple(schedule.modes.tolist())
@@ -267,7 +267,7 @@ def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
         while many - few > 1:
             tried = (few + many) // 2 if best else 0  # S alone first
             trial = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
-            least = min(least, trial.spent)
+            cheapest = min(cheapest, trial.spent)
             if trial.affords(search.rules) and trial.passive is not None:
                 witness = witness or trial.passive.witness()
             if trial.keeps(search.rules):
@@ -276,16 +276,16 @@ def within_budget(search: ScheduleSearch, over: Sequence[Schedule]) -> Schedule:
                 break
             else:
                 many = tried
-        kept += [best] if best else []
-    if not kept and witness is not None:
+        truncated += [best] if best else []
+    if not truncated and witness is not None:
         raise passive_safety_error(witness)
-    if not kept:
-        tightening = directed(least * (1 + CHECKED), ".4g", up=True)
+    if not truncated:
+        tightening = directed(cheapest * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
             f"no schedule within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the smallest proven"
             f" delta-v is {tightening} m/s; raise the budget, or give more time or a wider goal"
         )
-    return max(kept, key=Objective.beside(over[0], search.rules, search.safety))
+    return max(truncated, key=Objective.beside(over[0], search.rules, search.safety))
 
 
 def passive_safety_error(witness: Mapping[str, Any]) -> SynthesisInfeasible:
@@ -300,9 +300,9 @@ def passive_safety_error(witness: Mapping[str, Any]) -> SynthesisInfeasible:
 def in_words(witness: Mapping[str, Any]) -> str:
     """Describe a drift that is not clear: its step, the unsafe set, time and distance."""
     enters = witness["middle_m"] <= 0
-    does = "enters the perceived set of" if enters else "is not proven to stay clear of"
-    left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
+    verb = "enters the perceived set of" if enters else "is not proven to stay clear of"
+    distance = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
     return (
-        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']}"
-        f" within {witness['after_s']:.6g} s (distance {left} m)"
+        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {verb} {witness['unsafe_set']}"
+        f" within {witness['after_s']:.6g} s (distance {distance} m)"
     )

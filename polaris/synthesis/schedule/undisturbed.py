@@ -45,15 +45,15 @@ class UndisturbedFlights:
         problem, sets = safety.problem, safety.clearance.unsafe
         system, K = problem.system, problem.K
         ideal = system.as_ideal()
-        seen = replace(safety.tracking, system=ideal)
+        tracking = replace(safety.tracking, system=ideal)
         self.system, self.laws = (
             system,
-            [replace(law, system=ideal, tracking=seen, _levels={}) for law in laws],
+            [replace(law, system=ideal, tracking=tracking, _levels={}) for law in laws],
         )
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
-        moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
-        self.moved, self.push = moved[PARTS], np.hstack([part @ push for part in moved[:PARTS]])
+        powers = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
+        self.moved, self.push = powers[PARTS], np.hstack([part @ push for part in powers[:PARTS]])
         self.rows = [unsafe.rows(system) for unsafe in sets]
         ends = [unsafe.offsets[:K] for unsafe in sets]
         # The set of both cells that meet at a node: less than either.
@@ -64,35 +64,35 @@ class UndisturbedFlights:
         self._found: list[tuple[Array, Array, Array, Array]] = []
         self.programs = 0
 
-    def propagate(self, held: Held) -> tuple[Array, Array, Array]:
+    def propagate(self, modes: Held) -> tuple[Array, Array, Array]:
         """States at the ends of some steps: centres (k, n), generators (k, n, N), sizes met on the way.
 
         Only as many as round-off is covered by `ROUNDING` of the sizes: an unstable law makes it grow.
         """
         same = 0
-        while same < min(len(held), len(self._held)) and held[same] == self._held[same]:
+        while same < min(len(modes), len(self._held)) and modes[same] == self._held[same]:
             same += 1
         states = self._found[:same]
         c, G, size, error = states[-1] if states else self._first
-        for k in range(same, len(held)):
-            if held[k] == FREE:
+        for k in range(same, len(modes)):
+            if modes[k] == FREE:
                 c, G, growth = self.moved @ c, np.hstack([self.moved @ G, self.push]), np.abs(self.moved)
             else:
-                law = self.laws[held[k] - 1]
-                own = law.own.chi[k : k + 2]
-                c, G, growth = self._under(law, k, Zonotope(c - own[0], G), ROUNDING * size)
-                c, size = c + own[1], np.maximum(size, np.abs(own).max(axis=0))
+                law = self.laws[modes[k] - 1]
+                xi_U = law.own.chi[k : k + 2]
+                c, G, growth = self._under(law, k, Zonotope(c - xi_U[0], G), ROUNDING * size)
+                c, size = c + xi_U[1], np.maximum(size, np.abs(xi_U).max(axis=0))
             size = np.maximum(size, np.abs(c) + np.abs(G).sum(axis=1))
             error = growth @ error + REFERENCE * size
             states.append((c, G, size, error))
-        self._held, self._found = held, states
-        whole = np.zeros((len(held), self.system.n, G.shape[1]))
+        self._held, self._found = modes, states
+        generators = np.zeros((len(modes), self.system.n, G.shape[1]))
         for k, (_, part, *_) in enumerate(states):
-            whole[k, :, : part.shape[1]] = part
+            generators[k, :, : part.shape[1]] = part
         centres, sizes, errors = (np.array([state[i] for state in states]) for i in (0, 2, 3))
-        lost = np.any(~(errors <= ROUNDING * sizes), axis=1)
-        known = int(np.argmax(lost)) if np.any(lost) else len(held)
-        return centres[:known], whole[:known], sizes[:known]
+        inexact = np.any(~(errors <= ROUNDING * sizes), axis=1)
+        count = int(np.argmax(inexact)) if np.any(inexact) else len(modes)
+        return centres[:count], generators[:count], sizes[:count]
 
     def _under(self, law: AffineController, k: int, d: Zonotope, error: Array) -> tuple[Array, Array, Array]:
         """Deviation from the law's own reference after step k, and how errors grow in it.
@@ -105,44 +105,44 @@ class UndisturbedFlights:
         command = np.abs(mu - image.c) + image.half_widths
         if np.all(command * (1 + ROUNDING) + np.abs(law.gain) @ error <= self.system.u_max):
             return nodes.c[-1], nodes.G[-1], np.abs(law.powers[-1])
-        moved = np.eye(self.system.n)
+        growth = np.eye(self.system.n)
         for _ in range(q):
-            phi, known, push, _ = clipped_map(law, Zonotope(d.c, np.hstack([d.G, np.diag(error)])), mu)
-            d, moved = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, push])), phi @ moved
-        return d.c, d.G, np.abs(moved)
+            phi, constant, push, _ = clipped_map(law, Zonotope(d.c, np.hstack([d.G, np.diag(error)])), mu)
+            d, growth = Zonotope(phi @ d.c + constant, np.hstack([phi @ d.G, push])), phi @ growth
+        return d.c, d.G, np.abs(growth)
 
-    def impossible(self, held: Held) -> bool:
+    def impossible(self, modes: Held) -> bool:
         """Return True if it is proven that no flight keeps clear, as far as the steps are given."""
         self.programs += 1
         try:
-            flown = self.propagate(held)
-            if not all(part.size and np.all(np.isfinite(part)) for part in (flown[0], flown[2])):
+            flight = self.propagate(modes)
+            if not all(part.size and np.all(np.isfinite(part)) for part in (flight[0], flight[2])):
                 return False
-            asked = _Clear(self, *flown)
-            refuted = asked.impossible()
+            query = _Clear(self, *flight)
+            refuted = query.impossible()
         except (NotCertified, ReachError):  # no answer, or numbers beyond floating point
             return False
-        self.programs += asked.programs
+        self.programs += query.programs
         return refuted
 
-    def widened(self, held: Held) -> Held:
+    def widened(self, modes: Held) -> Held:
         """Return an impossible flight cut off as early, and with as long free windows, as it stays so."""
-        short, long = 0, len(held)
+        short, long = 0, len(modes)
         while long - short > 1:
             middle = (short + long) // 2
-            if self.impossible(held[:middle]):
+            if self.impossible(modes[:middle]):
                 long = middle
             else:
                 short = middle
-        held = held[:long]
-        free = np.flatnonzero(np.array(held) == FREE).tolist()
-        for edge, way in [(k, way) for k in free for way in (1, -1) if k + way not in free]:
+        modes = modes[:long]
+        free = np.flatnonzero(np.array(modes) == FREE).tolist()
+        for edge, sign in [(k, sign) for k in free for sign in (1, -1) if k + sign not in free]:
             for size in STRETCH:
-                a, b = max(min(edge, edge + way * size), 0), max(edge, edge + way * size) + 1
-                longer = (*held[:a], *(FREE,) * (b - a), *held[b:])[: len(held)]
-                if longer != held and self.impossible(longer):
-                    held, edge = longer, edge + way * size
-        return held
+                a, b = max(min(edge, edge + sign * size), 0), max(edge, edge + sign * size) + 1
+                longer = (*modes[:a], *(FREE,) * (b - a), *modes[b:])[: len(modes)]
+                if longer != modes and self.impossible(longer):
+                    modes, edge = longer, edge + sign * size
+        return modes
 
 
 class _Clear:
@@ -152,18 +152,18 @@ class _Clear:
         reach = size @ np.abs(flights.system.position).T
         self.unit, self.programs, self.never = float(reach.max()), 0, False
         self.ways: list[tuple[Array, Array]] = []
-        only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
+        forced = [(np.zeros((0, G.shape[2])), np.zeros(0))]
         for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
             a, b = np.einsum("fd,kdg->kfg", rows, G), offsets[: len(c)]
             tightening, largest = b - c @ rows.T, np.abs(a).sum(axis=2)
             tightening = tightening - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + largest)
-            can, open_ = largest >= tightening, np.all(-largest < tightening, axis=1)
-            self.never |= bool(np.any(~np.any(can, axis=1)))
-            one = open_ & (np.sum(can, axis=1) == 1)
-            only.append((a[one][can[one]] / self.unit, tightening[one][can[one]] / self.unit))
-            for k in np.flatnonzero(open_ & (np.sum(can, axis=1) > 1)):
-                self.ways.append((a[k, can[k]] / self.unit, tightening[k, can[k]] / self.unit))
-        self.only = tuple(np.concatenate(parts) for parts in zip(*only, strict=True))
+            possible, open_ = largest >= tightening, np.all(-largest < tightening, axis=1)
+            self.never |= bool(np.any(~np.any(possible, axis=1)))
+            one = open_ & (np.sum(possible, axis=1) == 1)
+            forced.append((a[one][possible[one]] / self.unit, tightening[one][possible[one]] / self.unit))
+            for k in np.flatnonzero(open_ & (np.sum(possible, axis=1) > 1)):
+                self.ways.append((a[k, possible[k]] / self.unit, tightening[k, possible[k]] / self.unit))
+        self.only = tuple(np.concatenate(parts) for parts in zip(*forced, strict=True))
         ones = np.ones(2 * G.shape[2])
         self.lp = GrowingLP(ones, 0 * ones, ones)
 
@@ -182,19 +182,19 @@ class _Clear:
         answer = self.lp.solve(np.inf)
         if answer is None:
             return self._certain()
-        g, known = np.subtract(*np.split(answer[1], 2)), self.lp.rows
+        g, count = np.subtract(*np.split(answer[1], 2)), self.lp.rows
         a, tightening = self.only
         short = tightening - a @ g > OPEN
         if np.any(short):
             self._state(a[short], tightening[short])
-            return self._back(self._refuted(), known)
-        lack = [float(np.min(tightening - a @ g)) for a, tightening in self.ways]
-        if max(lack, default=0.0) <= OPEN:
+            return self._back(self._refuted(), count)
+        shortfalls = [float(np.min(tightening - a @ g)) for a, tightening in self.ways]
+        if max(shortfalls, default=0.0) <= OPEN:
             return False
-        a, tightening = self.ways[int(np.argmax(lack))]
+        a, tightening = self.ways[int(np.argmax(shortfalls))]
         for f in np.argsort(tightening - a @ g):
             self._state(a[f : f + 1], tightening[f : f + 1])
-            if not self._back(self._refuted(), known):
+            if not self._back(self._refuted(), count):
                 return False
         return True
 

@@ -39,20 +39,20 @@ class Delay:
         late = self.seconds - (periods - 1) * h  # the last part of a period, which its measurement misses
         whole = late >= h * (1 - WHOLE)
         late = h if whole else late
-        over = expm(A * h)
+        period_map = expm(A * h)
         lines = []  # first state of each line, and the part of a period it remembers
         if not whole:
             loop = loop.split(h - late)
         for early in [False] if whole else [False, True]:
             ages, first = periods - early, loop.N
             for age in range(ages):
-                own = np.zeros((n, loop.N + n))
+                transition = np.zeros((n, loop.N + n))
                 if age:
-                    own[:, loop.N - n : loop.N] = over
-                loop = loop.with_states(own, known=-np.eye(n))
+                    transition[:, loop.N - n : loop.N] = period_map
+                loop = loop.with_states(transition, known=-np.eye(n))
                 if age == 0:
-                    kept = partial(_part, instant=h - late, early=early, n=n)
-                    loop = loop.entering(slice(first, first + n), kept)
+                    change = partial(_part, instant=h - late, early=early, n=n)
+                    loop = loop.entering(slice(first, first + n), change)
             lines.append((first, ages))
         shown = np.zeros((n, loop.N))
         first, ages = lines[0]

@@ -29,17 +29,17 @@ class Estimate:
     def from_system(cls, system: Craft, h: float) -> "Estimate | None":
         """Return the box of estimates as they are measured, or as a whole where the loop has no states."""
         timing, steps = system.timing, system.error_by_step
-        known = system if steps is None else system.with_estimate_error(np.min(steps, axis=0))
+        base = system if steps is None else system.with_estimate_error(np.min(steps, axis=0))
         if not remembers(system):
-            least = known.estimate_off(np.zeros(known.m))
-            if np.any(known.estimate_off(known.u_max) != least):
-                return cls(least, known.proportional_errors, known.unseen)
+            least = base.estimate_off(np.zeros(base.m))
+            if np.any(base.estimate_off(base.u_max) != least):
+                return cls(least, base.proportional_errors, base.unseen)
             return cls(least) if np.any(least) else None
-        if system.observer is not None or not np.any(known.navigation):
+        if system.observer is not None or not np.any(base.navigation):
             return None
         if timing.delay > 0:
             return cls(system.measured + state_offset(system, h))
-        return cls(np.maximum(known.navigation - system.carried_away, 0.0))
+        return cls(np.maximum(base.navigation - system.carried_away, 0.0))
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel of noise, carried over the delay, and one for each number of periods."""

@@ -33,13 +33,13 @@ class CarriedImpulse:
         loop = loop.with_states(np.zeros((m, first + m)), applied=np.eye(m) / h)
         sample = np.zeros((loop.N, m))
         sample[first:] = np.eye(m)
-        size, more = np.full(m, self.bit), np.full(m, self.bit * self.along)
+        size, error = np.full(m, self.bit), np.full(m, self.bit * self.along)
         carried = Channel("carried impulse", size, sample=sample, push=-np.eye(m) / h)
         if self.along == 0:
             return loop.with_channels(carried)
-        away = np.abs(B) @ more
-        loop = loop.with_channels(carried, Channel("carried impulse", more, rate=loop.A @ B))
-        return replace(loop, offset=loop.offset + away, offset_at_nodes=loop.offset_at_nodes + away)
+        offset = np.abs(B) @ error
+        loop = loop.with_channels(carried, Channel("carried impulse", error, rate=loop.A @ B))
+        return replace(loop, offset=loop.offset + offset, offset_at_nodes=loop.offset_at_nodes + offset)
 
 
 @dataclass(frozen=True, eq=False)

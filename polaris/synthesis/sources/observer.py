@@ -26,11 +26,11 @@ class Filter:
     @classmethod
     def from_system(cls, system: Craft, h: float) -> "Filter | None":
         """Return the observer where the loop remembers it."""
-        seen = system.observer
-        if seen is None or not remembers(system):
+        observer = system.observer
+        if observer is None or not remembers(system):
             return None
-        settled = system.measured if seen.settled is None else seen.settled
-        return cls(seen, state_offset(system, h), settled + system.carried_away)  # it sees states with that
+        error = system.measured if observer.settled is None else observer.settled
+        return cls(observer, state_offset(system, h), error + system.carried_away)  # it sees states with that
 
     def extend(self, loop: Loop) -> Loop:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""
@@ -38,8 +38,8 @@ class Filter:
         loop = loop.with_states(
             np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)]), known=loop.carry
         )
-        now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
-        loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ now[a, b])
+        shown_now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
+        loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ shown_now[a, b])
         sample = np.zeros((loop.N, len(measures)))
         sample[first : first + n] = self.observer.gain
         offset = loop.offset_measured

@@ -49,20 +49,20 @@ class OutageDifference:
 
 
 def outage_errors(
-    system: Craft, fault: Transient, h: float, left: Callable[[Array, list[OutageDifference]], Array]
+    system: Craft, fault: Transient, h: float, remainder: Callable[[Array, list[OutageDifference]], Array]
 ) -> Array:
     """Bound errors of predictions over a whole outage, and the rest of the first estimate error, (n,).
 
-    S steers the prediction, exactly as a loop without disturbance, in which `left` of some rows and sets
-    remains (`Tracking.left`). Periods may be missed before and after.
+    S steers the prediction, exactly as a loop without disturbance, in which `remainder` of some rows and sets
+    remains (`Tracking.difference_tightening`). Periods may be missed before and after.
     """
-    timing, every = system.timing, np.eye(system.n)
+    timing, eye = system.timing, np.eye(system.n)
     measured = system.measured + system.state_offset
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     error = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
-    return np.asarray((error + left(every, [OutageDifference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
+    return np.asarray((error + remainder(eye, [OutageDifference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
 
 
 def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
@@ -76,29 +76,29 @@ def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
     late, count, gains = timing.missed, limits.horizon, (observer.gain, *observer.after)
     measured, error = system.measured + system.state_offset, system.thrusters.error(system.u_max)
     expected = [prediction_error(system, measured, error, h * (j + 1)) for j in range(late + 1)]
-    seen = [np.abs(observer.measures) @ each for each in expected]
-    pairs = list(zip(gains, seen, strict=True))
+    innovations = [np.abs(observer.measures) @ each for each in expected]
+    pairs = list(zip(gains, innovations, strict=True))
     each = np.max([np.abs(L) @ np.maximum(y - observer.noise, 0.0) for L, y in pairs], axis=0)
-    apart, lost = 0 * each, touched(fault.lasts, h) + 2 * late
-    for _ in range(lost // (late + 1)):
-        apart = np.abs(expm(A * h * (late + 1))) @ apart + each
+    difference, missed = 0 * each, touched(fault.lasts, h) + 2 * late
+    for _ in range(missed // (late + 1)):
+        difference = np.abs(expm(A * h * (late + 1))) @ difference + each
     steps = [observer.rests[-1] @ expm(A * h * (j + 1)) for j in range(late + 1)]
-    first = np.max([np.abs(step) @ apart for step in steps], axis=0)
+    first = np.max([np.abs(step) @ difference for step in steps], axis=0)
     first = first + np.max([np.abs(L - gains[-1]) @ (y + observer.noise) for L, y in pairs], axis=0)
     settled = system.measured if observer.settled is None else observer.settled
-    left = ObserverErrors(system, observer, h).fading(first * (1 + ROUNDING), settled)
-    left = np.maximum.accumulate(left[::-1])[::-1]
+    decay = ObserverErrors(system, observer, h).fading(first * (1 + ROUNDING), settled)
+    decay = np.maximum.accumulate(decay[::-1])[::-1]
     ages = timing.delay + h * np.arange(late + 1)
     carried = np.max([np.abs(expm(A * age)) for age in ages.tolist()], axis=0)
-    known = np.vstack(
-        [np.tile(np.maximum(left[0], apart), (lost - late, 1)), left[:1].repeat(late, axis=0), left]
+    errors = np.vstack(
+        [np.tile(np.maximum(decay[0], difference), (missed - late, 1)), decay[:1].repeat(late, axis=0), decay]
     )
-    off = known[np.minimum(np.arange(count), len(known) - 1)] @ carried.T * (1 + ROUNDING)
-    every, channel = np.eye(system.n), Channel("outage", off[0], noise=np.eye(system.n))
-    response = limits.response(channel, every, every)
-    reached = response.at_nodes(off)[: count + 1].max(axis=0)
-    whole = np.linalg.solve(every - np.abs(limits.transitions[count]), reached)
-    return np.asarray((whole + response.between @ off[0] + off[0]) * (1 + ROUNDING))
+    deviations = errors[np.minimum(np.arange(count), len(errors) - 1)] @ carried.T * (1 + ROUNDING)
+    eye, channel = np.eye(system.n), Channel("outage", deviations[0], noise=np.eye(system.n))
+    response = limits.response(channel, eye, eye)
+    reached = response.at_nodes(deviations)[: count + 1].max(axis=0)
+    total = np.linalg.solve(eye - np.abs(limits.transitions[count]), reached)
+    return np.asarray((total + response.between @ deviations[0] + deviations[0]) * (1 + ROUNDING))
 
 
 def unmade(
@@ -115,9 +115,9 @@ def unmade(
     once, other = (
         np.hstack([rates_added(each.loop, sized), sampled_added(each, sized)]) for each in (closed, blind)
     )
-    for seen in closed.loop.channels:
-        if seen.name == MEASUREMENT and seen.constant is not None:
-            inexact = closed.sampled(seen) * np.maximum(2 * seen.constant - seen.size, 0.0)
+    for channel in closed.loop.channels:
+        if channel.name == MEASUREMENT and channel.constant is not None:
+            inexact = closed.sampled(channel) * np.maximum(2 * channel.constant - channel.size, 0.0)
             once, other = np.hstack([once, inexact]), np.hstack([other, 0 * inexact])
     first, second, difference = np.eye(closed.loop.N), np.eye(closed.loop.N), OutageDifference([], [])
     for _ in range(count):

@@ -25,5 +25,5 @@ def remembers(system: Craft) -> bool:
     """
     timing, filtered = system.timing, system.observer is not None
     by_phase = timing.delay > 0 and system.error_by_step is not None and not filtered
-    lost = any(not len(fault.thrust) for fault in system.transients) and not filtered
-    return not (timing.missed or by_phase or lost)
+    outage = any(not len(fault.thrust) for fault in system.transients) and not filtered
+    return not (timing.missed or by_phase or outage)

@@ -199,9 +199,9 @@ class AffineLaw:
         """Rows of the commands by node of a cell, (q+1, m, N), and their growth by each channel by then."""
         rows, growths = self.closed.K @ self.powers, []
         for channel in self.closed.loop.channels:
-            grown = np.cumsum(self.closed.gains(channel, rows[:-1]), axis=0)
-            grown = LESS * np.concatenate([0 * grown[:1], grown])
-            growths.append((channel, grown + self.closed.noise(channel)))
+            growth = np.cumsum(self.closed.gains(channel, rows[:-1]), axis=0)
+            growth = LESS * np.concatenate([0 * growth[:1], growth])
+            growths.append((channel, growth + self.closed.noise(channel)))
         return rows, growths
 
     def foreseen(self, d: Zonotope, k: int) -> Array:
@@ -213,10 +213,10 @@ class AffineLaw:
         size = np.abs(self.own.nu[k] - rows @ d.c) + np.abs(rows @ d.G).sum(axis=-1)
         level = LEVELS[0] * u_max
         while True:
-            asked = size + sum(grown @ self.sizes(channel, level) for channel, grown in growths)
-            if self.clips and np.any(asked > u_max):
+            demand = size + sum(growth @ self.sizes(channel, level) for channel, growth in growths)
+            if self.clips and np.any(demand > u_max):
                 return np.asarray(LEVELS[0] * u_max)
-            higher = raised(level, asked.max(axis=0), u_max)
+            higher = raised(level, demand.max(axis=0), u_max)
             if np.all(higher <= level):
                 return np.asarray(level)
             level = higher
@@ -238,19 +238,19 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
     Returned with the set are the slopes of the band, shape (m,): the set rests on them, and a certificate
     repeats.
     """
-    phi, known, push, slope = clipped_map(law, d, mu)
-    out = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, law.added_clipped, push]))
+    phi, constant, push, slope = clipped_map(law, d, mu)
+    out = Zonotope(phi @ d.c + constant, np.hstack([phi @ d.G, law.added_clipped, push]))
     return out.reduce(CLIPPED if law.system.ideal else 2 * CLIPPED), slope
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the map of `clipped_step` without the channels, ``phi d + known + push b``, and the slopes."""
+    """Return the map of `clipped_step` without channels, ``phi d + constant + push b``, and the slopes."""
     loop, K = law.closed.loop, law.closed.K
     slope, offset, radius = clip_band(law, d, mu)
-    known = loop.held @ (slope * mu + offset - mu)
+    constant = loop.held @ (slope * mu + offset - mu)
     phi = law.closed.open_transition - loop.held @ (slope[:, None] * K)
     push = loop.held * radius
-    return phi, known, push[:, radius > 0], slope
+    return phi, constant, push[:, radius > 0], slope
 
 
 def clip_band(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array]:

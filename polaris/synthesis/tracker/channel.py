@@ -62,9 +62,9 @@ def row_integral(rows: Array, A: Array, M: Array, h: float, part: tuple[float, f
     a, b = part
     last, length = discretize(A, M, h - b)[0], b - a
     first = discretize(A, M, length)[0] @ last  # from the start of the part to the end of the period
-    bent = np.abs(rows @ last @ A @ A) @ growth(A, length) @ np.abs(M)
+    curvature = np.abs(rows @ last @ A @ A) @ growth(A, length) @ np.abs(M)
     ends = norms(rows @ first @ M, ball) + norms(rows @ last @ M, ball)
-    return np.asarray(length / 2 * ends + length**3 / 12 * norms(bent, ball))
+    return np.asarray(length / 2 * ends + length**3 / 12 * norms(curvature, ball))
 
 
 def norms(gains: Array, ball: bool) -> Array:

@@ -119,13 +119,13 @@ def _envelope(tracking: Tracking, R: Array, inverse: Array, beta: float, into: f
             np.abs(R @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ tracking.W_inverse), 2
         )
         between = np.maximum(nodes[:-1], nodes[1:]) + flow.h**2 / 8 * curvature * into * decay[:-1]
-        best = float(np.max(between * np.exp(beta * flow.h * np.arange(1, count + 1))))
+        peak = float(np.max(between * np.exp(beta * flow.h * np.arange(1, count + 1))))
         # Beyond the last node the contraction takes over: its factor beats exp(-beta h).
         out = np.linalg.norm(R @ tracking.W_inverse, 2) + flow.h**2 / 8 * curvature
         tail = float(out * into * decay[-1] * np.exp(beta * flow.h * (count + 1)))
         # beta is at most 0.8 of the slowest rate, so the tail falls below the peak: a few doublings.
-        if tail <= best or count > 2000:
-            return max(best, tail)
+        if tail <= peak or count > 2000:
+            return max(peak, tail)
         count *= 2
 
 
@@ -145,5 +145,5 @@ def _gain(tracking: Tracking, R: Array) -> float:
     out = float(np.linalg.norm(R @ tracking.W_inverse, 2))
     tail = out * tracking.decay[-1] * tracking.period_gain / w_max / (1 - factor)
     within = np.linalg.norm(np.abs(R @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ tracking.W_inverse), 2)
-    booked = flow.h**2 / 8 * within * tracking.disturbance_radius / w_max
-    return float(period.sum() + period[0] + tail + booked)
+    intersample = flow.h**2 / 8 * within * tracking.disturbance_radius / w_max
+    return float(period.sum() + period[0] + tail + intersample)

@@ -33,9 +33,9 @@ def _intersample(law: AffineLaw, k: int, rate: Array) -> Array:
     """
     system, (h, growth) = law.system, (law.flow.h, law.flow.growth)
     push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
-    own = np.abs(law.offset[k][:-1] @ system.A.T + push)  # |zeta'|
-    path, own = rate @ growth.T @ np.abs(system.A).T, own @ growth.T @ np.abs(system.A).T
-    return np.asarray(h**2 / 8 * (path + own) + law.within_period)
+    zeta = np.abs(law.offset[k][:-1] @ system.A.T + push)  # |zeta'|
+    path, zeta = rate @ growth.T @ np.abs(system.A).T, zeta @ growth.T @ np.abs(system.A).T
+    return np.asarray(h**2 / 8 * (path + zeta) + law.within_period)
 
 
 def at_nodes(parts: Array) -> Array:

@@ -75,64 +75,64 @@ class Inputs:
         closed: ClosedLoop,
         craft: Craft,
         most: tuple[Array, Array],
-        off: Array,
-        moved: Array,
+        offset: Array,
+        shift: Array,
         bands: Array | None = None,
     ) -> "Inputs":
         """Return those of a loop.
 
         Commands are up to the first of `most` (m,), and up to the second in the periods that errors remember.
-        Estimates are off by some `off` (n,) besides, and rounding moves the error by `moved` (n,) in every
+        Estimates are off by some `offset` (n,) besides, and rounding moves the error by `shift` (n,) in every
         period. With `bands` (m,) commands are off by as much, input by input, instead of by estimate noise.
         """
         error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
         tops = np.minimum(most[0], craft.u_max)
-        loop, enter, own, group = closed.loop, list[Array](), list[Array](), list[int]()
-        rest = [moved + apart @ np.abs(craft.B) @ error for _, _, apart in loop.part_maps]
+        loop, enter, commands, group = closed.loop, list[Array](), list[Array](), list[int]()
+        boxes = [shift + deviation @ np.abs(craft.B) @ error for _, _, deviation in loop.part_maps]
 
         def add(columns: Array, answers: Array | None, ball: bool = False) -> None:
             first, count = len(set(group)), columns.shape[1]
             group.extend([first] * count if ball else range(first, first + count))
             enter.append(columns)
-            own.append(np.zeros((loop.m, count)) if answers is None else answers)
+            commands.append(np.zeros((loop.m, count)) if answers is None else answers)
 
-        every = *loop.channels, Channel("steps", off, noise=np.eye(loop.n))
-        channels = sorted((c for c in every if c.name != THRUSTERS), key=_place)
+        sources = *loop.channels, Channel("steps", offset, noise=np.eye(loop.n))
+        channels = sorted((c for c in sources if c.name != THRUSTERS), key=_place)
         sizes = [c.size if c.share is None else c.size + c.share(before if c.lag else tops) for c in channels]
         if bands is not None:
             add(loop.held * bands, np.diag(bands))
             channels = [replace(c, noise=None) for c in channels]
         for c, size in zip(channels, sizes, strict=True):
             if c.noise is not None or c.sample is not None or c.push is not None:
-                seen = None if c.noise is None else -closed.gain @ c.noise * size
-                add(closed.sampled(c) * size, seen, c.ball)
-        for (carried, mean, apart), box in zip(loop.part_maps, rest, strict=True):
+                noise = None if c.noise is None else -closed.gain @ c.noise * size
+                add(closed.sampled(c) * size, noise, c.ball)
+        for (carried, mean, deviation), box in zip(loop.part_maps, boxes, strict=True):
             for c, size in zip(channels, sizes, strict=True):
                 if c.rate is not None:
                     add(carried @ mean @ c.rate * size, None, c.ball)
                     along = np.linalg.norm(c.rate * size, axis=1) if c.ball else np.abs(c.rate) @ size
-                    box = box + apart @ along
+                    box = box + deviation @ along
             add(carried * box, None)
-        held = len(group)
+        start = len(group)
         for carried, mean, _ in (*loop.part_maps, *loop.part_maps):
             add(carried @ mean @ craft.B, None)
-        return cls(closed.F, closed.K, np.hstack(enter), np.hstack(own), np.array(group), held, craft)
+        return cls(closed.F, closed.K, np.hstack(enter), np.hstack(commands), np.array(group), start, craft)
 
     def about(self, loop: Loop, middle: Array) -> "Inputs":
         """Return the inputs of a loop that holds the matrix of its craft, commands having a middle (m,)."""
-        (m, N), held, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
-        turned = np.eye(m)[:, rows] * middle[columns]  # the matrix times the middle
-        applied = turned * (rows == columns) if self.craft.timing.carried_impulse else turned
-        late, number = carried_across(loop, self.craft), self.group[held - 1] + 1
-        enter = np.insert(self.enter, [held], late - self.F @ late, axis=1)
-        own, added = np.insert(self.own, [held], self.K @ late, axis=1), np.arange(late.shape[1])
+        (m, N), start, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
+        product = np.eye(m)[:, rows] * middle[columns]  # the matrix times the middle
+        applied = product * (rows == columns) if self.craft.timing.carried_impulse else product
+        carried, number = carried_across(loop, self.craft), self.group[start - 1] + 1
+        enter = np.insert(self.enter, [start], carried - self.F @ carried, axis=1)
+        commands, added = np.insert(self.own, [start], self.K @ carried, axis=1), np.arange(carried.shape[1])
         return Inputs(
-            np.block([[self.F, loop.made @ turned], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
-            np.block([[self.K, -applied], [self.K, 0 * turned]]),
+            np.block([[self.F, loop.made @ product], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
+            np.block([[self.K, -applied], [self.K, 0 * product]]),
             np.vstack([enter, np.zeros((len(rows), enter.shape[1]))]),
-            np.vstack([own, own]),
-            np.concatenate([self.group[:held], number + added, self.group[held:] + len(added)]),
-            held + len(added),
+            np.vstack([commands, commands]),
+            np.concatenate([self.group[:start], number + added, self.group[start:] + len(added)]),
+            start + len(added),
             self.craft,
             True,
         )
@@ -179,16 +179,16 @@ class Inputs:
         sine = np.linalg.solve(z * np.eye(len(self.F)) - self.F, self.enter + 0j * z)
         each = self.grouped(np.moveaxis(np.abs(-self.K @ sine + self.own), 2, 0))  # (groups, frequencies, m)
         number = self.group[self.held - 1] + 1
-        known, made = each[:number].sum(axis=0), each[number:]
+        base, errors = each[:number].sum(axis=0), each[number:]
         size, r = np.array([self.bits, self.bits]), self.craft.u_max
         for _ in range(SINES):
-            commanded = known + np.tensordot(np.repeat(size, len(made) // 2 // m, axis=0).ravel(), made, 1)
+            commanded = base + np.tensordot(np.repeat(size, len(errors) // 2 // m, axis=0).ravel(), errors, 1)
             r = np.maximum(commanded.max(axis=0), FLOOR * self.craft.u_max)
             size[1] = np.sqrt(self.squares @ r**2)
         b = np.einsum("ka,a->k", each[:, commanded.argmax(axis=0), np.arange(m)], self.spends)[self.group]
         b = np.maximum(b, FLOOR * b.max())
-        usual = np.maximum(size, STEADY * size.max(axis=0)) + FLOOR * r
-        b[self.held :] /= np.repeat(usual, len(made) // 2 // m, axis=0).ravel()
+        typical = np.maximum(size, STEADY * size.max(axis=0)) + FLOOR * r
+        b[self.held :] /= np.repeat(typical, len(errors) // 2 // m, axis=0).ravel()
         return r, b
 
     @cached_property
@@ -218,8 +218,8 @@ class Inputs:
         Storage or None
             None if the weights of values are too small, or the storage is too large.
         """
-        (steady, made), N = self.errors(b), len(self.F)
-        C = self.spends / r + made @ self.squares
+        (steady, growing), N = self.errors(b), len(self.F)
+        C = self.spends / r + growing @ self.squares
         X, Y = self.moves
         H = X.T @ after.P @ X + (Y.T * C) @ Y
         cost = self.spends @ r + b[self.first].sum() + steady @ self.bits**2
@@ -246,12 +246,12 @@ class Inputs:
                 earlier = self.before(Storage.from_matrix(P), r * LOOSER**attempt, b * scale)
                 if earlier is None:
                     break
-                grown = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + LEAST * earlier.P.max())
-                size = np.sqrt(np.diagonal(grown))
-                if np.all(np.abs(grown - P) <= SETTLED * np.outer(size, size)):
-                    rows = np.linalg.cholesky(grown).T
+                enlarged = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + LEAST * earlier.P.max())
+                size = np.sqrt(np.diagonal(enlarged))
+                if np.all(np.abs(enlarged - P) <= SETTLED * np.outer(size, size)):
+                    rows = np.linalg.cholesky(enlarged).T
                     return np.asarray(rows), earlier.cost * LOOSER  # a checker may need one more
-                P = grown
+                P = enlarged
         return None
 
 

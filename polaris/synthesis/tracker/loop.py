@@ -127,7 +127,7 @@ class Loop:
     def part_maps(self) -> tuple[tuple[Array, Array, Array], ...]:
         """Return for each part of the period how its additions enter (N, n), means of rates, and the rest.
 
-        A rate whose mean over the part is v and that is at most s adds ``mean v`` up to ``apart s``, (n, n).
+        A rate of mean v over the part, at most s, adds ``mean v`` up to ``deviation s``, (n, n).
         """
         maps = []
         for a, b, E in self.enter:
@@ -155,22 +155,22 @@ class Loop:
         """Return the loop with further channels."""
         return replace(self, channels=(*self.channels, *channels))
 
-    def with_states(self, own: Array, *, known: Array | None = None, applied: Array | None = None) -> "Loop":
+    def with_states(self, F_q: Array, *, known: Array | None = None, applied: Array | None = None) -> "Loop":
         """Return the loop with further states q.
 
         Parameters
         ----------
-        own : ndarray, shape (s, N + s)
+        F_q : ndarray, shape (s, N + s)
             Transition of q from the loop state and q.
         known : ndarray, shape (n, s), optional
             Map from q to the error that the law sees.
         applied : ndarray, shape (m, s), optional
             Map from q to the thrust.
         """
-        s = len(own)
-        free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), own])
+        s = len(F_q)
+        free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), F_q])
         extra = np.zeros((self.m, s)) if applied is None else applied
-        seen = np.zeros((self.n, s)) if known is None else known
+        perceived = np.zeros((self.n, s)) if known is None else known
 
         def padded(rows: Array) -> Array:
             return np.vstack([rows, np.zeros((s, rows.shape[1]))])
@@ -180,8 +180,8 @@ class Loop:
             free=free,
             held=padded(self.held),
             applied=np.hstack([self.applied, extra]),
-            known=np.hstack([self.known, seen]),
-            shown=np.hstack([self.shown, 0 * seen]),
+            known=np.hstack([self.known, perceived]),
+            shown=np.hstack([self.shown, 0 * perceived]),
             enter=tuple((a, b, padded(E)) for a, b, E in self.enter),
             channels=tuple(
                 c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
@@ -255,12 +255,12 @@ class ClosedLoop:
 
     def sampled(self, channel: Channel) -> Array:
         """Return the map from a channel's value, without its rate, to the next loop state, shape (N, k)."""
-        moved = np.zeros((self.loop.N, len(channel.size))) if channel.sample is None else channel.sample
+        effect = np.zeros((self.loop.N, len(channel.size))) if channel.sample is None else channel.sample
         if channel.noise is not None:
-            moved = moved - self.loop.held @ self.gain @ channel.noise
+            effect = effect - self.loop.held @ self.gain @ channel.noise
         if channel.push is not None:
-            moved = moved + self.loop.made @ channel.push
-        return np.asarray(moved)
+            effect = effect + self.loop.made @ channel.push
+        return np.asarray(effect)
 
     def gains(self, channel: Channel, rows: Array) -> Array:
         """Return the largest growth of rows in a period per unit of a channel's sizes.
@@ -286,10 +286,10 @@ class ClosedLoop:
 
     def held_map(self, channel: Channel) -> Array:
         """Return the map from a channel's value, constant in a period, to the next loop state, (N, k)."""
-        moved = self.sampled(channel)
+        effect = self.sampled(channel)
         if channel.rate is not None:
-            moved = moved + sum(carried @ mean for carried, mean, _ in self.loop.part_maps) @ channel.rate
-        return np.asarray(moved)
+            effect = effect + sum(carried @ mean for carried, mean, _ in self.loop.part_maps) @ channel.rate
+        return np.asarray(effect)
 
     def noise(self, channel: Channel) -> Array:
         """Size of a command's change per unit of a channel's value in its period, shape (m, k)."""

@@ -30,7 +30,7 @@ def rates_added(loop: Loop, channels: Sized) -> Array:
     mean of the values lies in their set, the rest is bounded (docs/theory.md, Proposition 9 (c)).
     """
     columns = [np.zeros((loop.N, 0))]
-    for carried, mean, apart in loop.part_maps:
+    for carried, mean, deviation in loop.part_maps:
         parts, rate = [], np.zeros(loop.n)
         for channel, size in channels:
             if channel.rate is not None and np.any(size):
@@ -38,7 +38,7 @@ def rates_added(loop: Loop, channels: Sized) -> Array:
                 parts.append(mean @ M @ spread(channel, size, M.shape[1]))
                 rate = rate + (np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size)
         if parts:
-            columns.append(carried @ np.hstack([*parts, np.diag(apart @ rate)]))
+            columns.append(carried @ np.hstack([*parts, np.diag(deviation @ rate)]))
     return np.hstack(columns)
 
 
@@ -46,8 +46,8 @@ def sampled_added(closed: ClosedLoop, channels: Sized) -> Array:
     """Return generators of the effect of values that hold for a period on the next loop state, (N, g)."""
     columns = [np.zeros((closed.loop.N, 0))]
     for channel, size in channels:
-        if np.any(size) and (moved := closed.sampled(channel)).any():
-            columns.append(moved @ spread(channel, size, moved.shape[1]))
+        if np.any(size) and (effect := closed.sampled(channel)).any():
+            columns.append(effect @ spread(channel, size, effect.shape[1]))
     return np.hstack(columns)
 
 

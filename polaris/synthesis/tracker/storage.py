@@ -110,10 +110,10 @@ def weights(steps: Sequence[LinearStep], start: Zonotope, clipped: bool = False)
     """
     worst = RelaxedFlight(steps, start).ascend()
     for number in range(1, FACTORS):
-        tried = [each * LOOSER**number for each in worst]
-        *_, first = storage(steps, tried)
+        raised = [each * LOOSER**number for each in worst]
+        *_, first = storage(steps, raised)
         if first is not None:
-            return [each * (CLIPPED if clipped else MARGIN) for each in tried]
+            return [each * (CLIPPED if clipped else MARGIN) for each in raised]
     return []
 
 
@@ -137,15 +137,15 @@ class RelaxedFlight:
 
     def ascend(self) -> list[Weights]:
         """Return the weights of the flight that spends most: sizes of its spending's gradients by values."""
-        spent, weights = -np.inf, list[Weights]()
+        previous, weights = -np.inf, list[Weights]()
         for _ in range(ASCENTS):
             commands = self.commands()
             sizes = [np.linalg.norm(u, axis=1) for u in commands]
             total = sum(float(p[1].spends @ size) for p, size in zip(self.periods, sizes, strict=True))
             weights = self._turn(commands, sizes)
-            if total <= spent * (1 + STILL):
+            if total <= previous * (1 + STILL):
                 break
-            spent = total
+            previous = total
         return weights
 
     def commands(self) -> list[Array]:
@@ -162,8 +162,8 @@ class RelaxedFlight:
     def _errors(inputs: Inputs, size: Array) -> Array:
         """Return the largest sizes of values (k,) under commands of some size (m,)."""
         parts = (len(inputs.group) - inputs.held) // (2 * inputs.craft.m)
-        grown = np.sqrt(inputs.squares @ size**2)
-        return np.concatenate([np.ones(inputs.held), np.tile(inputs.bits, parts), np.tile(grown, parts)])
+        growing = np.sqrt(inputs.squares @ size**2)
+        return np.concatenate([np.ones(inputs.held), np.tile(inputs.bits, parts), np.tile(growing, parts)])
 
     def _turn(self, commands: list[Array], sizes: list[Array]) -> list[Weights]:
         """Turn all values towards where the flight spends more, and return the weights that this gives."""
@@ -179,8 +179,8 @@ class RelaxedFlight:
             )  # those of none cost nothing
             entered = inputs.enter.T @ later
             shares = np.linalg.norm(entered[inputs.held :], axis=1) / errors[inputs.held :]
-            made = shares[len(shares) // 2 :].reshape(-1, m).sum(axis=0)
-            answer = (inputs.spends / size + made @ inputs.squares)[:, None] * commands[i]
+            growing = shares[len(shares) // 2 :].reshape(-1, m).sum(axis=0)
+            answer = (inputs.spends / size + growing @ inputs.squares)[:, None] * commands[i]
             products = entered + inputs.own.T @ answer
             groups = np.asarray(np.bincount(inputs.group, (products**2).sum(axis=1)), dtype=float)
             self.values[i] = products / np.maximum(np.sqrt(groups)[inputs.group][:, None], 1e-300)
@@ -193,8 +193,8 @@ class RelaxedFlight:
         limits = [FLOOR * np.resize(x.inputs[0].craft.u_max, x.middle.shape[1]) for x in self.steps]
         values = [np.sqrt(products / size) for _, products, size in each]
         least, inputs = LEAST * np.mean(values, axis=0) + 1e-300, self.steps[0].inputs[0]
-        known = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
-        least[known] = np.maximum(least[known], FLOOR * np.mean(values, axis=0)[known].max(initial=0.0))
+        fixed = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
+        least[fixed] = np.maximum(least[fixed], FLOOR * np.mean(values, axis=0)[fixed].max(initial=0.0))
         return [
             Weights(np.maximum(r, limit), np.maximum(b, least))
             for (r, *_), b, limit in zip(each, values, limits, strict=True)

@@ -48,11 +48,11 @@ class Tightening:
             stack = powers(F, count + 1)
             reached = np.abs(stack) @ self.scale
             v = reached.max(axis=0)
-            left = (np.abs(stack) @ v / v).max(axis=1)
-            below = np.flatnonzero(left[:-1] <= LEFT_OVER)
+            remaining = (np.abs(stack) @ v / v).max(axis=1)
+            below = np.flatnonzero(remaining[:-1] <= LEFT_OVER)
             if len(below):
                 N = int(below[0])
-                return stack[: N + 2], v, float(left[N]) * (1 + ROUNDING)
+                return stack[: N + 2], v, float(remaining[N]) * (1 + ROUNDING)
             if count > LONGEST:
                 rule = f"must let errors decay within {LONGEST} periods"
                 raise ScenarioError("feedback.period_s", self.closed.loop.h, rule)
@@ -189,12 +189,12 @@ class Tightening:
         """
         K, P = self.carried(self.closed.K), np.zeros(self.closed.loop.m)
         for _ in range(rounds):
-            more = self._from_rest(K, P)[-1] + self.noise(P)
-            if np.all(more <= P):
+            needed = self._from_rest(K, P)[-1] + self.noise(P)
+            if np.all(needed <= P):
                 return P
-            if np.any(more > 1e6 * self.u_max):
+            if np.any(needed > 1e6 * self.u_max):
                 break
-            P = more * (1 + 1e-6)
+            P = needed * (1 + 1e-6)
         raise ScenarioError("thrusters", P.tolist(), "must be smaller: they amplify themselves")
 
     def between(self, rows: Array, bound: Array | None = None) -> tuple[Array, Array]:
@@ -217,8 +217,8 @@ class Tightening:
         """
         loop, rates = self.closed.loop, self.closed.rates
         curvature = self.curvature(rows)
-        moved, fixed = self.carried(rates), np.zeros(len(rows))
-        rate = self._from_rest(moved, bound).max(axis=0)
+        carried, fixed = self.carried(rates), np.zeros(len(rows))
+        rate = self._from_rest(carried, bound).max(axis=0)
         for channel in loop.channels:
             sizes, push = self.largest(channel, bound), self.closed.pushed(channel)
             if push is not None:
@@ -227,7 +227,7 @@ class Tightening:
             if channel.rate is not None:  # an addition within the period leaves its own chord
                 gains = curvature @ np.abs(channel.rate)
                 fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
-        per_size = np.abs(moved) @ self.v @ curvature.T
+        per_size = np.abs(carried) @ self.v @ curvature.T
         return (fixed + curvature @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
 
     def curvature(self, rows: Array) -> Array:

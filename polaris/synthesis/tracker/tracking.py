@@ -99,18 +99,18 @@ class Tracking(Contraction):
     @cached_property
     def remembered(self) -> Array:
         """Bounds on the loop states beside the tracking error, after any law, shape (N - n,)."""
-        n, seen = self.system.n, self.system.observer
-        bounds = np.array(self.tightening.from_rest(np.eye(self.loop.N)[n:], self.system.u_max)[-1])
-        if seen is not None and self.loop.settled is not None:  # no source after the observer adds states
-            bounds[-n:] = self.loop.settled + (0.0 if seen.fading is None else seen.fading.max(axis=0))
-        return bounds
+        n, observer = self.system.n, self.system.observer
+        sizes = np.array(self.tightening.from_rest(np.eye(self.loop.N)[n:], self.system.u_max)[-1])
+        if observer is not None and self.loop.settled is not None:  # no source after the observer adds states
+            sizes[-n:] = self.loop.settled + (0.0 if observer.fading is None else observer.fading.max(axis=0))
+        return sizes
 
     @cached_property
     def at_start(self) -> Array:
         """Bounds on the same at the start of a flight, where the first estimate is known, shape (N - n,)."""
-        seen, bounds = self.system.observer, self.remembered.copy()
-        if seen is not None and self.loop.settled is not None and seen.initial is not None:
-            bounds[-self.system.n :] = seen.initial + self.system.carried_away  # it sees states with that
+        observer, bounds = self.system.observer, self.remembered.copy()
+        if observer is not None and self.loop.settled is not None and observer.initial is not None:
+            bounds[-self.system.n :] = observer.initial + self.system.carried_away  # it sees states with that
         return bounds
 
     @property
@@ -121,8 +121,8 @@ class Tracking(Contraction):
         """
         system = self.system
         along = system.thrusters.along * system.timing.carried_impulse * np.abs(system.B).sum(axis=1)
-        away = (system.carried_away + along) * (1 + ROUNDING)
-        return np.asarray(away if remembers(system) else 0 * away)
+        offset = (system.carried_away + along) * (1 + ROUNDING)
+        return np.asarray(offset if remembers(system) else 0 * offset)
 
     @property
     def left_out(self) -> Array:
@@ -144,8 +144,8 @@ class Tracking(Contraction):
         n, N = self.system.n, self.loop.N
         if sets.dim == N:
             return sets
-        known = (self.state_offset, self.remembered) if others is None else (0 * self.state_offset, others)
-        box = np.concatenate(known)
+        bounds = (self.state_offset, self.remembered) if others is None else (0 * self.state_offset, others)
+        box = np.concatenate(bounds)
         batch, g = sets.batch, sets.G.shape[-1]
         c, G = np.zeros((*batch, N)), np.zeros((*batch, N, g + N))
         c[..., :n], G[..., :n, :g], G[..., np.arange(N), g + np.arange(N)] = sets.c, sets.G, box
@@ -168,11 +168,11 @@ class Tracking(Contraction):
             self.system.u_max,
             np.linalg.norm(self.gain @ self.transitions @ self.W_inverse, axis=-1),
         )
-        left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
+        tail = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
-        handed = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
+        others = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
         return feedback_bound(
-            norms, self.level * u_max, left, u_max, lambda P: self._tightenings(rows, P) + handed + self.noise
+            norms, self.level * u_max, tail, u_max, lambda P: self._tightenings(rows, P) + others + self.noise
         )
 
     @property
@@ -208,9 +208,9 @@ class Tracking(Contraction):
 
     def _unmade(self, count: int) -> OutageDifference:
         """Return the difference that up to so many updates in a row make which the observer does not make."""
-        system, seen = self.system, self.system.observer
-        assert seen is not None
-        blind = craft_loop(replace(system, observer=replace(seen, gain=0 * seen.gain)), self.flow.h)
+        system, observer = self.system, self.system.observer
+        assert observer is not None
+        blind = craft_loop(replace(system, observer=replace(observer, gain=0 * observer.gain)), self.flow.h)
         return unmade(self.tightening.closed, blind.close(self.gain), system.u_max, self.remembered, count)
 
     def difference_tightening(self, rows: Array, sets: Sequence[OutageDifference]) -> Array:
@@ -276,10 +276,10 @@ class Tracking(Contraction):
         older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(
             self._since(self.feedback_bound)
         )
-        handed = limits.remainder(rows) * np.max(
+        remainder = limits.remainder(rows) * np.max(
             np.concatenate([self.state_offset, self.remembered]) / limits.v
         )
-        return np.asarray(limits.from_rest(rows, last)[-2] + older + handed)
+        return np.asarray(limits.from_rest(rows, last)[-2] + older + remainder)
 
     @property
     def long(self) -> int:

@@ -32,8 +32,8 @@ def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) 
     from .pairs import contains
 
     answers = [contains(part, inner, method, most) for part in outer.parts]
-    for wanted in (False, None):
-        decisive = [answer for answer in answers if answer.holds is wanted]
+    for verdict in (False, None):
+        decisive = [answer for answer in answers if answer.holds is verdict]
         if decisive:
             return decisive[0]
     return min(answers, key=lambda answer: answer.margin)
@@ -55,22 +55,22 @@ def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answe
         return Answer(False, -np.inf, _beyond(inner, np.eye(n)[0], 0.0))
     if not np.all(np.isfinite(inner.extent)):
         return Answer(None, -np.inf, reason=UNBOUNDED)
-    reach = inner.extent * (1 + gamma(n)) + np.abs(v)
+    extent = inner.extent * (1 + gamma(n)) + np.abs(v)
     F = np.abs(np.eye(n) - W @ M) + gamma(n) * (np.abs(W) @ np.abs(M) + np.eye(n))
-    size = np.abs(W) @ reach * (1 + gamma(n))
+    size = np.abs(W) @ extent * (1 + gamma(n))
     size = np.maximum(size, 1e-9 * size.max(initial=0.0)) + np.finfo(float).tiny
-    turn = float(np.max(F @ size / size))
-    if not turn < 0.5:
+    factor = float(np.max(F @ size / size))
+    if not factor < 0.5:
         return Answer(None, -np.inf, reason="the map is too ill-conditioned to be drawn back through")
-    booked = (F @ size / (1 - turn) + gamma(2 * n) * np.abs(W) @ reach) * (1 + gamma(n))
+    allowance = (F @ size / (1 - factor) + gamma(2 * n) * np.abs(W) @ extent) * (1 + gamma(n))
     back = W @ (inner + (-v)) if isinstance(inner, Zonotope | Ellipsoid) else AffineImage(W, inner, -(W @ v))
-    proved = contains(outer.base, back + Interval(-booked, booked), method, most)
+    proved = contains(outer.base, back + Interval(-allowance, allowance), method, most)
     if proved:
         return proved
     answer = contains(outer.base, back, method, most)
     if answer.holds is False and answer.direction is not None:
         d, base = answer.direction, outer.base
-        excess = float(back.support_down(d)) - float(base.support_up(d)) - float(weighed(d, booked))
+        excess = float(back.support_down(d)) - float(base.support_up(d)) - float(weighed(d, allowance))
         if excess > 0:
             return Answer(False, answer.margin, inner.support_vector(d @ W), d @ W)
     return Answer(None, answer.margin if answer.holds is None else 0.0, reason=answer.reason or TOUCHING)
@@ -79,12 +79,12 @@ def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answe
 def in_polytope(outer: HPolytope, inner: Any, method: Method, most: int) -> Answer:
     """Every row against the support of the inner set."""
 
-    def settle(left: NDArray[np.intp]) -> list[bool | None]:
+    def settle(indices: NDArray[np.intp]) -> list[bool | None]:
         if isinstance(inner, HPolytope):
-            return [True if inner.bases.proves(outer.A[i], outer.b[i]) else None for i in left]
+            return [True if inner.bases.proves(outer.A[i], outer.b[i]) else None for i in indices]
         if not isinstance(inner, Zonotope | Interval):
             return [None]
-        rows, offsets = integers(outer.A[left], outer.b[left])
+        rows, offsets = integers(outer.A[indices], outer.b[indices])
         (c, G), unit = _doubled(inner)
         return list(rows @ c + np.abs(rows @ G).sum(axis=1) <= 2 * unit * offsets)
 
@@ -96,39 +96,39 @@ def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
     whole = np.hstack([normals, -normals]).T
     rows = floats(whole.T).T
     # The rows are the exact normals to one rounding, included for both sets.
-    turned = gamma(1) * np.abs(rows) @ (outer.extent + inner.extent)
+    allowance = gamma(1) * np.abs(rows) @ (outer.extent + inner.extent)
 
-    def settle(left: NDArray[np.intp]) -> list[bool | None]:
+    def settle(indices: NDArray[np.intp]) -> list[bool | None]:
         if not isinstance(inner, Zonotope | Interval):
             return [None]
         sets = _doubled(inner, outer)[0], _doubled(outer, inner)[0]
-        reach = [whole[left] @ c + np.abs(whole[left] @ G).sum(axis=1) for c, G in sets]
-        return list(reach[0] <= reach[1])
+        supports = [whole[indices] @ c + np.abs(whole[indices] @ G).sum(axis=1) for c, G in sets]
+        return list(supports[0] <= supports[1])
 
     radius = np.maximum(np.abs(rows @ outer.G).sum(axis=1), FLAT * np.abs(rows) @ outer.extent)
     units = np.where(radius > 0, radius, 1.0)
-    return _by_rows(rows, outer.support_down(rows) - turned, outer.support_up(rows), units, inner, settle)
+    return _by_rows(rows, outer.support_down(rows) - allowance, outer.support_up(rows), units, inner, settle)
 
 
 def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any, settle: Settle) -> Answer:
     """Decide ``rows . x <= offsets``, in [least, largest], over the inner set; near ones by `settle`."""
-    room = (least - inner.support_up(rows)) / units
-    margin = float(room.min(initial=np.inf))
+    margins = (least - inner.support_up(rows)) / units
+    margin = float(margins.min(initial=np.inf))
     if margin >= 0:
         return Answer(True, margin)
-    left = np.flatnonzero(room < 0)
-    excess = (inner.support_down(rows[left]) - largest[left]) / units[left]
+    undecided = np.flatnonzero(margins < 0)
+    excess = (inner.support_down(rows[undecided]) - largest[undecided]) / units[undecided]
     if excess.max() > 0:
-        worst = left[np.argmax(excess)]
+        worst = undecided[np.argmax(excess)]
         point = _beyond(inner, rows[worst], largest[worst])
-        booked = gamma(len(point)) * (np.abs(rows[worst]) @ np.abs(point) + abs(largest[worst]))
-        if not rows[worst] @ point - largest[worst] > booked:
+        allowance = gamma(len(point)) * (np.abs(rows[worst]) @ np.abs(point) + abs(largest[worst]))
+        if not rows[worst] @ point - largest[worst] > allowance:
             return Answer(None, margin, reason=TOUCHING)
         return Answer(False, margin, point, rows[worst])
-    for i, held in zip(left, settle(left), strict=False):
-        if held is None:
+    for i, inside in zip(undecided, settle(undecided), strict=False):
+        if inside is None:
             return Answer(None, margin, reason=TOUCHING if np.isfinite(margin) else UNBOUNDED)
-        if not held:
+        if not inside:
             return Answer(False, margin, inner.support_vector(rows[i]), rows[i])
     return Answer(True, 0.0)
 
@@ -138,11 +138,11 @@ def _beyond(inner: Any, row: Array, offset: float) -> Array:
     if getattr(inner, "is_bounded", True):
         return np.asarray(inner.support_vector(row))
     if isinstance(inner, AffineImage):
-        back = _beyond(inner.base, np.asarray(row @ inner.M), offset - float(np.dot(row, inner.v)))
-        return np.asarray(inner.M @ back + inner.v)
+        preimage = _beyond(inner.base, np.asarray(row @ inner.M), offset - float(np.dot(row, inner.v)))
+        return np.asarray(inner.M @ preimage + inner.v)
     if isinstance(inner, MinkowskiSum):
-        known = sum(-float(part.support(-row)) for part in inner.parts if np.isfinite(part.support(-row)))
-        return np.asarray(sum(_beyond(part, row, offset - min(known, 0.0)) for part in inner.parts))
+        subtotal = sum(-float(part.support(-row)) for part in inner.parts if np.isfinite(part.support(-row)))
+        return np.asarray(sum(_beyond(part, row, offset - min(subtotal, 0.0)) for part in inner.parts))
     nearest = max(offset, -float(inner.support(-row)))
     inner = inner.intersect_halfspace(row, nearest + max(1.0, abs(nearest)))
     return np.asarray(inner.support_vector(row))
@@ -165,22 +165,22 @@ def in_ellipsoid(outer: Ellipsoid, inner: Any, method: Method, most: int) -> Ans
     W = np.linalg.inv(outer.L)
     # W (x - c) = u - F u for x = c + L u, so norm(u) <= norm(W (x - c)) / (1 - norm(F)).
     F = np.abs(np.eye(n) - W @ outer.L) + gamma(n) * np.abs(W) @ np.abs(outer.L)
-    moved = inner + (-outer.c)
-    image = W @ moved
-    booked = gamma(2 * n) * float(np.linalg.norm(np.abs(W) @ (inner.extent + np.abs(outer.c))))
-    turn = float(np.linalg.norm(F))
+    centred = inner + (-outer.c)
+    image = W @ centred
+    allowance = gamma(2 * n) * float(np.linalg.norm(np.abs(W) @ (inner.extent + np.abs(outer.c))))
+    defect = float(np.linalg.norm(F))
     if method == "sufficient" and isinstance(image, Zonotope):
         upper = float(image.norm_bound(np.eye(n)))
         bracket = None
     else:
         bracket = largest_norm(image, most, 1.0)
         upper = bracket.upper
-    upper = (upper + booked) / (1 - turn)
+    upper = (upper + allowance) / (1 - defect)
     if upper <= 1:
         return Answer(True, 1 - upper)
     if bracket is None:
         return Answer(None, 1 - upper, reason="the norm bound of the inner set exceeds one")
-    if (bracket.lower - booked) / (1 + turn) > 1:
+    if (bracket.lower - allowance) / (1 + defect) > 1:
         direction = W.T @ bracket.point
         return Answer(False, 1 - bracket.lower, np.asarray(inner.support_vector(direction)), direction)
     if method == "exact" and bracket.upper - bracket.lower > 1e-6:
@@ -238,20 +238,20 @@ def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:
         return np.inf
     if q == 0:
         return 0.0
-    once = sparse.kron(sparse.eye(q), G)
-    equal = sparse.hstack([once, -once, np.zeros((n * q, 1))])
+    blocks = sparse.kron(sparse.eye(q), G)
+    equalities = sparse.hstack([blocks, -blocks, np.zeros((n * q, 1))])
     sums = sparse.kron(np.ones((1, 2 * q)), sparse.eye(p))
     solved = linprog(
         np.r_[np.zeros(2 * p * q), 1.0],
         sparse.hstack([sums, -np.ones((p, 1))]).tocsr(),
         np.zeros(p),
-        equal.tocsr(),
+        equalities.tocsr(),
         target.T.ravel(),
         bounds=(0, None),
     )
     if solved.status != 0:
         return np.inf
     Gamma = (solved.x[: p * q] - solved.x[p * q : -1]).reshape(q, p).T
-    left = np.abs(target - G @ Gamma) + gamma(p) * (np.abs(target) + np.abs(G) @ np.abs(Gamma))
-    repair = np.abs(R).sum(axis=1) * left.max(axis=0).sum() / (1 - loss)
+    residual = np.abs(target - G @ Gamma) + gamma(p) * (np.abs(target) + np.abs(G) @ np.abs(Gamma))
+    repair = np.abs(R).sum(axis=1) * residual.max(axis=0).sum() / (1 - loss)
     return float((np.abs(Gamma).sum(axis=1) + repair).max() * (1 + gamma(q)))

@@ -81,9 +81,9 @@ def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
         if combination is None:
             break  # what is known so far stays true
         corral, pairs, weights = np.vstack([corral, furthest]), [*pairs, pair], combination
-        kept = weights > 0
-        corral, weights = corral[kept], weights[kept]
-        pairs = [pair for pair, use in zip(pairs, kept, strict=True) if use]
+        positive = weights > 0
+        corral, weights = corral[positive], weights[positive]
+        pairs = [pair for pair, use in zip(pairs, positive, strict=True) if use]
     x, y = np.tensordot(weights, np.array(pairs), axes=1)
     z = weights @ corral
     return Nearest(x, y, float(np.linalg.norm(z)), least, -z / scale)

@@ -69,8 +69,8 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
     for kind, answer in CONTAINS.items():
         if isinstance(outer, kind):
             return answer(outer, inner, method, limit)
-    given = type(outer).__name__
-    raise ReachError(f"containment in a {given} is not supported; enclose or convert it first")
+    type_name = type(outer).__name__
+    raise ReachError(f"containment in a {type_name} is not supported; enclose or convert it first")
 
 
 @checked

@@ -30,35 +30,35 @@ def separate(X: Any, Y: Any) -> Answer:
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
         return _by_program(X, Y, first, second, units)
-    for P, other, way in ((X, Y, 1.0), (Y, X, -1.0)):
+    for P, other, sign in ((X, Y, 1.0), (Y, X, -1.0)):
         if isinstance(P, HPolytope) and not P.is_bounded and getattr(other, "is_bounded", True):
             box = other.interval_hull()
             answer, within = separate(P, box), P & box
             answer = answer if answer or within.is_empty else separate(within, other)
-            return answer if answer.direction is None else replace(answer, direction=way * answer.direction)
+            return answer if answer.direction is None else replace(answer, direction=sign * answer.direction)
     if not all(getattr(one, "is_bounded", True) for one in (X, Y)):
         return Answer(None, 0.0, reason=UNBOUNDED)
     near = nearest(X, Y, units)
-    room = -float(X.support_up(near.direction) + Y.support_up(-near.direction))
-    return _answer(X, Y, near.direction, room, near.x, near.y, units)
+    gap = -float(X.support_up(near.direction) + Y.support_up(-near.direction))
+    return _answer(X, Y, near.direction, gap, near.x, near.y, units)
 
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
     """Return centre and sizes of the frame for polytopes, and the units of a distance of the two sets."""
-    known = [one.interval_hull() for one in (X, Y) if getattr(one, "is_bounded", True)]
-    if not known:
+    hulls = [one.interval_hull() for one in (X, Y) if getattr(one, "is_bounded", True)]
+    if not hulls:
         sizes = np.maximum(_own_frame(X)[1], _own_frame(Y)[1])
         return np.zeros(X.dim), sizes, sizes
-    half = unit_sizes(np.max([hull.half_widths for hull in known], axis=0))
-    lo, hi = np.min([hull.lo for hull in known], axis=0), np.max([hull.hi for hull in known], axis=0)
+    half = unit_sizes(np.max([hull.half_widths for hull in hulls], axis=0))
+    lo, hi = np.min([hull.lo for hull in hulls], axis=0), np.max([hull.hi for hull in hulls], axis=0)
     return (lo + hi) / 2, unit_sizes((hi - lo) / 2), half
 
 
-def _answer(X: Any, Y: Any, direction: Array, room: float, x: Array, y: Array, units: Array) -> Answer:
+def _answer(X: Any, Y: Any, direction: Array, gap: float, x: Array, y: Array, units: Array) -> Answer:
     """Return "disjoint" if the direction proves it, a common point if x and y are close and stand."""
     length = float(np.linalg.norm(direction))
-    if length > 0 and room > 0:
-        return Answer(True, room / length, direction=direction)
+    if length > 0 and gap > 0:
+        return Answer(True, gap / length, direction=direction)
     # Points far from the origin are known to the rounding of their coordinates only.
     grain = units + gamma(X.dim) / COMMON * (np.abs(x) + np.abs(y))
     if np.all(np.isfinite(x) & np.isfinite(y)) and np.all(np.abs(x - y) <= 4 * COMMON * grain):
@@ -91,19 +91,19 @@ def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> 
     optimum = maximise(np.r_[np.zeros(gaps.shape[1]), -np.ones(n)], A, b)
     if not np.isfinite(optimum.value):
         return Answer(None, 0.0, reason="the linear program has no finite answer")
-    over, under, mine, theirs = np.split(optimum.multipliers, np.cumsum([n, n, len(first.A)]))
+    over, under, duals_x, duals_y = np.split(optimum.multipliers, np.cumsum([n, n, len(first.A)]))
     direction = (under - over) / units
     if isinstance(X, HPolytope):
-        direction = mine @ X.A
+        direction = duals_x @ X.A
     elif isinstance(Y, HPolytope):
-        direction = -theirs @ Y.A
-    if isinstance(X, HPolytope) and isinstance(Y, HPolytope) and _cancel(X & Y, np.r_[mine, theirs]):
-        gap, length = -(mine @ X.b + theirs @ Y.b), np.linalg.norm(direction)
+        direction = -duals_y @ Y.A
+    if isinstance(X, HPolytope) and isinstance(Y, HPolytope) and _cancel(X & Y, np.r_[duals_x, duals_y]):
+        gap, length = -(duals_x @ X.b + duals_y @ Y.b), np.linalg.norm(direction)
         margin = max(float(gap) * (1 - 1e-9) / float(length), 0.0) if length > 0 else 0.0
         return Answer(True, margin, direction=direction)
     # Only points of both sets need be refuted, so a polytope may borrow the other set's bounds.
     common = np.minimum(X.extent, Y.extent)
-    top = _top(X, direction, mine, common) + _top(Y, -direction, theirs, common)
+    top = _top(X, direction, duals_x, common) + _top(Y, -direction, duals_y, common)
     z, w = np.split(optimum.point[: gaps.shape[1]], [first.G.shape[1]])
     stands = all(
         np.all(one.A @ at - one.b <= 8 * COMMON * np.abs(one.A).sum(axis=1))
@@ -151,9 +151,9 @@ def lifted(X: Any, middle: Array, size: Array) -> Lifted | None:
         return base and Lifted(X.M @ base.c + X.v, X.M @ base.G, base.A, base.b)
     if isinstance(X, MinkowskiSum | Intersection):
         parts = [lifted(part, *_own_frame(part)) for part in X.parts]
-        known = [part for part in parts if part is not None]
-        if len(known) == len(parts):
-            return _summed(known) if isinstance(X, MinkowskiSum) else _shared(known)
+        lifts = [part for part in parts if part is not None]
+        if len(lifts) == len(parts):
+            return _summed(lifts) if isinstance(X, MinkowskiSum) else _shared(lifts)
     return None
 
 
@@ -177,14 +177,14 @@ def _summed(parts: list[Lifted]) -> Lifted:
 def _shared(parts: list[Lifted]) -> Lifted:
     """Points of the first set that are points of all others, each equation as two rows."""
     first, A = parts[0], block_diag(*(part.A for part in parts))
-    rows, offsets, at = [A], [part.b for part in parts], first.G.shape[1]
+    rows, offsets, column = [A], [part.b for part in parts], first.G.shape[1]
     for part in parts[1:]:
-        same = np.zeros((len(first.c), A.shape[1]))
-        same[:, : first.G.shape[1]] = first.G
-        same[:, at : at + part.G.shape[1]] = -part.G
-        at += part.G.shape[1]
-        live = same.any(axis=1)
-        rows += [same[live], -same[live]]
+        equations = np.zeros((len(first.c), A.shape[1]))
+        equations[:, : first.G.shape[1]] = first.G
+        equations[:, column : column + part.G.shape[1]] = -part.G
+        column += part.G.shape[1]
+        live = equations.any(axis=1)
+        rows += [equations[live], -equations[live]]
         offsets += [(part.c - first.c)[live], (first.c - part.c)[live]]
     G = np.zeros((len(first.c), A.shape[1]))
     G[:, : first.G.shape[1]] = first.G

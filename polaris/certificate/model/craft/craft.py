@@ -54,8 +54,8 @@ class Craft:
 
     def last(self, duration: arb) -> Craft:
         """Return the loop with additions in the last seconds of a period alone."""
-        since = (self.plant.h - duration).lower()
-        parts = [(since if since > a else a, b, enters) for a, b, enters in self.parts if not b <= since]
+        begin = (self.plant.h - duration).lower()
+        parts = [(begin if begin > a else a, b, enters) for a, b, enters in self.parts if not b <= begin]
         return replace(self, parts=parts, _along={})
 
     @property
@@ -105,24 +105,24 @@ class Craft:
         """Return for how many periods at most commands add to errors of estimates; 0 if they do not."""
         return max((periods for periods, _ in self.plant.unseen), default=0)
 
-    def lagged(self, most: Sequence[arb]) -> list[arb]:
+    def lagged(self, commands: Sequence[arb]) -> list[arb]:
         """Bounds on errors of estimates by commands up to some sizes, (n)."""
-        return self.lagged_since(lambda periods: most)
+        return self.lagged_since(lambda periods: commands)
 
-    def lagged_since(self, most: Callable[[int], Sequence[arb]]) -> list[arb]:
+    def lagged_since(self, commands: Callable[[int], Sequence[arb]]) -> list[arb]:
         """Bounds on errors of estimates by commands, given the largest of so many periods before, (n)."""
         errors = [arb(0)] * self.gain.ncols()
-        for periods, added in self.plant.unseen:
-            errors = sums(errors, (added * column(self.plant.thruster_part(most(periods)))).entries())
+        for periods, gain in self.plant.unseen:
+            errors = sums(errors, (gain * column(self.plant.thruster_part(commands(periods)))).entries())
         return errors
 
     def extra(self, document: Document, k: int) -> list[arb]:
         """Bounds on the excess of estimate errors in a step over those in the loop, shape (n)."""
         if self.base is None or not document.error_by_step:
             return [arb(0)] * self.gain.ncols()
-        known = zip(document.known_to(k), self.base, strict=True)
-        more = ((x * arb(1 + ROUNDED) - y).upper() for x, y in known)
-        return [x if x > 0 else arb(0) for x in more]
+        pairs = zip(document.known_to(k), self.base, strict=True)
+        excess = ((x * arb(1 + ROUNDED) - y).upper() for x, y in pairs)
+        return [x if x > 0 else arb(0) for x in excess]
 
     def whole(self, rows: arb_mat) -> arb_mat:
         """Rows of the error as rows of the loop state."""
@@ -136,8 +136,8 @@ class Craft:
 
     def start(self, z: Zonotope) -> Zonotope:
         """Loop states at the start of a flight, from its errors."""
-        rest = arb_mat(self.plant.A.nrows(), len(self.box))
-        return Zonotope(self.lifted(z.c), beside(self.lifted(z.G), above(rest, diagonal(self.box))))
+        zeros = arb_mat(self.plant.A.nrows(), len(self.box))
+        return Zonotope(self.lifted(z.c), beside(self.lifted(z.G), above(zeros, diagonal(self.box))))
 
     @cached_property
     def spans(self) -> list[tuple[arb_mat, Motion]]:
@@ -160,8 +160,8 @@ class Craft:
         """Intersample bounds along rows of the error, and these as rows of the loop state; made once."""
         if rows not in self._along:
             sampled = [InputSet.in_box(self.plant.B * each.push, each.size) for each in self.samples]
-            along = RowIntersample(self.motion, rows.M, [*self.steady, *sampled])
-            self._along[rows] = along, Directions(self.whole(rows.M))
+            bounds = RowIntersample(self.motion, rows.M, [*self.steady, *sampled])
+            self._along[rows] = bounds, Directions(self.whole(rows.M))
         return self._along[rows]
 
     @cached_property
@@ -209,10 +209,10 @@ class Craft:
         Of mean zero and a root mean square of one it moves the plant by at most ``(h^2/2) |A| E |B|``, and by
         ``h E |B|`` in the first part of the period, which enters in another way than the rest.
         """
-        plant, ways = self.plant, [enters for _, _, enters in self.parts]
-        moved = magnitude(self.motion.over) * magnitude(plant.B) * plant.h
-        bent = magnitude(ways[-1]) * magnitude(plant.A) * moved * (plant.h / 2)
-        return bent if len(ways) == 1 else bent + magnitude(ways[0] - ways[1]) * moved
+        plant, maps = self.plant, [enters for _, _, enters in self.parts]
+        shift = magnitude(self.motion.over) * magnitude(plant.B) * plant.h
+        bound = magnitude(maps[-1]) * magnitude(plant.A) * shift * (plant.h / 2)
+        return bound if len(maps) == 1 else bound + magnitude(maps[0] - maps[1]) * shift
 
     def disturbed(self, rows: arb_mat) -> list[arb]:
         """Support along rows (r, N) of the disturbances of a period beside errors of inputs and estimates."""
@@ -223,8 +223,8 @@ class Craft:
 
     def supports(self, rows: arb_mat) -> list[arb]:
         """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""
-        seen = (magnitude(rows * self._seen * self.carry) * column(self.off)).entries()
-        return sums(self.disturbed(rows), seen, self._pushed(rows, self.bits))
+        noise = (magnitude(rows * self._seen * self.carry) * column(self.off)).entries()
+        return sums(self.disturbed(rows), noise, self._pushed(rows, self.bits))
 
     def _pushed(self, rows: arb_mat, pushes: list[InputSet]) -> list[arb]:
         gains = [motion.push_gain(rows * enters, push) for enters, motion in self.spans for push in pushes]
@@ -244,28 +244,28 @@ class Craft:
         return self.held_map * self.gain
 
     def bent(
-        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], off: list[arb], error: list[arb]
+        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], noise: list[arb], error: list[arb]
     ) -> list[arb]:
         """Intersample bound of rows of the error, beside the chord of their bounds at nodes.
 
-        `rates` bound ``e'`` and ``A e'`` at nodes; `off` and `error` errors of estimates and of inputs that
+        `rates` bound ``e'`` and ``A e'`` at nodes; `noise` and `error` errors of estimates and of inputs that
         are not counted in them.
         """
-        held = absolute(self.gain) * column(off) if off else arb_mat(self.gain.nrows(), 1)
-        return self._bent(rows, rates, held, self.plant.push(error))
+        inputs = absolute(self.gain) * column(noise) if noise else arb_mat(self.gain.nrows(), 1)
+        return self._bent(rows, rates, inputs, self.plant.push(error))
 
     def always_bent(self, rows: arb_mat, rates: tuple[arb_mat, arb_mat]) -> list[arb]:
         """Intersample bound under all that is sampled, and all that pushes at every instant."""
-        held = absolute(self.gain * self.carry) * column(self.off)
+        inputs = absolute(self.gain * self.carry) * column(self.off)
         for sample in self.samples:
-            held += absolute(sample.push) * column(sample.size)
-        return self._bent(rows, rates, held, [*self.steady, *self.bits])
+            inputs += absolute(sample.push) * column(sample.size)
+        return self._bent(rows, rates, inputs, [*self.steady, *self.bits])
 
     def _bent(
-        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], held: arb_mat, pushes: list[InputSet]
+        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], inputs: arb_mat, pushes: list[InputSet]
     ) -> list[arb]:
-        """Intersample bound under more inputs up to `held` (m, 1), constant over the period, and pushes."""
+        """Intersample bound under more inputs up to `inputs` (m, 1), constant over the period, and pushes."""
         motion, B = self.motion, self.plant.B
-        more = absolute(B) * held, absolute(self.plant.A * B) * held
-        intersample = RowIntersample(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
+        terms = absolute(B) * inputs, absolute(self.plant.A * B) * inputs
+        intersample = RowIntersample(motion, rows).lesser_bow(rates[0] + terms[0], rates[1] + terms[1])
         return sums(intersample, *(motion.push_curvature(rows, push) for push in pushes))

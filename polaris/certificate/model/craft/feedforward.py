@@ -32,55 +32,55 @@ class Feedforward:
         self.constant = self.planned + (len(path.arcs) - self.planned) // 2  # bounds do not change from it on
         self.off = [craft.extra(document, k) for k in range(len(path.arcs))]
         gain, plant = absolute(craft.gain), craft.plant
-        noise = [(gain * column(off)).entries() for off in self.off]
+        noise = [(gain * column(errors)).entries() for errors in self.off]
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
         self.commanded, tightenings = nu, Tightening(craft, settling, craft.commands)
         for _ in range(ROUNDS):
-            more = [maxima(*nodes) for nodes in self.response(tightenings)]
-            for k in range(len(more) - 2, self.planned - 1, -1):
-                more[k] = maxima(more[k], more[k + 1])
-            more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
-            cells = zip(nu, more, self.commanded, strict=True)
+            peaks = [maxima(*nodes) for nodes in self.response(tightenings)]
+            for k in range(len(peaks) - 2, self.planned - 1, -1):
+                peaks[k] = maxima(peaks[k], peaks[k + 1])
+            peaks[self.constant :] = peaks[self.constant : self.constant + 1] * (len(peaks) - self.constant)
+            cells = zip(nu, peaks, self.commanded, strict=True)
             if all(u + x <= limit for each in cells for u, x, limit in zip(*each, strict=True)):
                 return
-            if any(x > top for each in more for x, top in zip(each, plant.u_max, strict=True)):
+            if any(x > top for each in peaks for x, top in zip(each, plant.u_max, strict=True)):
                 break  # which leaves S no thrust
-            grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
-            self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
+            enlarged = [[(x * (1 + SPARE)).upper() for x in each] for each in peaks]
+            self.commanded = [sums(*pair) for pair in zip(nu, enlarged, strict=True)]
         raise Undecided("recoverable", "thruster errors amplify themselves along the reference")
 
     def response(self, tightenings: Tightening, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
-        plant, q, off = self.craft.plant, self.craft.plant.q, self.off
+        plant, q, errors = self.craft.plant, self.craft.plant.q, self.off
         parts = []
         if self.settling.feedback_bound:
             if self.craft.lag:
-                lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
-                off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
+                lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(errors))]
+                errors = [sums(*pair) for pair in zip(errors, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(commands)) for commands in self.commanded]
             parts.append((tightenings.thrust, [[x.upper() for x in each] for each in thrust], False))
-        if any(x > 0 for each in off for x in each):
-            parts.append((tightenings.noise, [[x.upper() for x in each] for each in off], True))
-        T, constant, booked = (
+        if any(x > 0 for each in errors for x in each):
+            parts.append((tightenings.noise, [[x.upper() for x in each] for each in errors], True))
+        T, constant, total = (
             self.planned * q,
-            (len(off) - self.constant) * q,
+            (len(errors) - self.constant) * q,
             [arb(0)] * tightenings.rows.nrows(),
         )
-        at, later = [booked] * (len(off) * q + 1), [booked] * (len(off) * q - T + 1)
-        for gains, by_cell, seen in parts:
+        by_node, later = [total] * (len(errors) * q + 1), [total] * (len(errors) * q - T + 1)
+        for gains, by_cell, noisy in parts:
             sizes = [size for size in by_cell for _ in range(q)]
-            older, bent = tightenings.response(sizes, seen)
-            booked = sums(booked, older, bent) if between else sums(booked, older)
-            at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
+            older, intersample = tightenings.response(sizes, noisy)
+            total = sums(total, older, intersample) if between else sums(total, older)
+            by_node = [sums(*pair) for pair in zip(by_node, gains.summed(sizes), strict=True)]
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
-                last, highest = (maxima(*some) for some in (sizes[-constant:], sizes[T:]))
-                more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
-                before = (gains.always(_over(highest, last), constant + j) for j in range(len(more)))
-                later = [sums(*each, ever) for each in zip(later, more, before, strict=True)]
-        tail = [maxima(*pair) for pair in zip(at[T:], later, strict=True)]
-        ends = [part[i : i + q + 1] for part in (at[: T + 1], tail) for i in range(0, len(part) - 1, q)]
-        return [[sums(each, booked) for each in nodes] for nodes in ends]
+                last, highest = (maxima(*part_sizes) for part_sizes in (sizes[-constant:], sizes[T:]))
+                excess, steady = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
+                before = (gains.always(_over(highest, last), constant + j) for j in range(len(excess)))
+                later = [sums(*each, steady) for each in zip(later, excess, before, strict=True)]
+        tail = [maxima(*pair) for pair in zip(by_node[T:], later, strict=True)]
+        ends = [part[i : i + q + 1] for part in (by_node[: T + 1], tail) for i in range(0, len(part) - 1, q)]
+        return [[sums(each, total) for each in nodes] for nodes in ends]
 
     def _most(self, k: int, periods: int) -> list[arb]:
         """Bound commands in a step, and in so many periods before it."""
@@ -90,5 +90,5 @@ class Feedforward:
         return [smallest(pair) for pair in zip(commands, self.craft.plant.u_max, strict=True)]
 
 
-def _over(sizes: list[arb], least: list[arb]) -> list[arb]:
-    return [largest((x - low, arb(0))).upper() for x, low in zip(sizes, least, strict=True)]
+def _over(sizes: list[arb], lows: list[arb]) -> list[arb]:
+    return [largest((x - low, arb(0))).upper() for x, low in zip(sizes, lows, strict=True)]

@@ -63,9 +63,9 @@ class ObserverErrors:
     @classmethod
     def from_document(cls, document: Document, plant: Plant) -> "ObserverErrors":
         """Return the observer that a certificate states."""
-        stated, missed = document.observer or {}, document.timing.get("missed", 0)
-        n, one, M = plant.A.nrows(), identity(plant.A.nrows()), matrix(stated["measures"])
-        gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
+        observer, missed = document.observer or {}, document.timing.get("missed", 0)
+        n, one, M = plant.A.nrows(), identity(plant.A.nrows()), matrix(observer["measures"])
+        gains = [matrix(gain) for gain in (observer["gain"], *observer.get("after", ()))]
         if len(gains) != missed + 1:
             raise Rejected("system", f"the observer must be designed for up to {missed} missed periods")
         loop, updates = (one - gains[0] * M) * exponential(plant.A, plant.h)[0], []
@@ -75,8 +75,8 @@ class ObserverErrors:
                 rest * exponential(plant.A, plant.h * (j + 1))[0] - loop ** (j + 1) if j else arb_mat(n, n)
             )
             updates.append(Update(gain, rest, other, j + 1))
-        away = absolute(M) * column(state_offset(document, document.timing.get("delay", 0.0)))
-        noisy = column(sums(map(arb, stated["noise"]), away.entries()))
+        offset = absolute(M) * column(state_offset(document, document.timing.get("delay", 0.0)))
+        noisy = column(sums(map(arb, observer["noise"]), offset.entries()))
         m = plant.B.ncols()
         error = plant.thruster_error([arb(0)] * m)[:m] + plant.thruster_error(plant.u_max)[m:]
         pushes = plant.disturbances(error)
@@ -96,15 +96,15 @@ class ObserverErrors:
     def _known(self, age: int) -> None:
         """Compute the errors that updates up to so many periods ago add."""
         for at in range(len(self.come), age + 1):
-            left, come = self.error_map(at), list[list[Bounds]]()
-            self.turned.append([magnitude(left * update.other) for update in self.updates])
+            power, errors = self.error_map(at), list[list[Bounds]]()
+            self.turned.append([magnitude(power * update.other) for update in self.updates])
             for update in self.updates:
-                rows, count = left * update.rest, PARTS * update.periods
-                pushed, _ = self.part.gains_over(rows, self.pushes, count)
-                all_else = sums((magnitude(left * update.gain) * self.noisy).entries(), pushed)
+                rows, count = power * update.rest, PARTS * update.periods
+                disturbed, _ = self.part.gains_over(rows, self.pushes, count)
+                fixed = sums((magnitude(power * update.gain) * self.noisy).entries(), disturbed)
                 units = self.part.unit_gains(rows, count).transpose().tolist()
-                come.append([[x.upper() for x in each] for each in (all_else, *units)])
-            self.come.append(come)
+                errors.append([[x.upper() for x in each] for each in (fixed, *units)])
+            self.come.append(errors)
 
     def adds(self, age: int, kind: int, source: int | None) -> Bounds:
         """Bound the error that an update adds so many periods later."""
@@ -117,28 +117,28 @@ class ObserverErrors:
         The observer has long been at work, or nothing came before. Every way back into the past comes by one
         of as many periods in a row as there are kinds of updates.
         """
-        n, known = len(bounds), column(bounds)
-        come = [[arb(0)] * n for _ in range(LONGEST + len(self.updates) + 1)]
-        passed, more = 0, [arb(0)] * n
+        n, box = len(bounds), column(bounds)
+        errors = [[arb(0)] * n for _ in range(LONGEST + len(self.updates) + 1)]
+        passed, slacks = 0, [arb(0)] * n
 
         def spare(age: int, before: Bounds) -> Bounds:
-            return [b * arb(1 + ROUNDED) - x - y for b, x, y in zip(bounds, come[age], before, strict=True)]
+            return [b * arb(1 + ROUNDED) - x - y for b, x, y in zip(bounds, errors[age], before, strict=True)]
 
         for age in range(LONGEST):
             for i, x in enumerate(spare(age, [arb(0)] * n)):
                 require("system", x, f"error of the observer's state {i}: {bounds[i]}")
             for kind, update in enumerate(self.updates):
                 to, adds = age + update.periods, self.adds(age, kind, source)
-                turned = (self.turned[age][kind] * known).entries()
-                come[to] = maxima(come[to], [x.upper() for x in sums(come[age], adds, turned)])
-            late = (magnitude(self.error_map(age + 1)) * known).entries()
-            more = spare(age + 1, late)
-            passed = passed + 1 if all(x >= 0 for x in more) else 0
+                carried = (self.turned[age][kind] * box).entries()
+                errors[to] = maxima(errors[to], [x.upper() for x in sums(errors[age], adds, carried)])
+            older = (magnitude(self.error_map(age + 1)) * box).entries()
+            slacks = spare(age + 1, older)
+            passed = passed + 1 if all(x >= 0 for x in slacks) else 0
             if passed == len(self.updates):
                 return
-            if not passed and all(x <= FORGOTTEN * bound for x, bound in zip(late, bounds, strict=True)):
+            if not passed and all(x <= FORGOTTEN * bound for x, bound in zip(older, bounds, strict=True)):
                 break
-        for i, x in enumerate(more):
+        for i, x in enumerate(slacks):
             require("system", x, f"error of the observer's state {i}: {bounds[i]}")
 
     def bounds_after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
@@ -146,92 +146,92 @@ class ObserverErrors:
         n, bounds = len(first), [column(first)]
         self._known(periods)
         for age in range(1, periods + 1):
-            come = [arb_mat(n, 1)] * (age + 1)
+            errors = [arb_mat(n, 1)] * (age + 1)
             for at in range(age):
                 for kind, update in enumerate(self.updates[: age - at]):
                     to = at + update.periods
-                    more = come[at] + self.turned[at][kind] * bounds[age - to] if kind else come[at]
+                    total = errors[at] + self.turned[at][kind] * bounds[age - to] if kind else errors[at]
                     if source is not None:
-                        more = more + column(self.come[at][kind][source])
-                    come[to] = more if at == 0 else column(maxima(come[to].entries(), more.entries()))
-            left = magnitude(self.error_map(age)) * bounds[0]
-            bounds.append(column([x.upper() for x in (come[age] + left).entries()]))
+                        total = total + column(self.come[at][kind][source])
+                    errors[to] = total if at == 0 else column(maxima(errors[to].entries(), total.entries()))
+            initial = magnitude(self.error_map(age)) * bounds[0]
+            bounds.append(column([x.upper() for x in (errors[age] + initial).entries()]))
         return [each.entries() for each in bounds]
 
     def fading(self, first: Bounds, document: Document) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, nothing being added, and ever after."""
-        near, settled = (document.observer or {}).get("followed", 0), settled_errors(document)
-        errors, usual = (self.bounds_after(each, near + self.late, None) for each in (first, settled))
-        for bounds in usual[near:]:
+        count, settled = (document.observer or {}).get("followed", 0), settled_errors(document)
+        errors, steady = (self.bounds_after(each, count + self.late, None) for each in (first, settled))
+        for bounds in steady[count:]:
             for x, y in zip(bounds, settled, strict=True):
-                require("system", y - x, f"errors of an observer after {near} periods")
-        share = largest(x / y for each in errors[near:] for x, y in zip(each, settled, strict=True))
-        return [*errors[: near + 1], [x * share for x in maxima(*usual)]]
+                require("system", y - x, f"errors of an observer after {count} periods")
+        share = largest(x / y for each in errors[count:] for x, y in zip(each, settled, strict=True))
+        return [*errors[: count + 1], [x * share for x in maxima(*steady)]]
 
     def check_settled(self, document: Document) -> Bounds:
         """Check settled errors, and a certificate's statements on those by thrusters, by their age.
 
         Returned are bounds on errors without what grows with commands, leads of pulses apart.
         """
-        plant, stated, settled = self.plant, document.observer or {}, settled_errors(document)
+        plant, observer, settled = self.plant, document.observer or {}, settled_errors(document)
         full = column(plant.thruster_part(plant.u_max)[: plant.B.ncols()])
-        if "by_age" not in stated:
+        if "by_age" not in observer:
             pushes = plant.disturbances(plant.thruster_error(plant.u_max))
             replace(self, pushes=pushes, come=[], turned=[]).require(settled, 0)
             return settled
-        ages, by_age = stated["ages"], [matrix(each) for each in stated["by_age"]]
-        falls = all(b - a >= 1 + self.late * (a == 0) for a, b in pairwise(ages))
-        if not (self.late and ages[0] == 0 and falls and ages[-1] <= stated.get("followed", 0) + self.late):
+        ages, by_age = observer["ages"], [matrix(each) for each in observer["by_age"]]
+        valid = all(b - a >= 1 + self.late * (a == 0) for a, b in pairwise(ages))
+        if not (self.late and ages[0] == 0 and valid and ages[-1] <= observer.get("followed", 0) + self.late):
             raise Rejected("system", "thruster errors must be given by age")
-        rest = [x - y for x, y in zip(settled, (by_age[0] * full).entries(), strict=True)]
-        self.require(rest, 0)
+        independent = [x - y for x, y in zip(settled, (by_age[0] * full).entries(), strict=True)]
+        self.require(independent, 0)
         for i in range(plant.B.ncols()):
             each = [M.transpose().tolist()[i] for M in by_age]
             self.require(each[0], i + 1)
-            left = self.fading(each[0], document)
+            decay = self.fading(each[0], document)
             for age, newer, older in zip(ages[1:], each, each[1:], strict=False):
-                bound = maxima(*left[age - self.late :])  # the first update since may be so much later
-                for x, y, z, whole in zip(newer, older, bound, each[0], strict=True):
-                    spare = smallest((x - y, y * arb(1 + ROUNDED) - smallest((z, whole))))
-                    require("system", spare, f"errors of thrusters by input {i} of {age} periods ago: {y}")
-        return rest
+                bound = maxima(*decay[age - self.late :])  # the first update since may be so much later
+                for x, y, z, total in zip(newer, older, bound, each[0], strict=True):
+                    slack = smallest((x - y, y * arb(1 + ROUNDED) - smallest((z, total))))
+                    require("system", slack, f"errors of thrusters by input {i} of {age} periods ago: {y}")
+        return independent
 
-    def by_step(self, document: Document, first: Bounds, alone: Bounds) -> list[Bounds]:
+    def by_step(self, document: Document, first: Bounds, independent: Bounds) -> list[Bounds]:
         """Bound the errors that first errors add to settled ones in each step, and ever after.
 
-        Those that are `alone` are there without errors by commands.
+        Those that are `independent` are there without errors by commands.
         """
         q, total, late = document.q, document.steps * document.q, self.late
         if not late:
             return _fading(self.loop, column(first), document)
-        left = self.fading(first, document)
-        joint = self.bounds_after(first, len(left) - 2, 0)
-        for at, each in enumerate(joint):
-            left[at] = [smallest((x, y - z)) for x, y, z in zip(left[at], each, alone, strict=True)]
-        left += [left[-1]] * (total + 1 - len(left))
-        known = [maxima(*left[max(i - late, 0) : i + 1]) for i in range(total)]
-        steps = [maxima(*known[k * q : (k + 1) * q]) for k in range(document.steps)]
-        return [*steps, maxima(*left[max(total - late, 0) :])]
+        decay = self.fading(first, document)
+        joint = self.bounds_after(first, len(decay) - 2, 0)
+        for age, each in enumerate(joint):
+            decay[age] = [smallest((x, y - z)) for x, y, z in zip(decay[age], each, independent, strict=True)]
+        decay += [decay[-1]] * (total + 1 - len(decay))
+        by_period = [maxima(*decay[max(i - late, 0) : i + 1]) for i in range(total)]
+        steps = [maxima(*by_period[k * q : (k + 1) * q]) for k in range(document.steps)]
+        return [*steps, maxima(*decay[max(total - late, 0) :])]
 
 
 def settled_errors(document: Document) -> Bounds:
     """Bounds on the errors of an observer that has long been at work."""
-    stated = (document.observer or {}).get("settled") or document.measured_error
-    return list(map(arb, stated or [0.0] * len(document.A)))
+    bounds = (document.observer or {}).get("settled") or document.measured_error
+    return list(map(arb, bounds or [0.0] * len(document.A)))
 
 
 def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[arb]]:
     """Bound the errors that first errors of an observer still add in each step, and ever after."""
-    left, each, first = identity(loop.nrows()), [], document.steps * document.q
+    power, each, first = identity(loop.nrows()), [], document.steps * document.q
     for _ in range(first):
-        each.append((magnitude(left) * initial).entries())
-        left = left * loop
+        each.append((magnitude(power) * initial).entries())
+        power = power * loop
     q = document.q
     steps = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
-    ever, turn = (magnitude(left) * initial).entries(), loop
+    final, turn = (magnitude(power) * initial).entries(), loop
     for _ in range(LONGEST):  # until so many periods make no more of what they begin with
-        if all(x <= y for x, y in zip((magnitude(turn) * column(ever)).entries(), ever, strict=True)):
-            return [*steps, ever]
-        left, turn = left * loop, turn * loop
-        ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
+        if all(x <= y for x, y in zip((magnitude(turn) * column(final)).entries(), final, strict=True)):
+            return [*steps, final]
+        power, turn = power * loop, turn * loop
+        final = [largest(pair) for pair in zip(final, (magnitude(power) * initial).entries(), strict=True)]
     raise Rejected("system", "errors of the first estimate do not decay")

@@ -53,41 +53,41 @@ class States:
 
     def beside(self, blocks: Blocks, rows: int) -> arb_mat:
         """Blocks side by side, zero where there is none."""
-        turned = {i: block.transpose() for i, block in blocks.items()}
-        return self.laid_out(turned, rows).transpose()
+        transposed = {i: block.transpose() for i, block in blocks.items()}
+        return self.laid_out(transposed, rows).transpose()
 
     def delay(self, delay: float, pushes: list[InputSet]) -> None:
         """Remember additions that no measurement has shown: a line of them, or one per part of periods."""
         plant, h, one = self.plant, self.plant.h, identity(self.plant.A.nrows())
         periods = max(ceil(float((arb(delay) / h).mid()) - WHOLE), 1)
         late = arb(delay) - (periods - 1) * h
-        whole = float((late / h).mid()) >= 1 - WHOLE
-        split = arb(0) if whole else h - late
-        if not whole:
+        is_whole = float((late / h).mid()) >= 1 - WHOLE
+        split = arb(0) if is_whole else h - late
+        if not is_whole:
             self.parts = [(arb(0), split, {0: one}), (split, h, {0: one})]
             self.shown_now = [0 * one, 0 * one]
-        for early in (False, True)[: 1 if whole else 2]:
+        for early in (False, True)[: 1 if is_whole else 2]:
             ages, back = periods - early, exponential(plant.A, -h)[0]
             begin, end = (arb(0), split) if early else (split, h)
             for age in range(ages):
                 carried = exponential(plant.A, h * (age + 1) - end)[0]
                 part = replace(plant, h=end - begin).open
-                left = magnitude(carried * part.gamma * plant.B) * column(
+                remainder = magnitude(carried * part.gamma * plant.B) * column(
                     [2 * plant.carried / h] * plant.B.ncols()
                 )
-                pushed = part.gains_over(carried, pushes, 1)[0]
-                block = self.add([x.upper() for x in sums(pushed, left.entries())])
+                disturbed = part.gains_over(carried, pushes, 1)[0]
+                block = self.add([x.upper() for x in sums(disturbed, remainder.entries())])
                 self.known[block] = -one
                 if age:
                     self.moves[block, block - 1] = plant.open.phi
                 else:
                     self.parts[-1 if not early else 0][2][block] = one
-            until = exponential(plant.A, -(h - split) if early else split)[0]
+            transition = exponential(plant.A, -(h - split) if early else split)[0]
             if ages:
-                self.shown[len(self.sizes) - 1] = until * back ** (ages - 1)
+                self.shown[len(self.sizes) - 1] = transition * back ** (ages - 1)
             else:
-                self.shown_now[0] = until
-        if whole:
+                self.shown_now[0] = transition
+        if is_whole:
             self.shown_now = [0 * one]
 
     def impulses(self) -> None:
@@ -97,15 +97,15 @@ class States:
     def _carry(self) -> None:
         """Let them enter what has been put together: the impulse of a period is its rest less the next."""
         plant, m, block = self.plant, self.plant.B.ncols(), self.carries
-        made: Blocks = {}
+        gains: Blocks = {}
         for begin, end, enters in self.parts:
-            over = exponential(plant.A, plant.h - end)[0]
-            moved = over * replace(plant, h=end - begin).open.gamma * plant.B * (1 / plant.h)
+            transition = exponential(plant.A, plant.h - end)[0]
+            gain = transition * replace(plant, h=end - begin).open.gamma * plant.B * (1 / plant.h)
             for i, each in enters.items():
-                made[i] = made[i] + each * moved if i in made else each * moved
-        for i, each in made.items():
+                gains[i] = gains[i] + each * gain if i in gains else each * gain
+        for i, each in gains.items():
             self.moves[i, block] = each
-        adds = {i: -each for i, each in made.items()} | {block: identity(m)}
+        adds = {i: -each for i, each in gains.items()} | {block: identity(m)}
         self.samples.append((adds, identity(m) * (1 / plant.h), [arb(plant.carried)] * m, []))
 
     def observer(
@@ -122,8 +122,8 @@ class States:
         self.known[block] = carry
         for i, each in self.shown.items():
             self.moves[block, i] = -rest * each
-        for (_, _, enters), now in zip(self.parts, self.shown_now, strict=True):
-            enters[block] = -rest * now
+        for (_, _, enters), visible in zip(self.parts, self.shown_now, strict=True):
+            enters[block] = -rest * visible
         self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), *noise))
 
     def closed(self, gain: arb_mat, steady: list[InputSet], noise: Noise, base: list[arb] | None) -> Craft:
@@ -139,11 +139,11 @@ class States:
         drifts = self.beside({0: plant.A}, n) + plant.B * self.beside(unit, m)
         parts = [(a, b, self.laid_out(enters, n)) for a, b, enters in self.parts]
         samples = [
-            Sample(self.laid_out(adds, len(size)), push, size, same)
-            for adds, push, size, same in self.samples
+            Sample(self.laid_out(adds, len(size)), push, size, constant)
+            for adds, push, size, constant in self.samples
         ]
-        sees, given = self.beside(self.known, n), (steady, samples, self.box, *noise)
-        return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, base)
+        sees, sources = self.beside(self.known, n), (steady, samples, self.box, *noise)
+        return Craft(plant, gain, above(*rows), sees, drifts, parts, *sources, base)
 
 
 def remembers(document: Document) -> bool:
@@ -151,28 +151,28 @@ def remembers(document: Document) -> bool:
 
     A box stands for the estimate where any of several patterns of measurements may be met.
     """
-    lost = any(not fault.get("pushes") for fault in document.transients)
+    outage = any(not fault.get("pushes") for fault in document.transients)
     phases = bool(document.error_by_step) and document.timing.get("delay", 0.0) > 0
-    return not (document.timing.get("missed", 0) or (document.observer is None and (lost or phases)))
+    return not (document.timing.get("missed", 0) or (document.observer is None and (outage or phases)))
 
 
 def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = True) -> Craft:
     """Build the loop of the safety controller from a certificate; without updates if not `observing`."""
     n, m = plant.A.nrows(), plant.B.ncols()
-    delay, stated = document.timing.get("delay", 0.0), document.observer
+    delay, design = document.timing.get("delay", 0.0), document.observer
     if not remembers(document):
         full = column(plant.thruster_part(plant.u_max))
-        worst = sum((added * full for _, added in plant.unseen), arb_mat(n, 1))
-        known = list(map(arb, document.calmest or [0.0] * n))
-        off = [(x - y).abs_upper() for x, y in zip(known, worst.entries(), strict=True)]
-        noise = identity(n), off if document.estimate else [arb(0)] * n
-        return States.from_plant(plant).closed(gain, plant.disturbances([]), noise, known)
+        worst = sum((gains * full for _, gains in plant.unseen), arb_mat(n, 1))
+        estimate = list(map(arb, document.calmest or [0.0] * n))
+        error = [(x - y).abs_upper() for x, y in zip(estimate, worst.entries(), strict=True)]
+        noise = identity(n), error if document.estimate else [arb(0)] * n
+        return States.from_plant(plant).closed(gain, plant.disturbances([]), noise, estimate)
     plant = replace(plant, unseen=[])  # states hold that
     along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
-    moved = carried_away(plant)
-    away = [
-        _positive(x - y) + z for x, y, z in zip(state_offset(document, delay), moved, offset, strict=True)
+    carried = carried_away(plant)
+    shift = [
+        _positive(x - y) + z for x, y, z in zip(state_offset(document, delay), carried, offset, strict=True)
     ]
     states = States.from_plant(plant)
     drift = [InputSet.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []
@@ -182,20 +182,20 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     if plant.carried:
         states.impulses()
     measured = list(map(arb, document.measured_error or document.estimate or [0.0] * n))
-    carry, off = exponential(plant.A, arb(delay))[0] if delay else identity(n), [arb(0)] * n
+    carry, error = exponential(plant.A, arb(delay))[0] if delay else identity(n), [arb(0)] * n
     base: list[arb] | None = list(map(arb, document.calmest or [0.0] * n))
-    if stated is not None:  # first errors fade as all else that it remembers does
-        first = stated.get("initial") or stated.get("settled") or document.measured_error or document.estimate
-        M, base = matrix(stated["measures"]), None
-        noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
-        L = matrix(stated["gain"]) * int(observing)
-        same = list(map(arb, stated.get("constant") or []))
-        states.observer(L, M, (noisy, same), carry, sums(map(arb, first), moved))
+    if design is not None:  # first errors fade as all else that it remembers does
+        first = design.get("initial") or design.get("settled") or document.measured_error or document.estimate
+        M, base = matrix(design["measures"]), None
+        noisy = sums(map(arb, design["noise"]), (absolute(M) * column(shift)).entries())
+        L = matrix(design["gain"]) * int(observing)
+        constant = list(map(arb, design.get("constant") or []))
+        states.observer(L, M, (noisy, constant), carry, sums(map(arb, first), carried))
     elif delay:
-        off = sums(measured, away)
+        error = sums(measured, shift)
     elif document.estimate:
-        off = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, moved, offset, strict=True)]
-    return states.closed(gain, steady, (carry, off), base)
+        error = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, carried, offset, strict=True)]
+    return states.closed(gain, steady, (carry, error), base)
 
 
 def _positive(x: arb) -> arb:

@@ -80,19 +80,19 @@ class Tightening:
     def _steady(self) -> list[list[arb]]:
         """Tightening at node L by errors that do not depend on commands, L = 0 ... N + 1."""
         first, which = self.alike
-        rest = [[arb(0)] * len(first)]
+        responses = [[arb(0)] * len(first)]
         for gains in self._split(self.craft.varying.supports(self._stacked)):
-            rest.append([x.upper() for x in sums(rest[-1], gains)])
-        for added in self.craft.constants:
-            rest = [sums(*each) for each in zip(rest, self._constant(added), strict=True)]
-        return [[each[i] for i in which] for each in rest]
+            responses.append([x.upper() for x in sums(responses[-1], gains)])
+        for constants in self.craft.constants:
+            responses = [sums(*each) for each in zip(responses, self._constant(constants), strict=True)]
+        return [[each[i] for i in which] for each in responses]
 
-    def _constant(self, added: arb_mat) -> list[list[arb]]:
+    def _constant(self, constants: arb_mat) -> list[list[arb]]:
         """Largest response so far at node L to constants, which may cancel, by kind of row."""
-        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), added.ncols())
-        bounds, held = [first], (self._stacked * added).tolist()
-        for at in range(0, len(held), len(first)):
-            total = total + matrix(held[at : at + len(first)])
+        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), constants.ncols())
+        bounds, gains = [first], (self._stacked * constants).tolist()
+        for at in range(0, len(gains), len(first)):
+            total = total + matrix(gains[at : at + len(first)])
             bounds.append(maxima(bounds[-1], widths(total)))
         return bounds
 
@@ -157,10 +157,10 @@ class Tightening:
     @property
     def rates(self) -> tuple[Tightening, Tightening]:
         """Tightening of ``e'`` and of ``A e'`` at nodes, which give the intersample bound."""
-        known, rates = self.settling.rates, self.craft.rates
-        if not known:
-            known[:] = [Tightening(self.craft, self.settling, M) for M in (rates, self.motion.A * rates)]
-        return known[0], known[1]
+        cached, rates = self.settling.rates, self.craft.rates
+        if not cached:
+            cached[:] = [Tightening(self.craft, self.settling, M) for M in (rates, self.motion.A * rates)]
+        return cached[0], cached[1]
 
     @cached_property
     def peak(self) -> list[arb]:
@@ -172,31 +172,31 @@ class Tightening:
         """Tightening without the handed state at node l = 0 ... N, and ever after; chords hold between."""
         craft, plant, feedback_bound = self.craft, self.craft.plant, self.settling.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
-        curved = craft.always_bent(self.rows, rates)
+        bound = craft.always_bent(self.rows, rates)
         if feedback_bound:
             none = arb_mat(len(self.rates[0].peak), 1)
-            off, error = craft.lagged(plant.u_max), plant.thruster_part(feedback_bound[0])
-            curved = sums(curved, craft.bent(self.rows, (none, none), off, error))
-        return self._upset([sums(each, curved) for each in (*self.responses[:-1], self.settled_tightening)])
+            noise, error = craft.lagged(plant.u_max), plant.thruster_part(feedback_bound[0])
+            bound = sums(bound, craft.bent(self.rows, (none, none), noise, error))
+        return self._upset([sums(each, bound) for each in (*self.responses[:-1], self.settled_tightening)])
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
         """Tightening without the handed state at node l alone, l = 0 ... N, then at every later one."""
         return self._upset([*self.responses[:-1], self.settled_tightening])
 
-    def response(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
+    def response(self, sizes: list[list[arb]], noisy: bool) -> tuple[list[arb], list[arb]]:
         """Response to sizes of a channel, period by period: to those older than N periods, and between nodes.
 
-        `off` says that these are errors of estimates.
+        `noisy` says that these are errors of estimates.
         """
         worst, one = maxima(*sizes), identity(self.craft.F.nrows())
-        box = (self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)) * column(worst)
-        rates = ((each, each.noise if off else each.thrust) for each in self.rates)
+        box = (self.craft.noise_gains(one) if noisy else self.craft.thrust_gains(one)) * column(worst)
+        rates = ((each, each.noise if noisy else each.thrust) for each in self.rates)
         first, last = (
             magnitude(column(sums(rate.always(worst), each.tail_bound(box)))) for each, rate in rates
         )
-        bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
-        return self.tail_bound(box), bent
+        bound = self.craft.bent(self.rows, (first, last), worst if noisy else [], [] if noisy else worst)
+        return self.tail_bound(box), bound
 
     def _upset(self, tightenings: list[list[arb]]) -> list[list[arb]]:
         return (
@@ -279,8 +279,8 @@ class SetIntersample:
 def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:
     """Support along rows of the loop state of a difference of two flights, the largest."""
     total = peak = arb_mat(rows.nrows(), 1)
-    for more, start in flights:
-        total = total + magnitude(rows * more) * column([1.0] * more.ncols())
+    for gain, start in flights:
+        total = total + magnitude(rows * gain) * column([1.0] * gain.ncols())
         peak = _larger(peak, total + magnitude(rows * start) * column([1.0] * start.ncols()))
     return list(peak.entries())
 
