@@ -65,7 +65,7 @@ class ShownStages(Stages):
         return bar
 
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:
-        """Say what the stage is doing, and how far it is if that is known."""
+        """Print the activity of the stage, and its progress if that is known."""
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=done, total=total)
             self._bar.update(self._bar.task_ids[0], description=escape_controls(text))

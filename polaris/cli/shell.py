@@ -126,7 +126,7 @@ class BlackBoxes:
 
     @contextmanager
     def running(self) -> Iterator[dict[str, Ask]]:
-        """Start the programs, which end with the ``with`` statement; yield what asks them, by name."""
+        """Start the programs, which end with the ``with`` statement; yield their callers, by name."""
         from ..runs.black_box_program import black_box_program
 
         with ExitStack() as programs:

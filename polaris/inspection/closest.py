@@ -233,7 +233,7 @@ class _Search:
         self._keep(index, time, flown(parts, self.n, time)[0])
 
     def _keep(self, index: NDArray[np.intp], time: Array, place: Array) -> None:
-        """Write down what is nearer than what was known."""
+        """Write down distances that are smaller than those known."""
         least, row = self.best, self.row[index]
         distance = np.sqrt(dot(place, place))
         improved = np.flatnonzero(distance < least.distance[row])

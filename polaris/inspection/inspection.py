@@ -167,7 +167,7 @@ class Inspection:
 
     @property
     def a_inside(self) -> float:
-        """Acceleration left for braking before r_max [m/s^2]: `a_max` less what going round the sphere takes.
+        """Acceleration left for braking before r_max [m/s^2]: `a_max` less that for going round the sphere.
 
         The distance's second derivative has a term ``v_t^2 / r`` that pushes outwards, which eq. 28 leaves
         out. With half of a_max or more left, braking begins at most v^2 / a_max, and the layer, from r_max.

@@ -177,7 +177,7 @@ def _alpha(h: float, values: Array) -> float:
 
 @inlined
 def _rounded(a: float, b: float, c: float, least: float) -> tuple[float, float]:
-    """Length, and what to divide by for a direction."""
+    """Length, and the divisor for a direction."""
     exact = np.sqrt(a * a + b * b + c * c)
     if not exact < least:
         return exact, exact

@@ -94,7 +94,7 @@ class _Tree:
         return SearchOutcome(self.best, min(self.bound, self.dropped, self.top), status, self.count)
 
     def visit(self, node: Node) -> str:
-        """Solve a node, and close it, split it or put it back; what stops the search, or an empty string."""
+        """Solve a node, and close it, split it or put it back; return a reason to stop, or an empty text."""
         search = self.search
         path = search.solve(node.choice, node.start)
         self.count += 1

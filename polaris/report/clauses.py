@@ -19,7 +19,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Clause:
-    """A clause: its source and title, evidence for it, and what only the mission can do.
+    """A clause: its source and title, evidence for it, and the part that only the mission can do.
 
     `asks` says in English what a public text asks for, and is empty where clauses are named by title only.
     """

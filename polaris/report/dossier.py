@@ -194,7 +194,7 @@ class Dossier:
         return min(len(self.legs), MOST_SCENES) + 1
 
     def pages(self) -> list[list[Line]]:
-        """Return the lines page by page; a heading stays with what follows it."""
+        """Return the lines page by page; a heading stays with the text that follows."""
         pages: list[list[Line]] = [[]]
         for line in self.lines():
             lines_left = LINES - len(pages[-1]) - 3 * line.with_next

@@ -36,7 +36,7 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def share(details: Mapping[str, Any]) -> str:
-    """Return the share of the time under U, and what is proven of any schedule, in words."""
+    """Return the share of the time under U, and the proven bound on any schedule's, in words."""
     flies, top = f"{details['experimental_share']:.1%} of the time", details["share_at_most"]
     bound = directed(top - 1e-12, ".1%", up=True)
     return f"{flies}; upper bound for any schedule: {bound}" if top < 1 else flies
@@ -81,7 +81,7 @@ def reach(claim: Mapping[str, Any]) -> str:
 
 
 def goal(claim: Mapping[str, Any]) -> str:
-    """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
+    """Say if the goal is reached, how nearly, what keeps flights there, and the cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
     counts, miss = claim["velocity_time_s"], f"within {near} m (the tolerance is {claim['tolerance_m']:.4g} m"
     miss += ")" if counts is None else f"; velocity errors count as the distance covered in {counts:.4g} s)"

@@ -86,7 +86,7 @@ def words(text: Any) -> Cell:
 
 
 def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
-    """Return a cell with a value of a file, numbers with a unit; `ABSENT` says by key what null means."""
+    """Return a cell with a value of a file, numbers with a unit; `ABSENT` has the meaning of null by key."""
     suffix = f" {unit}".replace("^2", "²") if unit else ""
     if value is None:
         text, reason = ABSENT.get(key, ("none", "no value"))
@@ -109,7 +109,7 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
 
 
 def number(value: float) -> str:
-    """Return a number with four digits, whole ones with all; what rounding leaves of a zero is 0."""
+    """Return a number with four digits, whole ones with all; a rounding remainder of zero is 0."""
     if isinstance(value, int):
         return f"{value:d}"
     if abs(value) < ROUND_OFF:
@@ -216,7 +216,7 @@ def constraints(summary: Mapping[str, Any]) -> Table:
 
 
 def studies(summary: Mapping[str, Any]) -> Table:
-    """Return the success of every study of a campaign of inspections, and what its failures were."""
+    """Return the success of every study of a campaign of inspections, and its failures."""
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     rows = []
     for study in summary["studies"]:

@@ -173,7 +173,7 @@ class InputCheck:
         self._applied = np.array(u)
 
     def _time(self, t: object) -> tuple[float, str | None, bool]:
-        """The time to go by [s], what is wrong with the one given, whether it goes on steadily."""
+        """The time to go by [s], the fault of the one given, and if it goes on steadily."""
         time = real(t)
         if time is None or not isfinite(time):
             time = 0.0 if isnan(self._t) else self._t + self._step

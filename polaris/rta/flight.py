@@ -173,7 +173,7 @@ class Engine(Integrator):
         self._asked: dict[int, Array] = {}
 
     def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
-        """Clipped command of a law that sees states with the errors that are among what disturbs.
+        """Clipped command of a law that sees states with their drawn errors.
 
         To be called once for every node, before `step`: black boxes are asked here, for all runs.
         """

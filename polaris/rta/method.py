@@ -190,7 +190,7 @@ class Method(ABC):
 
     @property
     def claim(self) -> Claim:
-        """Promise of the method on this grid; a proof also rests on what S does at the end."""
+        """Promise of the method on this grid; a proof also rests on S at the end."""
         if self.proven:
             return Claim("proved", f"{self.reach}; {self.grid.schedule.safety.end.reason}")
         return Claim("none", self.reach)
@@ -198,7 +198,7 @@ class Method(ABC):
     @property
     @abstractmethod
     def reach(self) -> str:
-        """Basis of the method's proof, or what is missing for one."""
+        """Basis of the method's proof, or the condition that is missing for one."""
 
     def start(self, runs: int) -> None:  # noqa: B027
         """Forget everything; so many runs will be decided at once."""

@@ -244,7 +244,7 @@ def _accepted(
     force: Array,
     out: Array,
 ) -> bool:
-    """Write down what satisfies all rows and is the desired input but for forces along active ones."""
+    """Write down the input that satisfies all rows: the desired one but for forces along active rows."""
     optimum, (_, _, least) = desired.copy(), program
     for a in range(len(active)):
         _add(program, active[a], force[a], optimum)

@@ -150,7 +150,7 @@ class CallByCall(ABC):
 
     @abstractmethod
     def _answer(self, call: FilterInput) -> RawDecision:
-        """Decide on what has been received."""
+        """Decide on the inputs received."""
 
     def _backed_up(self, backup: Backup | None, call: FilterInput, notes: list[str]) -> Array:
         """The backup controller's input; no thrust where it has none to give, which is recorded."""

@@ -61,7 +61,7 @@ class ErrorMotion:
 
     @classmethod
     def held_input(cls, recovery: Recovery) -> "ErrorMotion":
-        """An input that is held from node to node, less what it does: ``input_map`` adds that."""
+        """An input that is held from node to node, without its effect: ``input_map`` adds that."""
         grid, flow = recovery.grid, recovery.open_flow
         steps = -grid.mu[: grid.last] @ flow.input_map(grid.system.B).T
         return cls(flow, steps, flow.period_zonotope.G)

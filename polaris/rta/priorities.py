@@ -80,7 +80,7 @@ def least_violation(
 
 
 def _settled(G: Array, tightening: Array, rank: NDArray[np.intp], exact: bool) -> tuple[Array, Array] | None:
-    """An input, and what can be asked of each row: its need less its shortage, and less the tolerance."""
+    """An input, and the attainable value of each row: its need less its shortage and the tolerance."""
     needs, feasible = tightening.copy(), np.zeros(G.shape[1])
     done = np.zeros(len(tightening), dtype=bool)
     for level in np.unique(rank):
@@ -146,7 +146,7 @@ def _proved(G: Array, tightening: Array, multiplier: Array) -> float:
 
 
 def _nearest(G: Array, needs: Array, desired: Array, feasible: Array) -> Array:
-    """The nearest to the desired input that gives what is asked: the solver's, or the last on the way."""
+    """The nearest input to the desired one that meets the rows: the solver's, or the last on the way."""
     M, v = G.shape
     lower = np.concatenate([np.full(v, -1.0), needs])
     upper = np.concatenate([np.full(v, 1.0), np.full(M, 1e30)])

@@ -230,7 +230,7 @@ class _Library(Sequence[Schedule]):
 
 
 def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
-    """Return where a document states what follows from its choices, what it states, and what follows."""
+    """Return the key, the stated and the derived value of all that follows from a document's choices."""
     safety, derived = schedule.safety, flown(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
     feedback_bound, cells = safety.tracking.feedback_bound, safety.reference.cells

@@ -50,7 +50,7 @@ def tradeoff(
     executor: Executor | Workers | None = None,
     black_boxes: Mapping[str, Ask] | None = None,
 ) -> RunFolder:
-    """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
+    """Compare a scenario's schedules at several values of a key: the cost of time under U, or its cause.
 
     Each point is a run folder; points already there, whole and from the same scenario and versions, are kept.
 

@@ -111,7 +111,7 @@ def _agent(
 def _sets(
     obstacle: Obstacle, t: Array, system: LinearSystem, satellites: Mapping[str, ArrayLike | None]
 ) -> tuple[dict[str, AnySet], str | None]:
-    """Sets of a trace for one obstacle, and what to say about them."""
+    """Sets of a trace for one obstacle, and notes on them."""
     name = obstacle.name
     if isinstance(obstacle, StateLimit):
         return (

@@ -29,7 +29,7 @@ def table(place: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Arra
 
 
 def numbers(place: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
-    """Flat lists of numbers as one array; `rows` is what messages show."""
+    """Flat lists of numbers as one array; messages show `rows`."""
     width = len(flat[0])
     if set(map(len, flat)) != {width}:
         i = next(i for i, row in enumerate(flat) if len(row) != width)

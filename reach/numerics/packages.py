@@ -66,7 +66,7 @@ def untested(requirement: str) -> str:
 
 
 def unusable(package: str) -> str:
-    """Say why an optional package cannot be used, and what to install; empty if it can.
+    """Say why an optional package cannot be used, and which one to install; empty if it can.
 
     Parameters
     ----------

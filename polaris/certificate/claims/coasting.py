@@ -53,7 +53,7 @@ def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
 
 
 def check_end(document: Document, path: Path) -> str:
-    """Check that the claim on the time after T follows from the proven facts; return what it confirms."""
+    """Check that the claim on the time after T follows from the proven facts; return the confirmed claim."""
     doc, tail = document, document.cells - document.steps
     if doc.horizon == "infinite":
         _closes(doc, path, tail)

@@ -252,7 +252,7 @@ def _separate(
 def _clipped(
     ranges: list[tuple[arb, arb]], tops: list[arb], u: arb_mat, stored: list[float] | None
 ) -> tuple[list[float], arb_mat, list[arb]]:
-    """Slopes of a clipped law within some ranges, what it commands besides, and how far off it may be.
+    """Slopes of a clipped law within some ranges, its offset, and the largest error of both.
 
     With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
     the one found there. With other slopes neither need contain the other.

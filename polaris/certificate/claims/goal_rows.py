@@ -32,7 +32,7 @@ class GoalRows:
 
 
 def velocities(document: Document) -> arb_mat:
-    """Rate of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
+    """Rate of the position [m/s] that a unit of each state makes: 0 for a state that is no velocity."""
     C, A = matrix(document.C), matrix(document.A)
     rate, terms = C * A, absolute(C) * absolute(A)
     for i, j in product(range(C.nrows()), range(C.ncols())):
@@ -42,7 +42,7 @@ def velocities(document: Document) -> arb_mat:
 
 
 def speeds(document: Document) -> list[arb]:
-    """Speed of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
+    """Speed of the position [m/s] that a unit of each state makes: 0 for a state that is no velocity."""
     return norms(velocities(document).transpose())
 
 

@@ -33,7 +33,7 @@ class LastingStorage:
 
 
 class MeanCommands:
-    """Commands of a loop about their middle, of which every period spends what it costs at most.
+    """Commands of a loop about their middle; every period spends at most their cost.
 
     Errors of thrusters are up to `error` (k). Columns of `noise` (m, k), each times at most one, are what
     errors of estimates add to commands. These answer the loop state by `K` (m, N), if not as in the loop.

@@ -29,7 +29,7 @@ class Recovery:
     limits: Limits
     tightenings: Tightening
     levels: list[list[NodeLimit]] = field(default_factory=list)
-    """What feedback may command l periods after a hand-over; the last ones hold from then on."""
+    """Bounds on feedback commands l periods after a hand-over; the last ones hold from then on."""
 
     @classmethod
     def from_limits(

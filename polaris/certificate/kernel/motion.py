@@ -183,7 +183,7 @@ class Plant:
         return dot(sizes, self.weights or [1.0] * len(sizes))
 
     def push(self, error: list[arb]) -> list[InputSet]:
-        """Errors of thrusters (k), or of inputs alone (m), as what pushes, if there are any."""
+        """Errors of thrusters (k), or of inputs alone (m), as input sets, if there are any."""
         rates = self.B if len(error) == self.B.ncols() else self.entering
         return [InputSet.in_box(rates, error)] if any(x > 0 for x in error) else []
 
@@ -305,7 +305,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class RowIntersample:
-    """Intersample bounds of a motion along rows, and what pushes in every period."""
+    """Intersample bounds of a motion along rows, and its pushes in every period."""
 
     motion: Motion
     rows: arb_mat

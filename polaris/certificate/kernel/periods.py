@@ -37,7 +37,7 @@ class Period:
         return z.image(self.F).translate(self.moved)
 
     def next_set(self, end: Zonotope) -> Zonotope:
-        """Return the set at the next node, from `ends`: what is known of one along rows serves the other."""
+        """Return the set at the next node, from `ends`: the support of one along rows serves the other."""
         return end.plus(*self.held, *self.added)
 
     def extra(self, bounds: RowIntersample, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:

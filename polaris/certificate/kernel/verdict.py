@@ -39,7 +39,7 @@ class Imprecise(Undecided):
 
 @dataclass
 class Record:
-    """Claims confirmed so far, each with what was found."""
+    """Claims confirmed so far, each with the value derived for it."""
 
     checked: list[tuple[str, str]] = field(default_factory=list)
     sampled: bool = False  # whether what was confirmed rests on samples

@@ -39,14 +39,14 @@ def times(M: arb_mat, G: arb_mat) -> arb_mat:
 
 
 class Directions:
-    """Rows along which many sets and motions are bounded; what they find is kept under this object."""
+    """Rows along which many sets and motions are bounded; their bounds are kept under this object."""
 
     def __init__(self, M: arb_mat) -> None:
         self.M = M
 
 
 class Generators:
-    """Generators, what rows make of them and how far they reach, each made once, part by part."""
+    """Generators, their products with rows and their support, each made once, part by part."""
 
     def __init__(self, *parts: arb_mat | Generators) -> None:
         self._parts = parts

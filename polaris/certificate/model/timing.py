@@ -42,7 +42,7 @@ def _strengths(scenario: dict[str, Any]) -> list[arb]:
 
 
 def _require_whole(thrusters: dict[str, Any], impulses: list[arb]) -> None:
-    """Refuse nearest multiples of a bit above what full thrust makes in a period, by impulses [N s]."""
+    """Refuse nearest multiples of a bit above the impulse of full thrust in a period, by impulses [N s]."""
     bit = thrusters.get("impulse_bit_N_s", 0.0)
     kinds = thrusters.get("remainder", "dropped"), thrusters.get("resolution", "bit")
     for impulse in impulses if bit > 0 and kinds == ("dropped", "bit") else []:

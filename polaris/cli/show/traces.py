@@ -14,7 +14,7 @@ from . import print_line, show_table, table, warning_text
 
 
 def show_metrics(metrics: TraceMetrics) -> None:
-    """Print what `polaris.traces.evaluate_trace` found, as tables."""
+    """Print the results of `polaris.traces.evaluate_trace`, as tables."""
     axes = "" if metrics.dims is None else f", {counted(metrics.dims, 'axis', 'axes')}"
     for name, agent in metrics.agents.items():
         print_line(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
@@ -65,7 +65,7 @@ LEGACY_FORMS = {
 
 
 def show_legacy(agents: Legacy) -> None:
-    """Print what RTAEval's methods return, in their order."""
+    """Print the values of RTAEval's methods, in their order."""
     for name, methods in agents.items():
         print_line(f"{name}: as RTAEval computes it, defects included", "bold")
         rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]

@@ -148,7 +148,7 @@ class Brake:
         return out
 
     def extended(self, x: Array, count: int) -> Array:
-        """A plan with at least `count` samples: what ends at rest stays so."""
+        """A plan with at least `count` samples: one that ends at rest stays so."""
         if len(x) >= count:
             return x
         turn = turned(self.inspection.mean_motion * self.period * np.arange(1, count - len(x) + 1))

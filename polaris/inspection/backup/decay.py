@@ -41,7 +41,7 @@ class Decay:
         gains = np.linalg.norm(outputs * weight, axis=2)
         self._total_rest = gains.sum(axis=0) / (1 - shrunk)
         self.left = shrunk * self._total_rest
-        """What is left of the totals (r,) after the `powers` (K, r, d), for a state of norm 1."""
+        """Remainders of the totals (r,) after the `powers` (K, r, d), for a state of norm 1."""
         self._peak_rest = gains.max(axis=0)
         self.later = shrunk * self._peak_rest
         """The largest outputs (r,) that are left after the `powers`, for a state of norm 1."""

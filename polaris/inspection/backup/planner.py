@@ -16,7 +16,7 @@ ROOM = 0.5
 
 
 class Proven(NamedTuple):
-    """A plan (L+1, N, 6) from the time t [s] on, the tube about it (L+1, N, 2) and what it keeps.
+    """A plan (L+1, N, 6) from the time t [s] on, the tube about it (L+1, N, 2) and its margins.
 
     Bounds (M,) of all constraints along it, for all time: negative where they are not proven.
     """
@@ -98,7 +98,7 @@ class BackupPlanner:
         shift: Array,
         keeps: NDArray[np.bool_] | None,
     ) -> bool:
-        """Change what concerned deputies end first or where they are held; False if nothing new helps."""
+        """Change the concerned deputies' order or holding places; False if nothing new helps."""
         before = toward.copy(), shift.copy()
         brake, check = self.brake, self.check
         D = brake.period if len(proven.plan) > 1 else 0.0

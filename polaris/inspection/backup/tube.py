@@ -74,7 +74,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class HeldThrust:
-    """A deputy's motion with thrust held for a period [s], and what keeps it at rest where it is.
+    """A deputy's motion with thrust held for a period [s], and the thrust that keeps it at rest.
 
     `motion` has the transition (6, 6) and the input's (6, 3); `resting` (6, 3) the state at rest at a place;
     `still` (3, 3) the thrust per metre that keeps its velocity; `slip` (6, 3) what that misses of the place
@@ -181,7 +181,7 @@ class ErrorTube:
         return self._spread(np.concatenate([np.maximum(bounds[1:], bounds[:-1]), final[None]]), errors)
 
     def _spread(self, error: Array, errors: Array | float) -> Array:
-        """Bounds (..., 2) at samples, and what thrusters miss [m/s^2], made bounds of all between as well."""
+        """Bounds (..., 2) at samples, extended to all between by missing acceleration [m/s^2]."""
         between = error[..., 1] + self._spin * error[..., 0] + (errors + self._extra) * self._period / 2
         between = between * self._grow
         return np.stack([error[..., 0] + between * self._period / 2, between], axis=-1)

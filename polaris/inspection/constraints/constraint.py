@@ -114,7 +114,7 @@ class Constraint(ABC):
         raise TypeError(f"no bound for {type(self).__name__}")
 
     def check(self) -> None:
-        """Refuse attributes of another kind, and what does not evaluate states one by one."""
+        """Refuse attributes of another kind, and functions that do not evaluate states one by one."""
         key_path = f"constraints.{self.label}"
         for name, kind in (("label", str), ("family", str), ("pair", bool), ("alpha", Strengthening)):
             of_kind(f"{key_path}.{name}", getattr(self, name), kind)

@@ -168,7 +168,7 @@ class Assured(CallByCall):
         return (call, None, self._sure) if self._sure.all() and not within.all() else (shifted, plan, within)
 
     def near(self, x: Array, plan: Proven) -> Some:
-        """Return whose estimates (N, 6) are as near to their plans as what is not known allows."""
+        """Return whose estimates (N, 6) are as near to their plans as their errors allow."""
         gap, error = np.abs(x - plan.plan[0]), self.brake.estimate
         near = length(gap[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
         return np.asarray(near & (length(gap[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))

@@ -117,7 +117,7 @@ class Centralized:
 
 
 class Decentralized:
-    """A filter per deputy: it knows all states, but not what the others will do.
+    """A filter per deputy: it knows all states, but not the others' inputs.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class Decentralized:
         return Filtered(u, status, rows)
 
     def _shares(self, rows: BarrierRows, deputies: int) -> tuple[Array, Statuses | None]:
-        """Bounds for a row's first and second deputy, (2, R, M), or both; the status of what was agreed."""
+        """Bounds for a row's first and second deputy, (2, R, M), or both; the status of the agreement."""
         bound = rows.bound
         if self.sharing == "coasting":
             return bound[None], None

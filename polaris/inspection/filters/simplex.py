@@ -30,7 +30,7 @@ class _Latching(Assured):
 
     @abstractmethod
     def _troubled(self, call: FilterInput, u: Array, spare: bool) -> tuple[Some, str]:
-        """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or to their release; what."""
+        """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or their release; the cause."""
 
     def _proposal(self, call: FilterInput, valid: Some, backup: Array) -> tuple[Array, Some]:
         proposed = np.where(valid[:, None], call.u, backup)

@@ -57,7 +57,7 @@ class BlockOutcome:
         return np.stack([self.columns[name] for name in self.columns if name.startswith("delta_v_")], axis=1)
 
     def failures(self) -> list[dict[str, Any]]:
-        """Every failure: run, what, deputies, time [s], value (nan for a program without solution)."""
+        """Every failure: run, kind, deputies, time [s], value (nan for a program without solution)."""
         columns, short = self.columns, self.columns["short_s"]
         none = np.full(len(short), np.nan)
         rows = [("no solution", ~np.isnan(short), columns["short_deputies"], short, none)]

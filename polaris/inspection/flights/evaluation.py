@@ -29,7 +29,7 @@ class Least:
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedRun:
-    """A flight and what it came to: the least values by name, and of the barriers by family."""
+    """A flight and its outcome: the least values by name, and of the barriers by family."""
 
     run: InspectionRun
     constraints: dict[str, Least]

@@ -247,7 +247,7 @@ def free_motion(A: Array, x0: Array, t: Array) -> Array:
 def true_states(
     obstacles: Sequence[Obstacle], system: LinearSystem, times: Array, runs: int, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """States of other satellites that what is known of them allows, by name, shape (R, N+1, n).
+    """States of other satellites within their declared errors, by name, shape (R, N+1, n).
 
     Half of the runs start them in corners of the known box and give them their largest
     acceleration; it is constant in each run, and so is a disturbance that pushes them the same way.

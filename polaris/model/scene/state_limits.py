@@ -117,7 +117,7 @@ class StateLimit(Obstacle):
         return np.asarray(np.where(holds, slack, np.inf))
 
     def blurred(self, clock: float, margin: float) -> Self:
-        """Return the limit: it counts by the schedule's clock; its polytopes grow by what is `margin`."""
+        """Return the limit: it counts by the schedule's clock; its polytopes grow by `margin`."""
         return self
 
     def _inflated(self, radius: float) -> Self:

@@ -203,7 +203,7 @@ LINES = {  # lines against a field's values: colour, factor and name
 
 
 def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
-    """Share of U and velocity change against the values of every field; what is infeasible at the foot."""
+    """Share of U and velocity change against the values of every field; infeasible ones at the foot."""
     fields = list(dict.fromkeys(point["field"] for point in points))
     figure = new_figure(0.4 + 1.7 * len(fields), 1.4 * WIDTH)
     for ax, field in zip(figure.subplots(len(fields), squeeze=False)[:, 0], fields, strict=True):

@@ -136,7 +136,7 @@ def keep_ticks(axes: Iterable[Any]) -> None:
 
 
 def text_width(text: str) -> float:
-    """Width of a text of 7 points [in], with what fitting letters to pixels may add."""
+    """Width of a text of 7 points [in], with an allowance for fitting letters to pixels."""
     font = FontProperties(size=7.0)
     return 1.05 * float(text_to_path.get_text_width_height_descent(text, font, False)[0]) / 72
 

@@ -95,7 +95,7 @@ def page_html(page: Page) -> str:
 
 
 def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, Markup]:
-    """The section that says how to read the page: a note, and what each metric means, as the folder says."""
+    """The section that says how to read the page: a note, and the folder's meaning of each metric."""
     definitions = summary.get("definitions", {})
     meanings = [f"{Measure.from_key(key).title} ({key}): {text}" for key, text in definitions.items()]
     return "reading", "How to read this", Markup(macros().reading(note, meanings))

@@ -84,7 +84,7 @@ def _margins(picture: PlotData) -> dict[str, Any]:
 
 
 def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
-    """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
+    """The first screen: safety, arrival, cost, and the controller of each step."""
     claim, flights, search = summary["guarantee"], summary["polaris"], summary["synthesis"]
     end, proved = claim["goal"], claim["kind"] == "proved"
     within, delta_v = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))

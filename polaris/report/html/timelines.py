@@ -40,7 +40,7 @@ def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples:
-    """Samples of `count` that are drawn: evenly many, the ends, changes of modes (r, N-1), what must be."""
+    """Samples of `count` that are drawn: evenly many, the ends, changes of modes (r, N-1), required ones."""
     if count <= MOST:
         return np.arange(count)
     even = np.linspace(0, count - 1, MOST).astype(int)

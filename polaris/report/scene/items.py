@@ -24,7 +24,7 @@ from .space import Space
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """The true set at an instant that print shows, what is told, a cover's outline, the chaser's place."""
+    """The true set at an instant that print shows, its text, a cover's outline, the chaser's place."""
 
     shape: DrawnShape
     told: str = ""

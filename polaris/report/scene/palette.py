@@ -43,7 +43,7 @@ BACKUP_MODES = {0: ("primary controller", ORANGE), 1: ("backup controller", BLUE
 
 @dataclass(frozen=True)
 class Look:
-    """Colour of one kind of thing, its name on the page and in print, and what switches it on the page."""
+    """Colour of one kind of thing, its name on the page and in print, and the switch for it on the page."""
 
     colour: str
     name: str

@@ -29,7 +29,7 @@ class Space:
 
     @classmethod
     def from_paths(cls, picture: PlotData, paths: Sequence[Array] | None = None) -> "Space":
-        """Space for the safe path and the reference, what they come near, and paths (N, d) [m] near them."""
+        """Space for the safe path and the reference, bodies near them, and paths (N, d) [m] near them."""
         flat = picture.frame.flat
         start = picture.initial_positions
         reach = np.abs(start.G).sum(axis=-1)

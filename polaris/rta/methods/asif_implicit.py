@@ -118,7 +118,7 @@ class ImplicitASIF(Method):
         return Choice(mode, margin, reasons, u * grid.system.u_max)
 
     def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
-        """Clearance that this decision must leave, (R, rows): a share of what S, taking over now, leaves."""
+        """Clearance that this decision must leave, (R, rows): a share of that of S from now on."""
         if self.slope == 1:
             return 0.0
         demand, r = self.prospect.demand, len(self.recovery.rows)

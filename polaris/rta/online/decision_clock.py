@@ -40,7 +40,7 @@ class DecisionClock:
     def read(
         self, now: object, reference: object = None, number: object = None
     ) -> tuple[int | None, FlightFault | None]:
-        """Number of the decision, if it is known, and what is wrong.
+        """Number of the decision, if it is known, and the clock's fault.
 
         The clock [s], the second clock [s] from any origin, and the number as the caller counts it.
         """

@@ -104,7 +104,7 @@ class DecisionLog:
                 oldest.unlink()
 
     def close(self) -> None:
-        """Hand over what is left; a stream of the caller's stays open."""
+        """Hand over the remaining lines; a stream of the caller's stays open."""
         if self._own:
             self._stream.close()
         else:

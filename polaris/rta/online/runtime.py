@@ -94,7 +94,7 @@ class OnlineMonitor:
         return np.asarray(np.clip(u, -limit, limit))
 
     def resynchronise(self, now: float) -> None:
-        """Say what the clock will read at the next call [s], after it was found wrong."""
+        """Set the clock's reading at the next call [s], after it was found wrong."""
         self._asked = Unreadable(kind_of(now)) if now is None else sanitize(now)
 
     def step(

@@ -45,7 +45,7 @@ class Parquet:
 
     @contextmanager
     def _opened(self, path: Path) -> Iterator[Any]:
-        """Open a file whose columns are not larger than they may be; what is damaged is a `ValueError`."""
+        """Open a file whose columns are not larger than they may be; a damaged one is a `ValueError`."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 

@@ -37,7 +37,7 @@ class Interrupted(PolarisError):
 
 @contextmanager
 def going_on(describe: Callable[[], str]) -> Iterator[None]:
-    """Say with whatever ends the work what is kept of it, and that the same command goes on from there."""
+    """Add to any error that ends the work which runs are kept, and that the same command goes on."""
     try:
         yield
     except KeyboardInterrupt:

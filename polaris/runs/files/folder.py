@@ -144,7 +144,7 @@ def _summarise(
 
 
 def summary_of(scenario: Scenario, kind: str, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a summary: what was run, what is told of it, and when and by what it was made."""
+    """Return a summary: the run, its results, and when and by which version it was made."""
     return {
         "schema_version": RUN_VERSION,
         "scenario": scenario.name,

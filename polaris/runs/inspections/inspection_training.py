@@ -120,7 +120,7 @@ class InspectionFlights:
         return np.column_stack([scaled.reshape(self.runs, -1), np.cos(sun), np.sin(sun), self.k / self.count])
 
     def advance(self, u: Array, moving: NDArray[np.bool_] | None = None) -> dict[str, NDArray[Any]]:
-        """Fly a period with thrust (R, 3 N) [N]; some flights may stand still. What is not finite is none.
+        """Fly a period with thrust (R, 3 N) [N]; some flights may stand still. Thrust not finite is 0.
 
         Returns
         -------

@@ -67,7 +67,7 @@ class ThrustersTable(ScenarioPart):
     or least 2-norm, within the limits."""
 
     def nozzles(self, allocation: Allocation | None) -> Nozzles | None:
-        """Return the thrusters of a layout with what each may do wrong; None where none is given."""
+        """Return the thrusters of a layout with their errors; None where none is given."""
         if self.directions is None or allocation is None:
             return None
         errors = self.magnitude_error, float(np.deg2rad(self.misalignment_deg)), self.mass_error
@@ -194,7 +194,7 @@ def transients(
     boxes: bool,
     times: int,
 ) -> tuple[Transient, ...]:
-    """Return what late faults do until isolated, by gains of laws and networks; `boxes`: with black boxes.
+    """Return the transients of late faults, by gains of laws and networks; `boxes`: with black boxes.
 
     Thrusters push `times` as hard as their limits say, where one at a time has power.
     """
@@ -236,7 +236,7 @@ class AbortTable(ScenarioPart):
     delta_v_max_m_s: f.Positive | None = unit("m/s", "Delta-v budget of a powered abort.", default=None)
 
     def check(self, system: LinearSystem, step: float) -> None:
-        """Refuse what takes too long, and what is not covered."""
+        """Refuse isolation that takes too long, and combinations that are not covered."""
         drift, within = self.build(system), self.within_s
         self.powered(system)
         if drift is not None and drift.cells(step) > MAX_STEPS:

@@ -16,7 +16,7 @@ class StuckOff(ScenarioPart):
     at once, and the schedule continues."""
 
     def build(self) -> Failed:
-        """Return what is left of the thruster."""
+        """Return the remaining thruster."""
         return Failed("stuck_off", 0.0, self.isolation_s)
 
 
@@ -28,7 +28,7 @@ class Loss(ScenarioPart):
     isolation_s: f.NonNegative = unit("s", "As with `stuck_off`.", default=0.0)
 
     def build(self) -> Failed:
-        """Return what is left of the thruster."""
+        """Return the remaining thruster."""
         return Failed("loss", 1 - self.share, self.isolation_s)
 
 
@@ -39,7 +39,7 @@ class StuckOn(ScenarioPart):
     isolation_s: f.Positive = unit("s", "Longest time until isolation, after which S flies with the others.")
 
     def build(self) -> Failed:
-        """Return what is left of the thruster."""
+        """Return the remaining thruster."""
         return Failed("stuck_on", 0.0, self.isolation_s)
 
 

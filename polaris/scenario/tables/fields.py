@@ -50,7 +50,7 @@ class ScenarioPart(BaseModel):
 
     @classmethod
     def python_names(cls) -> dict[str, str]:
-        """Return what Python calls its keys."""
+        """Return the Python names of its keys."""
         return {key: f.python_name(key) for key in cls.model_fields}
 
     def arguments(self) -> dict[str, Any]:
@@ -65,7 +65,7 @@ class ScenarioPart(BaseModel):
 
 @contextmanager
 def in_file_terms(path: str, part: ScenarioPart, **elsewhere: str) -> Iterator[None]:
-    """Let errors of what is built from a table name the field of the file.
+    """Let errors of objects built from a table name the field of the file.
 
     `path` is that of the table; `elsewhere` gives the paths of what other tables hold, by Python's names.
     """
@@ -149,11 +149,11 @@ class Described(ScenarioPart):
 
     @classmethod
     def python_names(cls) -> dict[str, str]:
-        """Return what Python calls the keys of the class."""
+        """Return the Python names of the class's keys."""
         return {key.name: name for name, key in f.keys_of(cls.MAKES).items()}
 
     def make(self, path: str, **values: Any) -> Any:
-        """Return what the table at a path describes; `values` is what the file says elsewhere."""
+        """Return the object that the table at a path describes; `values` are the file's other values."""
         with in_file_terms(path, self):
             return self.MAKES(**self.arguments(), **values)
 

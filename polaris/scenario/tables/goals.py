@@ -14,7 +14,7 @@ USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positi
 
 
 def hill_rate(system: LinearSystem, field: str, value: object) -> float:
-    """Mean motion [rad/s] of what needs Hill's frame."""
+    """Mean motion [rad/s] of a scenario in Hill's frame."""
     if system.mean_motion is None:
         raise ScenarioError(field, value, "needs Hill's frame (system.kind = 'clohessy_wiltshire')")
     return system.mean_motion

@@ -47,7 +47,7 @@ class Orbit(Described, makes=Environment):
 
 
 class OrbitSource(ScenarioPart):
-    """Keys of ``[orbit]`` that others follow from; a run folder holds what followed."""
+    """Keys of ``[orbit]`` that others follow from; a run folder holds the derived ones."""
 
     two_line_elements: tuple[f.Text, f.Text] | None = unit("-", default=None)
     """Two lines of elements for SGP4."""

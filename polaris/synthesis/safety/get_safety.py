@@ -175,7 +175,7 @@ def _of_share(problem: Problem, along: Plan | None, like: Safety | None = None) 
 
 
 def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInfeasible:
-    """Name in the error the faults that cannot be survived, and what is short where with each alone."""
+    """Name in the error the faults that cannot be survived, and the shortfall with each alone."""
 
     def under(*faults: Transient) -> Safety | None:
         try:

@@ -44,7 +44,7 @@ class Update:
 
 @dataclass(frozen=True, eq=False)
 class ObserverErrors:
-    """An observer: all that updates may add so many periods later, by kinds of updates and what adds it.
+    """An observer: all that updates may add so many periods later, by kind of update and source.
 
     Sources are numbered: 0 is all that does not grow with commands, and leads of pulses at full thrust; i + 1
     is a unit of errors of input i.

@@ -95,7 +95,7 @@ class States:
         self.carries = self.add([arb(self.plant.carried)] * self.plant.B.ncols())
 
     def _carry(self) -> None:
-        """Let them enter what has been put together: the impulse of a period is its rest less the next."""
+        """Add the carried impulses to the blocks: the impulse of a period is its rest less the next."""
         plant, m, block = self.plant, self.plant.B.ncols(), self.carries
         gains: Blocks = {}
         for begin, end, enters in self.parts:
