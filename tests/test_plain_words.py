@@ -59,3 +59,28 @@ def test_a_room_has_no_unclear_words(room):
         for line, text in unclear(path.read_text(encoding="utf-8"))
     ]
     assert not texts, "say what it is:\n" + "\n".join(texts)
+
+
+def private_names(path):
+    """Return uses of private names of modules outside the test's room, unless their line says why."""
+    source, (_, *folders) = path.read_text(encoding="utf-8"), path.relative_to(ROOT).parts[:-1]
+    room, lines, homes, uses = ".".join(folders[:2]) or "none", source.splitlines(), {}, []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] in ("polaris", "reach"):
+            homes |= {each.asname or each.name: node.module for each in node.names}
+            uses += [(node.lineno, node.module, each.name) for each in node.names]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in homes:
+            uses.append((node.lineno, homes[node.value.id], node.attr))
+    return [
+        f"{path.relative_to(ROOT)}:{line}: {module}.{name}"
+        for line, module, name in uses
+        if re.match("_[^_]", name)
+        and not f"{module}.".startswith(f"{room}.")
+        and "# private: " not in lines[line - 1]
+    ]
+
+
+def test_tests_use_no_private_names_of_other_rooms():
+    uses = [use for path in sorted((ROOT / "tests").rglob("*.py")) for use in private_names(path)]
+    assert not uses, "test them in their room, or say why: '# private: ...'\n" + "\n".join(uses)

@@ -143,7 +143,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, programs: BlackBo
         folder = tradeoff(
             scenario,
             options.out,
-            dict(map(_sweep, options.sweep)) or prices,
+            dict(map(read_sweep, options.sweep)) or prices,
             share=options.share,
             overrides=options.assignments or (),
             draw=output.draw,
@@ -159,7 +159,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, programs: BlackBo
     output.finish(folder)
 
 
-def _sweep(text: str) -> tuple[str, list[float]]:
+def read_sweep(text: str) -> tuple[str, list[float]]:
     """Key and values of a text ``key=0.1,0.2`` or ``key=0.1:10:5``, rounded to six digits."""
     import numpy as np
 

@@ -125,7 +125,7 @@ def own_reference(
         state = as_finite(f"{path}.state", spec.state, 1)
         if gain is None:
             return _still(system, state, K, delta, path)
-        return _settled(system, gain, state, K, delta, path)
+        return at_rest(system, gain, state, K, delta, path)
     if planned is not None:
         return Reference.propagate(system, delta, problem.initial_set.c, planned)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
@@ -147,7 +147,7 @@ def _still(system: LinearSystem, state: Array, K: int, delta: float, path: str) 
     return Reference(system, delta, np.repeat(state[None], K + 1, axis=0), np.zeros((K, system.m)))
 
 
-def _settled(system: LinearSystem, gain: Array, state: Array, K: int, delta: float, path: str) -> Reference:
+def at_rest(system: LinearSystem, gain: Array, state: Array, K: int, delta: float, path: str) -> Reference:
     """Return the rest of ``u = K (state - x)``: a constant trajectory with a constant input.
 
     About it the law is the same feedback, so ``u = u_eq + K (x_eq - x)`` exactly.

@@ -117,11 +117,11 @@ def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[Weighte
             loop, middle = TurnedCommands(craft, loop, middle), above(middle, arb_mat(m, 1))
         sizes = list(map(float, map(abs, middle.mid().entries())))
         r = [x + y for x, y in zip(weights[: len(sizes)], sizes, strict=True)]
-        periods.append((WeightedPeriod(loop, r, _columns(loop, weights[len(sizes) :])), middle))
+        periods.append((WeightedPeriod(loop, r, by_value(loop, weights[len(sizes) :])), middle))
     return periods
 
 
-def _columns(loop: MeanCommands, weights: Vector) -> list[float]:
+def by_value(loop: MeanCommands, weights: Vector) -> list[float]:
     """Return the weight of every value from those of groups of values."""
     n_errors = loop.enter.ncols() - loop.held
     if len(weights) != len(loop.groups) + n_errors:

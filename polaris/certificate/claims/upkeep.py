@@ -42,9 +42,9 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         require("upkeep", top - x, "S may ask for more thrust than there is")
     thrust = plant.spent(tops) / plant.h, arb(0)
     try:
-        _check(arrival, claim, tank, tops, thrust)
+        check_sizes(arrival, claim, tank, tops, thrust)
     except (Rejected, Undecided):
-        _check(arrival, claim, tank, tops, _mean(arrival, nodes, tops) or thrust)
+        check_sizes(arrival, claim, tank, tops, _mean(arrival, nodes, tops) or thrust)
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
@@ -95,7 +95,7 @@ def _mean(arrival: Arrival, nodes: range, tops: list[arb]) -> tuple[arb, arb] | 
     return (storage.cost + bits) * longest, once * longest
 
 
-def _check(
+def check_sizes(
     arrival: Arrival, claim: dict[str, Any], tank: float | None, tops: list[arb], thrust: tuple[arb, arb]
 ) -> None:
     """Refuse a claim that does not follow from the largest commands and the mean thrust."""

@@ -267,10 +267,10 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
             check_gain(document, law, spec)
         check_references(document, law, scenario, spec)
     if document.sampled_bound:
-        _check_asked(document.sampled_bound, scenario)
+        check_statements(document.sampled_bound, scenario)
 
 
-def _check_asked(claim: dict[str, Any], scenario: dict[str, Any]) -> None:
+def check_statements(claim: dict[str, Any], scenario: dict[str, Any]) -> None:
     """Check that the statements on black boxes answer the scenario's demands, with its seed."""
     boxes = [spec for spec in scenario["experimental"] if spec["kind"] == "black_box"]
     bound = min(spec.get("probability", 0.01) for spec in boxes)

@@ -35,13 +35,13 @@ PLACES = {"centred": (8, 32, 62), "start": (4, 54, 96), "staggered": (4, 32, 62)
 integral without the mean, and on the integral of the size of that."""
 
 
-def _strengths(scenario: dict[str, Any]) -> list[arb]:
+def strengths(scenario: dict[str, Any]) -> list[arb]:
     """Return the shares of its thrust that a thruster may have, if it has any."""
     losses = [fault["share"] for fault in scenario.get("faults", []) if fault["kind"] == "loss"]
     return [arb(1), *(1 - arb(share) for share in losses)]
 
 
-def _require_whole(thrusters: dict[str, Any], impulses: list[arb]) -> None:
+def require_whole(thrusters: dict[str, Any], impulses: list[arb]) -> None:
     """Refuse nearest multiples of a bit above the impulse of full thrust in a period, by impulses [N s]."""
     bit = thrusters.get("impulse_bit_N_s", 0.0)
     kinds = thrusters.get("remainder", "dropped"), thrusters.get("resolution", "bit")
@@ -82,13 +82,13 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         if placement == "staggered":
             bit = arb(thrusters.get("impulse_bit_N_s", 0.0)) / plant.h
             bit *= 1 if thrusters.get("remainder", "dropped") == "carried" else 0.5
-            share = layout.in_turn(document.u_max, bit) / smallest(_strengths(scenario))
+            share = layout.in_turn(document.u_max, bit) / smallest(strengths(scenario))
             require("system", 1 - share, f"pulses one after another take {share} periods")
     if pulsed and not (placement == "staggered" and "directions" in thrusters):
         tops = per_axis(top, len(document.u_max))
         if "directions" in thrusters:
             tops = per_axis(thrusters["thrust_max_N"], len(thrusters["directions"]))
-        _require_whole(thrusters, [x * y * plant.h for x in map(arb, tops) for y in _strengths(scenario)])
+        require_whole(thrusters, [x * y * plant.h for x in map(arb, tops) for y in strengths(scenario)])
     fine = thrusters.get("resolution", "bit") != "bit" and thrusters.get("impulse_bit_N_s", 0.0) > 0
     if document.timing.get("fine", False) != fine:
         raise Rejected("system", "sizes of impulses are not those of the scenario")

@@ -216,7 +216,7 @@ def _look_closer(
     late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter deviates by no more
     growth = np.abs(rows) @ late
     if system.timing.pulse_thrust:  # not, then, what the polytopes are grown by because of them
-        x = x + _pulsed(system, before[:, None], after[:, None], h, s[:, None])
+        x = x + pulse_offset(system, before[:, None], after[:, None], h, s[:, None])
         sizes = claims.impulse_offset, claims.impulse_offset + np.array(system.timing.intersample_offset)
         growth += np.diff([claims.growth(u, size) for size in sizes], axis=0)[0]
     s = s[:, None]
@@ -231,7 +231,7 @@ def _look_closer(
     np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
 
 
-def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> Array:
+def pulse_offset(system: Craft, before: Array, after: Array, h: float, s: Array) -> Array:
     """Return how far pulses take states from where held inputs have them, at shares s of a period, (R, S, n).
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.

@@ -149,9 +149,7 @@ def arriving(search: ScheduleSearch, first: Schedule) -> tuple[ScheduleSearch, S
 def switching_logic(search: ScheduleSearch) -> Schedule:
     """Algorithm 2, for the controllers and by the rules of a search."""
     safety = search.safety  # lines 1 and 2: K steps; GetSafety
-    branch = PartialSchedule(
-        safety.start
-    )  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
+    branch = PartialSchedule(safety.start)  # lines 3 to 6: no mode decided; U's tube is made step by step
     while branch.k < safety.problem.K:  # line 7; t1 and t2 of lines 8 and 9 are the ends of step k
         for mode, steps in search.options(branch):  # lines 10 and 16: U is tried first, else S
             extended = search.extend(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached

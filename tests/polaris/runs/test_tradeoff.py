@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import polaris
 from polaris.cli.app import app
-from polaris.cli.compare import _sweep
+from polaris.cli.compare import read_sweep
 from polaris.cli.show.comparison import answered
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs import tradeoff as module
@@ -275,4 +275,4 @@ def test_sweeps_on_the_command_line(swept, tmp_path):
     for wrong in (f"{KEY}", f"{KEY}=a", f"{KEY}=1:2", f"{KEY}=2:1:3", f"{KEY}=1,1", "system.nothing=1"):
         done = CliRunner().invoke(app, [*given, "--sweep", wrong])
         assert (done.exit_code, done.stderr[:6]) == (2, "error:"), wrong
-    assert _sweep(f"{KEY}=0.01:1:3") == (KEY, [0.01, 0.1, 1.0])
+    assert read_sweep(f"{KEY}=0.01:1:3") == (KEY, [0.01, 0.1, 1.0])

@@ -132,7 +132,7 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
 
     def with_other_widths(arrival, claimed):
         node, n = claimed.first[0][0], len(claimed.center)
-        known = joints._Check(arrival, claimed)
+        known = joints._Check(arrival, claimed)  # private: the exact tightenings of its check
         along = (known.tightenings.rows * arrival.state(node)).entries()
         signs = [1] * n + [-1] * n
         over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]

@@ -22,7 +22,7 @@ from polaris import BlackBox
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.claims.argument import check_statement
 from polaris.certificate.files.document import digest
-from polaris.certificate.files.inputs import _check_asked
+from polaris.certificate.files.inputs import check_statements
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.app import app
 from polaris.model.errors import NoAnswer, NotCertified, PolarisError, ScenarioError
@@ -427,10 +427,10 @@ LESS_SURE = {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 1
 @pytest.mark.parametrize("other", [LESS_SURE, {"seed": 3}], ids=["less sure", "another seed"])
 def test_a_statement_is_what_the_scenario_asks_for(other, made):
     said = read_run(made).summary["guarantee"]["sampled_bound"]
-    _check_asked(said, document())
+    check_statements(said, document())
     assert check_statement(said | other)
     with pytest.raises(Rejected, match="asked for|seed"):
-        _check_asked(said | other, document())
+        check_statements(said | other, document())
 
 
 GOOD = """

@@ -14,7 +14,7 @@ from polaris import LinearSystem, Reference, clohessy_wiltshire, elliptical_nmt
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Rejected, Undecided
 from polaris.certificate.model.references import check_references
-from polaris.scenario.experimental import _settled
+from polaris.scenario.experimental import at_rest
 
 STEPS = 12
 
@@ -112,7 +112,7 @@ def test_setpoints_of_random_plants(seed):
     system, delta, x, u = random_system(rng)
     K = rng.normal(size=(system.m, system.n)) * u[:, None] / x
     state = rng.normal(size=system.n) * x
-    made = _settled(system, K, state, STEPS, delta, "reference")
+    made = at_rest(system, K, state, STEPS, delta, "reference")
     assert judged(system, delta, K, "setpoint", made.chi, made.nu, state=state.tolist()) == "holds"
     other = state.copy()
     other[int(rng.integers(system.n))] *= 1.01

@@ -14,9 +14,9 @@ pytest.importorskip("flint")
 from flint import arb
 
 from polaris import DecisionGrid, Environment, falsify, load_scenario, synthesize
-from polaris.certificate.claims.upkeep import _check, check_upkeep
+from polaris.certificate.claims.upkeep import check_sizes, check_upkeep
 from polaris.certificate.kernel.verdict import Rejected
-from polaris.certificate.model.timing import _require_whole, _strengths
+from polaris.certificate.model.timing import require_whole, strengths
 from polaris.model.craft import lead_of
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.estimates.prediction import predicting, pulse_error
@@ -29,11 +29,11 @@ from polaris.rta.online.observer import MeasurementCheck
 from polaris.rta.online.runtime_options import Durations
 from polaris.scenario.reading import write_toml
 from polaris.simulation.disturbances import disturbances
-from polaris.simulation.falsification.claims import _pulsed
+from polaris.simulation.falsification.claims import pulse_offset
 from polaris.simulation.firing import Firing
 from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.frame import near_circular, relative_rate
-from polaris.simulation.orbit.truth import _TrueMotion
+from polaris.simulation.orbit.truth import _TrueMotion  # private: its bare motion, without a schedule
 from polaris.simulation.run_metrics import held_path
 from polaris.simulation.simulate import flown_modes, simulate
 from reach import discretize
@@ -154,7 +154,7 @@ def test_pulses_are_followed_within_a_period(placed):
         apart.append(other)
     ends, places = held + firing.intersample(0), np.arange(1, 8) / 8
     assert np.allclose(ends, other, atol=2e-3 if placed == "centred" else 1e-2)
-    moved = _pulsed(system, before[:, None], ends[:, None], h, places[:, None])
+    moved = pulse_offset(system, before[:, None], ends[:, None], h, places[:, None])
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     true = true - held_path(system, h, before, other, places)
     for part in (slice(3), slice(3, 6)):
@@ -354,7 +354,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s")
     claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
-    _check(arrival, claim, None, [arb(0.5)], (arb(0.5), arb(12)))  # thrust is 12 N more once
+    check_sizes(arrival, claim, None, [arb(0.5)], (arb(0.5), arb(12)))  # thrust is 12 N more once
     assert claims["velocity change until it is settled"] == 7 + ahead + 12
     check_upkeep(arrival, claim, None)
     assert claims["velocity change per second"] == 0.25
@@ -444,13 +444,13 @@ def test_pulses_that_round_up_to_more_than_a_period_are_refused(weaker, count):
     given = ["feedback.period_s=0.25", "system.input_max=2.0", "thrusters.pulse=staggered", *lost]
     given.append(f"thrusters.impulse_bit_N_s={whole / count}")
     assert load_scenario(TINY, [*given, "thrusters.remainder=carried"]).system().timing.pulse_thrust
-    impulses = [arb(whole) * x for x in _strengths({"faults": [{"kind": "loss", "share": 0.25}] * weaker})]
+    impulses = [arb(whole) * x for x in strengths({"faults": [{"kind": "loss", "share": 0.25}] * weaker})]
     thrusters = {"impulse_bit_N_s": whole / count}
     fits = count == 4.0 or (count == 2.4 and not weaker)  # 3 of 3 bits; of 1.8 there are 2
     for error, check in (
         (ScenarioError, lambda: load_scenario(TINY, given).system()),
-        (Rejected, lambda: _require_whole(thrusters, impulses)),
+        (Rejected, lambda: require_whole(thrusters, impulses)),
     ):
         with nullcontext() if fits else pytest.raises(error):
             check()
-    _require_whole(thrusters | {"remainder": "carried"}, impulses)
+    require_whole(thrusters | {"remainder": "carried"}, impulses)

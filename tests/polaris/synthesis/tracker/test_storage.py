@@ -100,7 +100,7 @@ def test_synthesis_and_checker_store_alike(case):
     loop = MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), bands)
     after = checked.Storage(arb_mat(s.loop.N, s.loop.N), arb_mat(s.loop.N, 1), arb(0))
     for step, weights in zip(reversed(whole), reversed(chosen), strict=True):
-        columns = checked._columns(loop, weights.b.tolist())
+        columns = checked.by_value(loop, weights.b.tolist())
         for c in step.middle[::-1]:
             period = WeightedPeriod(loop, (weights.r + np.abs(c)).tolist(), columns)
             after = after.before(period, column(c.tolist()))
