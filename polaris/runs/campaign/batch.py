@@ -99,7 +99,6 @@ class CampaignRuns(ABC):
     modes: tuple[str, ...]
 
     name: ClassVar[str]  # by which a manifest knows it
-    formats: ClassVar[tuple[str, ...]]  # what its tables may be kept in, the preferred one first: `FORMATS`
     ranking: ClassVar[str]  # column by which its runs are ranked, the least first; empty if they are not
 
     def data(self) -> dict[str, Any]:

@@ -150,7 +150,7 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
     What is half written is removed, and failures that more time might change are forgotten.
     """
     path, is_new = check_place(out, fresh)
-    table = usable(plan.kind.formats)
+    table = usable()
     if is_new:
         with replacing(path) as draft:
             for name in ("runs", "failed"):

@@ -1,6 +1,6 @@
 """Table formats of campaign parts: Parquet, and numpy's archives where pyarrow is not installed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -79,12 +79,12 @@ class Npz:
 
 
 FORMATS: dict[str, Parquet | Npz] = {"parquet": Parquet(), "npz": Npz()}
-"""Formats of tables by the endings of their files."""
+"""Formats of tables by the endings of their files, the preferred one first."""
 
 
-def usable(formats: Sequence[str]) -> str:
-    """Return the first of some formats that this install can write; `ScenarioError` if it can write none."""
+def usable(formats: Iterable[str] = FORMATS) -> str:
+    """Return the first of some formats that this install can use; `ScenarioError` if it can use none."""
     for name in formats:
         if name != "parquet" or not unusable("pyarrow"):
             return name
-    raise ScenarioError("format", "parquet", unusable("pyarrow"))
+    raise ScenarioError("format of the campaign", "parquet", f"it cannot be read: {unusable('pyarrow')}")

@@ -45,7 +45,6 @@ class InspectionRuns(CampaignRuns):
     """Runs of a ``monte_carlo`` scenario; the modes are its studies, on the same initial conditions."""
 
     name: ClassVar[str] = "inspection"
-    formats: ClassVar[tuple[str, ...]] = ("parquet", "npz")
     ranking: ClassVar[str] = ""
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:

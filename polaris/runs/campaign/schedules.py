@@ -131,7 +131,6 @@ class ScheduleRuns(CampaignRuns):
     boxes: Boxes | None = field(default=None, compare=False)
 
     name: ClassVar[str] = "schedules"
-    formats: ClassVar[tuple[str, ...]] = ("parquet",)
     ranking: ClassVar[str] = "min_distance_m"
 
     def __post_init__(self) -> None:

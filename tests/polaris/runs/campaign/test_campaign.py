@@ -81,6 +81,17 @@ def test_executor_and_order_do_not_change_a_bit(flown, tmp_path):
         assert threads.submit(int).result() == 0, "somebody else's executor is not closed"
 
 
+def test_a_campaign_needs_no_optional_package(flown, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    bare = fly(tmp_path / "c")
+    assert bare.table == "npz" and bare.summary["cases"] == flown.summary["cases"]
+    again, before = fly(tmp_path / "c"), table(bare.path)
+    assert table(again.path) == before and set(before) == {Path(name).stem + ".npz" for name in table(flown.path)}
+    monkeypatch.undo()
+    for case in (0, 1):
+        np.testing.assert_equal(read_campaign(bare.path).read(case), flown.read(case))
+
+
 @pytest.mark.slow
 def test_a_pool_gives_the_same_table(flown, tmp_path):
     assert table(fly(tmp_path / "c", local(2)).path) == table(flown.path)
