@@ -20,7 +20,7 @@ from .goals import Goal
 Count = Annotated[Whole, Field(ge=1, le=10**9)]
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
 SOLVERS = {
-    "facets": "facet search, linear programs by HiGHS",
+    "facets": "branch and bound over the facets of unsafe sets, linear programs by HiGHS",
     "highs": "mixed-integer program by HiGHS",
     "gurobi": "mixed-integer program by Gurobi",
 }

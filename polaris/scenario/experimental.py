@@ -66,7 +66,7 @@ def read_policies(
         scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)
         thrust = per_axis(f"{path}.output_scale_N", spec.output_scale_N, system.m)
         policy = Policy(network, spec.inputs, scale, thrust)
-        policy.check(Senses.from_inputs(system, spec.inputs, unsafe, f"{path}.inputs"), path)
+        policy.check(Senses.from_inputs(system, spec.inputs, unsafe, f"{path}.inputs"), path, spec.path)
         policies[spec.name] = file, policy
     return policies
 

@@ -22,7 +22,7 @@ REAL = {1: 4, 11: 8}  # bytes of a number of the types that are read: float and 
 SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout", "Cast")  # they change no value
 ACTIVATIONS = {"Relu": 0.0, "LeakyRelu": 0.01, "Tanh": 0.0, "Sigmoid": 0.0}  # ``alpha`` where it is left out
 ELEMENTWISE = ("Add", "Sub", "Mul", "Div", "BatchNormalization")
-OPERATORS = {*SAME, *ACTIVATIONS, *ELEMENTWISE, "Gemm", "MatMul", "Clip", "Constant"}
+OPERATORS = ("Gemm", "MatMul", *ELEMENTWISE, *ACTIVATIONS, "Clip", "Constant", *SAME)
 LEAST = float(np.finfo(np.float32).tiny)  # below it single precision may take a number for 0
 UNLIMITED = float(np.finfo(float).max)  # limit of a Clip that gives none, by ONNX itself
 
@@ -33,9 +33,8 @@ def read_onnx(path: str | Path, precision: str = "real") -> Network:
     """Read a feed-forward network.
 
     Understood are Gemm, MatMul, Add, Sub, Mul, Div (with constants), BatchNormalization, Relu, LeakyRelu,
-    Tanh, Sigmoid, Clip, and what changes no value (Identity, Flatten, Reshape, Squeeze, Unsqueeze, Cast,
-    Dropout of inference). The batch axis counts for nothing. Weights are as stored. Memory and time are
-    bounded by the size of the file.
+    Tanh, Sigmoid, Clip, Constant, and operators that change no value (Identity, Flatten, Reshape, Squeeze,
+    Unsqueeze, Cast, Dropout of inference). Memory and time are bounded by the size of the file.
 
     Parameters
     ----------
@@ -78,7 +77,8 @@ def _require_known(model: Any) -> None:
         raise ReachError("operators defined in the file are not supported")
     for node in model.graph.node:
         if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
-            raise ReachError(f"the operator {f'{node.domain}.{node.op_type}'.lstrip('.')} is not understood")
+            name = f"{node.domain}.{node.op_type}".lstrip(".")
+            raise ReachError(f"the operator {name} is not understood; understood are {', '.join(OPERATORS)}")
 
 
 def _layers(graph: Any, budget: int) -> list[Layer]:

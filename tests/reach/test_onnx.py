@@ -1,5 +1,6 @@
 """ONNX files: what is read computes what the file says; what is not understood is one clear error."""
 
+import re
 import tracemalloc
 
 import numpy as np
@@ -10,8 +11,9 @@ onnx = pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 from onnx.reference import ReferenceEvaluator  # noqa: E402
 
+from polaris.scenario.tables.scene import Neural  # noqa: E402
 from reach.networks import network  # noqa: E402
-from reach.networks.onnx_file import read_onnx  # noqa: E402
+from reach.networks.onnx_file import OPERATORS, read_onnx  # noqa: E402
 from reach.numerics.errors import ReachError  # noqa: E402
 from reach.sets.zonotope import Zonotope  # noqa: E402
 
@@ -130,6 +132,16 @@ def test_what_is_not_understood_is_one_error(name, tmp_path):
     with pytest.raises(ReachError, match=words) as raised:
         read_onnx(saved(tmp_path, nodes, WEIGHTS | more))
     assert "policy.onnx" in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_operators_are_named_where_one_is_missing_and_where_networks_are_described(tmp_path):
+    """The operators of the chains that are read, in the message, in the docstring and in the reference."""
+    with pytest.raises(ReachError, match="the operator Elu is not understood") as raised:
+        read_onnx(saved(tmp_path, [node("Elu", "x", "h"), LAST], WEIGHTS))
+    field = Neural.model_fields["path"].description
+    assert {one.op_type for nodes, _ in CHAINS.values() for one in nodes} <= set(OPERATORS)
+    for text in (str(raised.value), read_onnx.__doc__, field):
+        assert set(OPERATORS) <= set(re.findall(r"\w+", text))
 
 
 KEPT = {

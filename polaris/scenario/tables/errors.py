@@ -35,13 +35,13 @@ class ThrustersTable(ScenarioPart):
     """Largest relative error of `system.mass_kg`, spent propellant included."""
     GONE = {"varies": "is now called errors_vary"}
     errors_vary: Literal["always", "never"] = unit("-", default="always")
-    """`always`, or `never`: the three errors above are constant in a flight. This reduces the delta-v bound,
-    unless there are `directions`, thruster faults, jitter, `rise_s` or `fall_s`."""
+    """`always`, or `never`: the three errors above are constant in a flight, which reduces the delta-v bound.
+    With `directions`, thruster faults, jitter, `rise_s` or `fall_s` the bound is that of `always`."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Impulse bit, of each thruster with `directions`; impulses are rounded to the nearest multiple."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
-    """Remainder of the rounding: `dropped`, or `carried` to the next period, where the sum of command and
-    remainder is rounded towards zero within the limits. The first one is zero."""
+    """Use of the remainder, the part of a command that rounding leaves out. `dropped`: it is lost. `carried`:
+    it is added to the next command, and the sum is rounded towards zero within the limits; it starts at 0."""
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
     """Possible impulses: multiples of one `bit`, or `continuous` from one bit on."""
     pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")

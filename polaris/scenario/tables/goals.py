@@ -25,7 +25,8 @@ class GoalTable(Described):
 
     tolerance_m: f.Positive | None = unit("m", default=None)
     """Distance at which the goal counts as reached; by default 5 % of its size, or what S needs to hold it
-    if more. Velocity errors count as the distance in the lesser of 1/eta (100 s without an orbit) and T/4."""
+    if more. A velocity error v counts as v*min(1/eta, T/4) metres, with 1/eta = 100 s without an orbit; in a
+    condition on velocity and position together, such as an ellipse's, as v/eta."""
     velocity_tolerance_m_s: f.Positive | None = unit("m/s", default=None)
     """Additional tolerance of velocities; needs tolerance_m. For orbits: from the orbit's velocity at the
     chaser's position."""

@@ -50,8 +50,8 @@ class Sight(ScenarioPart):
     """Angular error of the line of sight. Range and bearing errors need Hill's frame and `within_m`, and add
     to `position_error_m`."""
     within_m: f.PositivePerAxis | None = unit("m", default=None)
-    """Half-widths of a box about the target in which the bounds hold. The chaser, size included, is kept
-    inside while they apply, and assumed inside before the start."""
+    """Half-widths of a box about the target in which the bounds hold: for as long a keep-in zone of the whole
+    chaser, assumed before the start. Outputs name it `within`, in later phases `within-0`, `within-1`, ..."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
@@ -86,9 +86,9 @@ class MeasurementTable(Sight):
     matrix: f.Matrix | None = unit("-", "Measured rows, in other systems.", default=None)
     error: f.LimitVector | None = unit("SI", "Error bound of each row.", default=None)
     constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
-    """Share of these errors, but not of range and bearing, that is constant in a flight and unknown."""
+    """Share of these errors, but not of range and bearing, that is an unknown bias, constant in a flight."""
     initial: EstimateTable | None = unit("-", default=None)
-    """Error bounds of the first estimate; by default the observer has run long before the start."""
+    """Error bounds of the first estimate (at t = 0); by default the observer has run long before it."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """Return the rows that are measured, shape (r, n), and bounds on their errors, shape (r,)."""
@@ -142,8 +142,8 @@ class MeasurementTable(Sight):
 class Navigation(EstimateTable, Sight):
     """Bounds on the errors of the state estimate of every controller, arbitrary in time.
 
-    They are of position and velocity in Hill's frame, of states elsewhere, and hold until the first phase.
-    Networks and run-time methods use the largest of all phases.
+    In Hill's frame the bounds are on position and velocity; with kind = "linear" on each state. They hold
+    from t = 0 to the first phase's from_s. Networks and run-time methods use the largest of all phases.
     """
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)

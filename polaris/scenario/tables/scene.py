@@ -2,6 +2,8 @@
 
 from typing import Annotated, Literal
 
+from reach.networks.onnx_file import OPERATORS
+
 from ...model import keys as f
 from ...model.scene import keep_in, obstacles, satellite, state_limits, turning
 from .fields import BY_KIND, Described, ScenarioPart, unit
@@ -17,6 +19,7 @@ class BallObstacleTable(Described, makes=obstacles.BallObstacle, kind="ball", sa
 
 WALL = "Convex polytope; may be unbounded (a wall is one row)."
 BODY = "Another body that obeys the system's dynamics."
+CHAIN = f"ONNX file, relative to the scenario; a chain of the operators {', '.join(OPERATORS)}."
 
 
 class PolytopeObstacleTable(Described, makes=obstacles.PolytopeObstacle, kind="polytope", says=WALL):
@@ -150,8 +153,7 @@ class Neural(ScenarioPart):
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
     name: f.Name = unit("-", "Name.")
-    path: f.Text = unit("-", min_length=6, max_length=1000, pattern=r"\.onnx$")
-    """ONNX file, relative to the scenario."""
+    path: f.Text = unit("-", CHAIN, min_length=6, max_length=1000, pattern=r"\.onnx$")
     inputs: tuple[f.Input, ...] = unit("-", default=("error",), min_length=1, max_length=100)
     """Inputs in order: `error` (n numbers, reference minus x), `state` (n), `time` (start of the step [s]),
     `reference_input` (m); of an obstacle `position:NAME`, `velocity:NAME`, or relative to the chaser

@@ -99,15 +99,15 @@ class Policy:
     input_scale: Array
     output_scale: Array
 
-    def check(self, senses: Senses, field: str) -> None:
-        """Refuse, with the fields of a scenario's table `field`, a policy that does not fit a system."""
+    def check(self, senses: Senses, field: str, file: str = "a network") -> None:
+        """Refuse a policy that does not fit a system; messages name the scenario's table and the file."""
         read, outputs = sum(senses.sizes[name] for name in self.inputs), senses.system.m
         if self.network.inputs != read:
             rule = f"must give the {self.network.inputs} inputs of the network, but give {read}"
             raise ScenarioError(f"{field}.inputs", list(self.inputs), rule)
         if self.network.outputs != outputs:
-            rule = f"must be a network of {outputs} outputs, one per input, but has {self.network.outputs}"
-            raise ScenarioError(f"{field}.path", None, rule)
+            rule = f"must have {outputs} outputs, one per input of the system, but has {self.network.outputs}"
+            raise ScenarioError(f"{field}.path", file, rule)
         for name, scale, size in (
             ("input_scale", self.input_scale, read),
             ("output_scale_N", self.output_scale, outputs),

@@ -42,13 +42,13 @@ class SwitchingRules:
         `greedy`: Algorithm 2, U whenever it is safe now. `look_ahead`: most use of U over the horizon, by
         weight; never less than `greedy`.
     min_dwell : int
-        Least number of steps between switches.
+        Least number of steps between switches (the dwell).
     max_switches : int, optional
-        Largest number of switches. One is reserved for the return to S, and 0 leaves S alone.
+        Largest number of switches (the cap). One is reserved for the return to S; 0 leaves S alone.
     weights : tuple of float
         Objective of one step under each experimental controller, in their order of preference.
     beam : int
-        Schedules that `look_ahead` keeps per step, number of switches and controller.
+        Width of the search of `look_ahead`: schedules kept per step, number of switches and controller.
     delta_v_price : float
         Share of U given up to save the delta-v of S alone.
     switch_price : float

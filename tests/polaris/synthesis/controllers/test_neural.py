@@ -473,3 +473,14 @@ def test_what_does_not_fit_is_one_error(name, tmp_path):
         load_scenario(scene(tmp_path, **changes))
     assert raised.value.field == field
     assert "\n" not in str(raised.value)
+
+
+def test_a_network_of_other_outputs_is_named(tmp_path):
+    pytest.importorskip("onnx")
+    from tests.reach.test_onnx import node, saved
+
+    file = saved(tmp_path, [node("MatMul", "x W", "y")], {"W": np.eye(4)[:, :3]}, inputs=4, outputs=3)
+    with pytest.raises(ScenarioError) as raised:
+        load_scenario(scene(tmp_path, file))
+    assert (raised.value.field, raised.value.given) == ("experimental[0].path", "policy.onnx")
+    assert raised.value.rule == "must have 2 outputs, one per input of the system, but has 3"
