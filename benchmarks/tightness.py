@@ -3,7 +3,7 @@
     python -m benchmarks.tightness [--seeds 5000 5004 ...] [--write]
     python -m benchmarks.tightness --sums [--write]
 
-Of every unsafe set, in the period in which the proof leaves it least: the share of what is booked there
+Of every unsafe set, in the period in which the proof leaves it least: the share of the tightening there
 (from the undisturbed flight to the proven margin) that the closed-form worst case of that facet takes, and
 that of the sets at the ends of the period if they kept all generators. Of the velocity change until T: the
 most that its own worst case spends, over the bound. Random scenes of the tests, commanded
@@ -46,7 +46,7 @@ ROUNDS = 3
 RUNS, ASCENTS = 24, 10
 CLIMBERS, CLIMBS = 100, 8  # flights of a climb, and its rounds
 NOTHING = 1e-6
-"""Share of a distance below which what is booked is round-off."""
+"""Share of a distance below which a tightening is round-off."""
 
 
 def sources(scenario) -> dict[str, list[str]]:
@@ -86,12 +86,12 @@ def sources(scenario) -> dict[str, list[str]]:
 
 @dataclass(frozen=True)
 class Place:
-    """A period, and the row of a facet; of both ends the undisturbed state, and what is booked [m]."""
+    """A period, and the row of a facet; of both ends the undisturbed state, and the tightening [m]."""
 
     period: int
     row: Array
     undisturbed: Array
-    booked: Array
+    tightening: Array
 
     @property
     def nodes(self) -> tuple[int, int]:
@@ -116,9 +116,9 @@ def tightest(attacker: Attacker) -> Iterator[Place]:
 
 
 def worst(attacker: Attacker, place: Place) -> float:
-    """Return the largest share of what is booked at a place that flights take."""
+    """Return the largest share of the tightening at a place that flights take."""
     flight, used = attacker.flight, 0.0
-    for node, undisturbed, tightening in zip(place.nodes, place.undisturbed, place.booked, strict=True):
+    for node, undisturbed, tightening in zip(place.nodes, place.undisturbed, place.tightening, strict=True):
         previous, target = None, np.array([max(node * flight.substeps, 1)])
         for _ in range(ROUNDS):
             attack = attacker._towards(place.row[None], target, previous)
@@ -128,7 +128,7 @@ def worst(attacker: Attacker, place: Place) -> float:
     return used
 
 
-def unmerged(schedule: Schedule) -> Claims:
+def with_all_generators(schedule: Schedule) -> Claims:
     """Return the claims as if the sets of the same schedule kept all of their generators."""
     steps, start, safety = [], schedule.steps[0].tube.nodes[0], schedule.safety
     laws = [law.with_reference(safety.reference, safety.tracking) for law in schedule.controllers]
@@ -140,15 +140,15 @@ def unmerged(schedule: Schedule) -> Claims:
 
 
 def parts(schedule: Schedule) -> Iterator[tuple[float, float]]:
-    """Yield for every set its shares of what is booked: flown, and needed by sets with all generators."""
+    """Yield for every set its shares of the tightening: flown, and needed by sets with all generators."""
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
-    claims, full_claims = attacker.claims, unmerged(schedule)
+    claims, full_claims = attacker.claims, with_all_generators(schedule)
     for place in tightest(attacker):
         k, at = divmod(place.period, claims.q)
         nominal = schedule.safety.reference.fine(claims.q)[k, at : at + 2]
         deviation = (place.undisturbed - nominal) @ place.row
         tightening = full_claims._tightenings(place.row[None])[0][k, at : at + 2, 0] - deviation
-        yield worst(attacker, place), float(np.max(tightening / place.booked))
+        yield worst(attacker, place), float(np.max(tightening / place.tightening))
 
 
 def spent(schedule: Schedule, seed: int = 0) -> float:
@@ -274,7 +274,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     heads = (
-        "| Errors | used up, median | sets with 75 % | unmerged | delta-v, median | least |",
+        "| Errors | used up, median | sets with 75 % | all generators | delta-v, median | least |",
         "| Scene | until the goal, proven | flown | per orbit, proven | flown |",
     )
     head = heads[options.sums]

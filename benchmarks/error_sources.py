@@ -1,8 +1,8 @@
-"""Parts of the deviation booked at the tightest place with all errors, and what of each a flight takes.
+"""Parts of the tightening at the tightest place with all errors, and what a flight takes of each.
 
-    python -m benchmarks.booked [SCENE ...] [--write]
+    python -m benchmarks.error_sources [SCENE ...] [--write]
 
-Booked: what every channel of the loop adds along the facet by then, under the bounds on commands of each
+Tightening: what every channel of the loop adds along the facet by then, under the bounds on commands of each
 step, without any merging of generators. Flown: by how much the worst flight of an ascent is nearer than the
 same flight without that source. `--write` puts the table into docs/tightness.md.
 """
@@ -27,7 +27,7 @@ from .tightness import PLACE, Place, tightest
 
 SCENES = ("static", "dynamic")
 ROUNDS = 4
-BEGIN, END = "<!-- booked -->\n", "<!-- /booked -->"
+BEGIN, END = "<!-- sources -->\n", "<!-- /sources -->"
 NAMES = {"start": "first errors", "disturbance": "disturbance", "estimate": "errors of estimates"}
 NAMES |= {"thrusters": "errors of thrusters", "carried impulse": "carried bit", "pulses": "pulses"}
 
@@ -43,7 +43,7 @@ def laws_flown(schedule: Schedule, steps: int) -> list[AffineController]:
     return by_step
 
 
-def booked_by(schedule: Schedule, place: Place, end: int) -> dict[str, float]:
+def tightening_by_source(schedule: Schedule, place: Place, end: int) -> dict[str, float]:
     """Return what each channel adds along the row at an end of a place, 0 or 1 [m], without merging."""
     k, i = divmod(place.period, schedule.safety.clearance.q)
     laws = laws_flown(schedule, k + 1)
@@ -58,7 +58,7 @@ def booked_by(schedule: Schedule, place: Place, end: int) -> dict[str, float]:
     return by_channel | {"start": float(np.abs(row @ first.G).sum())}
 
 
-def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[str, float]]:
+def flown_by_source(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[str, float]]:
     """Return how far the worst flight of an ascent goes by then, and how much less without each source."""
     flight, node, undisturbed = attacker.flight, place.nodes[end], place.undisturbed[end]
     target, previous = np.array([max(node * flight.substeps, 1)]), None
@@ -82,22 +82,23 @@ def flown_by(attacker: Attacker, place: Place, end: int) -> tuple[float, dict[st
     return largest, effects
 
 
-def booked(scene: str) -> dict[str, tuple[float, float | None]]:
+def by_source(scene: str) -> dict[str, tuple[float, float | None]]:
     """Return what each source adds, and takes in flight [m], at the place of a scene with the least left."""
     schedule = synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP]))
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(0))
     place = next(tightest(attacker))
-    flights = [flown_by(attacker, place, end) for end in (0, 1)]
-    end = int(np.argmax([reach / size for (reach, _), size in zip(flights, place.booked, strict=True)]))
-    parts, (reach, effects), total = booked_by(schedule, place, end), flights[end], float(place.booked[end])
+    flights = [flown_by_source(attacker, place, end) for end in (0, 1)]
+    end = int(np.argmax([reach / size for (reach, _), size in zip(flights, place.tightening, strict=True)]))
+    parts, total = tightening_by_source(schedule, place, end), float(place.tightening[end])
+    reach, effects = flights[end]
     sizes = {NAMES[name]: (size, effects.get(name)) for name, size in parts.items()}
-    label = "merged generators, between nodes"
+    label = "merged generators, intersample bound"
     return sizes | {label: (total - sum(parts.values()), None), "all": (total, reach)}
 
 
 def table(scenes: Sequence[str]) -> Iterator[str]:
     """Yield the lines of the table: a row for each source, two columns for each scene."""
-    sizes = {scene: booked(scene) for scene in scenes}
+    sizes = {scene: by_source(scene) for scene in scenes}
     yield f"| Source | {' | '.join(f'{scene}, tightening [m] | flown [m]' for scene in scenes)} |"
     yield "|---" * (2 * len(scenes) + 1) + "|"
     for name in dict.fromkeys(name for each in sizes.values() for name in each):
