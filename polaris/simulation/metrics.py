@@ -15,11 +15,11 @@ DEFINITIONS = {
     "runs": "closed-loop runs from random and extreme initial states, under random and worst disturbances",
     "min_distance_m": "minimum signed distance to a true keep-out zone, over runs and times; negative inside",
     "min_distance_mean_m": "mean over runs of the minimum distance of each run",
-    "mean_distance_m": "mean over runs and times of the signed distance to the nearest keep-out zone",
+    "mean_distance_m": "mean over runs and times of the signed distance to the nearest zone that holds",
     "min_ttc_s": "minimum time, over runs and times, until a straight line at the present velocity "
-    "enters a keep-out zone; null if none does",
+    "is in a keep-out zone that holds by then; null if it never is",
     "min_ttc_free_drift_s": "minimum time to collision with thrusters off from the start of a step, within "
-    "drift_horizon_s; null if none collides",
+    "drift_horizon_s, with a keep-out zone that holds by then; null if none collides",
     "experimental_share": "share of time under experimental controllers, mean over runs",
     "switches": "changes of controller within a run, maximum over runs",
     "delta_v_m_s": "delta-v (integral of the 1-norm of the input over the mass), mean over runs",
@@ -57,13 +57,13 @@ class Metrics:
     min_distance : ndarray, shape (R,)
         Least signed distance to a true unsafe set [m]; inf without any.
     mean_distance : ndarray, shape (R,)
-        Mean over the instants of the distance to the nearest of them [m]; inf without any.
+        Mean of the distance to the nearest of them [m] over the instants at which one holds; inf without any.
     closest_time : ndarray, shape (R,)
         When it was least [s]; nan without unsafe sets.
     closest_set : ndarray of int, shape (R,)
         Which unsafe set; -1 without any.
     min_ttc, min_ttc_free_drift : ndarray, shape (R,)
-        Least time to collision [s], by a straight line and by free drift; inf if none.
+        Least time to collision with a set that holds by then [s], straight and by free drift; inf if none.
     drift_horizon : float
         How far free drift looks ahead [s].
     experimental_share : ndarray, shape (R,)

@@ -113,7 +113,8 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
 
     Notes
     -----
-    The closest approach is refined between the nodes along held inputs, every chord between nodes is checked
+    Sets count while they hold (`Obstacle.span`), for times to collision at the instant of the collision. The
+    closest approach is refined between the nodes along held inputs, every chord between nodes is checked
     for having entered a set, and limits on the whole state are looked at within every period, too.
     """
     of_kind("runs", runs, Runs, "polaris.simulate")
@@ -137,21 +138,16 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
     truth = true_states(obstacles, system, times, R, rng) | dict(runs.bodies)
     p, v = x @ system.position.T, x @ system.velocity.T
     distances = signed_distances(obstacles, times, p, system, truth)
-    nearest = closest(distances, times)
-    distance = np.full((R, N + 1), np.inf)
-    ttc = drift = np.full(R, np.inf)
-    collided = np.zeros(R, dtype=bool)
+    nearest = _refined(runs, truth, closest(distances, times))
+    distance = distances.min(axis=0, initial=np.inf)
+    measured = np.compress(np.isfinite(distance[0]), distance, axis=1)  # while any set holds
     horizon = drift_horizon(system, problem.K * problem.delta)
-    if obstacles:
-        distance = distances.min(axis=0)
-        nearest = _refined(runs, truth, nearest)
-        ttc = ray_ttc(obstacles, times, p, v, system, truth).min(axis=(0, 2))
-        before = {name: states[:, :-1] for name, states in truth.items()}
-        entry = ray_ttc(obstacles, times[:-1], p[:, :-1], np.diff(p, axis=1) / h, system, before)
-        collided = (nearest.distance <= 0) | (entry <= h).any(axis=(0, 2))
-        starts = {name: states[:, ::q] for name, states in truth.items()}
-        drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
-        drift = drift.min(axis=(0, 2))
+    ttc = ray_ttc(obstacles, times, p, v, system, truth)
+    before = {name: states[:, :-1] for name, states in truth.items()}
+    entry = ray_ttc(obstacles, times[:-1], p[:, :-1], np.diff(p, axis=1) / h, system, before)
+    collided = (nearest.distance <= 0) | (entry <= h).any(axis=(0, 2))
+    starts = {name: states[:, ::q] for name, states in truth.items()}
+    drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
     for share in np.arange(len(limits) and PARTS) / PARTS:
         within = held_path(system, h, x[:, :-1], x[:, 1:], np.array([share]))[..., 0, :]
         collided |= (signed_distances(limits, times[:-1] + share * h, within, system) <= 0).any(axis=(0, 2))
@@ -163,11 +159,11 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         names=tuple(obstacle.name for obstacle in obstacles),
         times=times,
         min_distance=nearest.distance,
-        mean_distance=distance.mean(axis=1),
+        mean_distance=measured.mean(axis=1) if measured.size else distance[:, 0],
         closest_time=nearest.time,
         closest_set=nearest.obstacle.astype(np.int64),
-        min_ttc=ttc,
-        min_ttc_free_drift=drift,
+        min_ttc=ttc.min(axis=(0, 2), initial=np.inf),
+        min_ttc_free_drift=drift.min(axis=(0, 2), initial=np.inf),
         drift_horizon=horizon,
         experimental_share=experimental_share(times[:: N // modes.shape[1]], modes),
         switches=count_switches(modes),
@@ -190,7 +186,7 @@ def _refined(runs: Runs, truth: Mapping[str, Array], nearest: SampledApproach) -
     """Return a closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
     system, h, N = problem.system, float(times[1] - times[0]), len(times) - 1
-    node = np.clip(np.round(nearest.time / h).astype(int), 0, N)
+    node = np.clip(np.nan_to_num(np.round(nearest.time / h)).astype(int), 0, N)
     starts = np.stack([np.maximum(node - 1, 0), np.minimum(node, N - 1)], axis=1)  # (R, 2)
     s = np.linspace(0.0, 1.0, PARTS + 1)
     run = np.arange(len(starts))[:, None]

@@ -4,20 +4,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from reach.short_repr import short_repr
 
 from ..model.checks import non_negative
 from ..model.errors import ScenarioError
 from ..model.scene.distances import UNKNOWN, count_switches, mode_shares
-from ..model.scene.free_drift import drift_ttc
-from ..model.scene.shapes import BallShape, Shape
+from ..model.scene.free_drift import DriftSearch
+from ..model.scene.obstacle import is_holding
+from ..model.scene.shapes import BallShape
 from ..model.system import Array, LinearSystem
 from ..runs.files.tables import strict
 from ..simulation.run_metrics import drift_horizon
 from .model import MODE_NAMES, AgentTrace, Trace
-from .placement import PlacedParts, UnsafePart, place
+from .placement import PlacedParts, place
 from .settings import Velocity, between, doubtful, find_dims, find_velocity, interpolate, stamped_by_simulator
 from .settings import restamp as restamped
 
@@ -58,7 +59,7 @@ class Separation:
 
     name: str
     kind: str
-    distance: Spread | None  # signed [m], negative inside; None if the two were never there at the same time
+    distance: Spread | None  # signed [m], negative inside, while both are there; None if they never are
     ttc: Spread | None  # time to collision [s] along a straight ray; None if a velocity is not known
     drift_ttc: Spread | None = None  # the same along free drift; None if no system is given
 
@@ -184,8 +185,7 @@ class _Measurement:
                 f"{name}: the first two rows carry the same time, as RTAEval's simulator stamps them;"
                 " --restamp gives every state its own"
             )
-        unsafe: tuple[Separation, ...] = ()
-        others: tuple[Separation, ...] = ()
+        unsafe = others = tuple[Separation, ...]()
         if self.d is not None:
             v, source = find_velocity(name, agent, self.d, self.wanted)
             if v is not None and self.wanted not in (None, "differences") and doubtful(agent, self.d, v):
@@ -195,9 +195,8 @@ class _Measurement:
             other_names = [other for other in self.trace.agents if other != name]
             others = tuple(self.against_agent(agent, self.d, v, other) for other in other_names)
         margins = zip(agent.limits, agent.margins, strict=True)
-        unsafe += tuple(
-            Separation(each, LIMIT, Spread.from_samples(row, agent.times), None) for each, row in margins
-        )
+        spreads = ((limit, Spread.from_samples(row, agent.times)) for limit, row in margins)
+        unsafe += tuple(Separation(limit, LIMIT, spread, None) for limit, spread in spreads)
         shares = mode_shares(agent.times, agent.known_modes)
         modes = {number: mode_name.lower() for number, mode_name in MODE_NAMES.items()} | {UNKNOWN: "unknown"}
         times = agent.running_times
@@ -214,15 +213,15 @@ class _Measurement:
 
     def against_set(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
         t, p, item = agent.times, agent.states[:, :d], self.trace.unsafe[name]
-        placed = place(item, t, d)
+        placed, holds, distance = place(item, t, d), is_holding(item.span, t), None
+        if holds.any():
+            distance = Spread.from_samples(placed.signed_distance(p)[holds], t[holds])
         ttc = None if v is None else Spread.from_samples(placed.entry_time(p, v), t)
         drifting = None
         if self.drift is not None:
             chosen, values = self.drift.entry_times(agent, placed)
             drifting = Spread.from_samples(values, t[chosen])
-        return Separation(
-            name, item.set_type, Spread.from_samples(placed.signed_distance(p), t), ttc, drifting
-        )
+        return Separation(name, item.set_type, distance, ttc, drifting)
 
     def against_agent(self, agent: AgentTrace, d: int, v: Array | None, name: str) -> Separation:
         """Against another agent, interpolated linearly, at times when both are there."""
@@ -245,22 +244,6 @@ MOST_SAMPLES = 200  # samples of one agent from which free drift is followed
 TOLERANCE = 0.05  # passes less deep [m] than this may be missed
 
 
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """A part of a set at some times, as `polaris.model.scene.free_drift.drift_ttc` asks for it."""
-
-    name: str
-    shape: Shape
-    centre: Array
-    velocity: Array
-
-    def relative_drift(
-        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """See `polaris.model.scene.obstacle.Obstacle.relative_drift`."""
-        return x, self.centre, self.velocity
-
-
 class FreeDrift:
     """Free drift of the agents of a trace under one system, whose states theirs must be."""
 
@@ -274,21 +257,19 @@ class FreeDrift:
             axes = f"{d} axes of position"
             raise ScenarioError("--dims", axes, "must be the first states of the system that drifts")
         longest = max(float(np.ptp(agent.times)) for agent in trace.agents.values())
-        self.system, self.horizon = system, drift_horizon(system, longest)
+        self.horizon = drift_horizon(system, longest)
         if not self.horizon > 0:
             raise ScenarioError("system", longest, "must have a trace of some duration")
+        self.search = DriftSearch(system, self.horizon, TOLERANCE)
 
     def entry_times(self, agent: AgentTrace, placed: PlacedParts) -> tuple[NDArray[np.int64], Array]:
         """Samples chosen, evenly over the rows, and seconds from each until drift enters; inf if never."""
         count = len(agent.times)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_SAMPLES)).round().astype(np.int64))
-        times = [self._part(agent, part, chosen) for part in placed.parts]
-        return chosen, np.asarray(np.min(times, axis=0))
-
-    def _part(self, agent: AgentTrace, part: UnsafePart, chosen: NDArray[np.int64]) -> Array:
-        out = []
-        for rows in [chosen] if part.rigid else np.split(chosen, len(chosen)):
-            body = Moving("set", part.shape(int(rows[0])), part.centre[rows], part.velocity[rows])
-            t, x = agent.times[rows], agent.states[rows]
-            out.append(drift_ttc([body], self.system, t, x, self.horizon, tolerance=TOLERANCE)[0])
-        return np.concatenate(out)
+        times: list[Array] = []
+        for part in placed.parts:
+            for rows in [chosen] if part.rigid else np.split(chosen, len(chosen)):
+                motion = agent.states[rows], part.centre[rows], part.velocity[rows]
+                shape, t = part.shape(int(rows[0])), agent.times[rows]
+                times.append(self.search.entry_times(shape, placed.span, t, *motion))
+        return chosen, np.concatenate(times).reshape(-1, len(chosen)).min(axis=0)

@@ -12,6 +12,7 @@ from reach.short_repr import short_repr
 
 from ..model.checks import one_of
 from ..model.errors import ScenarioError
+from ..model.scene.keep_in import KeepInPolytope
 from ..model.scene.obstacle import Obstacle, RigidObstacle
 from ..model.scene.obstacles import BallObstacle, BoxObstacle
 from ..model.scene.satellite import SatelliteObstacle
@@ -54,8 +55,8 @@ def to_trace(
         Given N, the last is repeated for the last state.
     obstacles : sequence of Obstacle
         Boxes, balls and polytopes become what they are; another satellite its timed polytope; a keep-in
-        set one unbounded polytope per facet, called ``name[f]``; limits on the whole state are margins of
-        the agent.
+        set one unbounded polytope per facet, called ``name[f]``, with the time in which it holds; limits on
+        the whole state are margins of the agent.
     system : LinearSystem
     name : str
         Of the agent.
@@ -83,7 +84,7 @@ def to_trace(
         for key, item in sets.items():
             if key in unsafe:
                 raise ScenarioError(f"{obstacle.path}.name", key, "must differ from the names of other sets")
-            unsafe[key] = item
+            unsafe[key] = replace(item, span=obstacle.span)
     return Export(Trace({name: agent}, unsafe), tuple(notes))
 
 
@@ -114,10 +115,8 @@ def _sets(
     """Sets of a trace for one obstacle, and notes on them."""
     name = obstacle.name
     if isinstance(obstacle, StateLimit):
-        return (
-            {},
-            f"{name}: limit on the whole state, as the chaser's clearance to it (1 m/s counts as 100 m)",
-        )
+        note = f"{name}: limit on the whole state, as the chaser's clearance to it (1 m/s counts as 100 m)"
+        return {}, note
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
         states, radii = satellites[name], np.full(len(t), obstacle.radius)
         centre, velocity = obstacle.motion(t, system, states)
@@ -134,6 +133,8 @@ def _sets(
         note = f"{name}: as the polytope around it (over-approximated)"
         traced = PolytopeTrace(t, cover.H[None], cover.b + positions @ cover.H.T)
         return {name: traced}, None if cover is obstacle.shape else note
+    if isinstance(obstacle, KeepInPolytope):  # the set itself at all times: the trace says when it holds
+        obstacle = replace(obstacle, begins=-np.inf, ends=np.inf)
     sets = _covers(obstacle, t, system)
     if isinstance(obstacle, SatelliteObstacle):
         return sets, f"{name}: another satellite, as the polytope it is certain to be in (over-approximated)"
@@ -168,7 +169,7 @@ def export_run(
     ----------
     folder : path
         A folder that ``polaris run`` or ``polaris compare`` wrote.
-    pilot : str, optional
+    controller : str, optional
         Whose flight. In a run folder: ``polaris`` (default), ``safety``, ``experimental`` (the preferred
         one), ``experimental_2``, ... In a comparison: ``schedule`` (default), ``monitor``,
         ``asif_implicit``, ...; while an input is filtered, the mode is unknown.

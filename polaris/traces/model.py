@@ -57,9 +57,7 @@ class AgentTrace:
     modes: Modes = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     running_times: Array = field(default_factory=lambda: np.empty(0))  # of each decision [s], shape (R,)
     limits: tuple[str, ...] = ()  # names of limits on the whole state
-    margins: Array = field(
-        default_factory=lambda: np.empty(0)
-    )  # clearance to each [m], (limits, N); inf without
+    margins: Array = field(default_factory=lambda: np.empty(0))  # clearances [m], (limits, N); inf without
     where: str = field(default="agent", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,9 +103,13 @@ class UnsafeTrace:
     set_type: ClassVar[str]  # point, ball, rectangle or polytope
     times: Array  # stamps [s], shape (M,), M >= 1, not running backwards; one row holds for all times
     where: str = field(default="unsafe set", kw_only=True, repr=False)
+    span: tuple[float, float] = field(default=(-np.inf, np.inf), kw_only=True)  # when it holds [s]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", _stamps(f"{self.where}.state_trace", self.times))
+        if not self.span[0] < self.span[1]:
+            rule = f"must be after from_s = {self.span[0]:g}"
+            raise ScenarioError(f"{self.where}.until_s", self.span[1], rule)
 
     @property
     def _trace(self) -> str:

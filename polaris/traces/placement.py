@@ -6,6 +6,7 @@ import daqp
 import numpy as np
 
 from ..model.errors import ScenarioError
+from ..model.scene.obstacle import entry_while_holding
 from ..model.scene.shapes import BallShape, BoxShape, PolytopeShape, Shape
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
@@ -97,16 +98,18 @@ class PlacedParts:
     """A set at N times: the union of convex parts."""
 
     parts: tuple[UnsafePart, ...]
+    times: Array  # [s], shape (N,)
+    span: tuple[float, float]  # when it holds [s], as of obstacles
 
     def signed_distance(self, p: Array) -> Array:
-        """Distance [m] of positions (N, d), shape (N,)."""
+        """Distance [m] of positions (N, d), shape (N,), whether it holds or not."""
         distances = [part.body.signed_distance(p - part.centre) for part in self.parts]
         return np.asarray(np.min(distances, axis=0))
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """Seconds until straight rays from p (N, d) at v (N, d) enter, shape (N,)."""
-        times = [part.body.entry_time(p - part.centre, v - part.velocity) for part in self.parts]
-        return np.asarray(np.min(times, axis=0))
+        """Seconds until straight rays from p (N, d) at v (N, d) are inside while it holds, shape (N,)."""
+        rays = ((part.body.entry_time, p - part.centre, v - part.velocity) for part in self.parts)
+        return np.asarray(np.min([entry_while_holding(self.span, self.times, *ray) for ray in rays], axis=0))
 
 
 def place(item: AnySet, t: Array, d: int) -> PlacedParts:
@@ -117,7 +120,7 @@ def place(item: AnySet, t: Array, d: int) -> PlacedParts:
     if item.d < d or (item.d > d and isinstance(item, PolytopeTrace)):
         raise ScenarioError(f"{item.where}.state_trace[0]", f"{item.d} axes", f"must have {d} (see --dims)")
     if isinstance(item, PolytopeTrace):
-        return _place_polytope(item, t)
+        return PlacedParts(_place_polytope(item, t), t, item.span)
     rows = between(item.times, t)
     body: Shape | MovingBall | MovingPolytope = BallShape(0.0)
     if isinstance(item, BallTrace):
@@ -129,7 +132,7 @@ def place(item: AnySet, t: Array, d: int) -> PlacedParts:
         if not np.all(half == half[0]):
             b = interpolate(half, rows)
             body = MovingPolytope(body.H[None], np.hstack([b, b]))
-    return PlacedParts((UnsafePart(body, *_moved(item, item.centers[:, :d], t)),))
+    return PlacedParts((UnsafePart(body, *_moved(item, item.centers[:, :d], t)),), t, item.span)
 
 
 def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
@@ -144,7 +147,7 @@ def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
     return centre, np.where(outside[:, None], 0.0, interpolate(speeds, rows))
 
 
-def _place_polytope(item: PolytopeTrace, t: Array) -> PlacedParts:
+def _place_polytope(item: PolytopeTrace, t: Array) -> tuple[UnsafePart, ...]:
     H, b = unit_rows(item.A, item.b)
     local = b[0] - H[0] @ PolytopeShape(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
@@ -156,13 +159,13 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> PlacedParts:
             raise ScenarioError(f"{item.where}.state_trace[{row}]", offsets, "A p <= b must hold somewhere")
     size = np.abs(b).max(axis=1) + np.abs(local).max()
     if len(H) == 1 and np.all(np.abs(slack - local).max(axis=1) <= ROUNDING * size):
-        return PlacedParts((UnsafePart(PolytopeShape(H[0], local), centre, velocity),))
+        return (UnsafePart(PolytopeShape(H[0], local), centre, velocity),)
     left, right, _ = rows = between(item.times, t)
     if len(H) == 1:
-        return PlacedParts((UnsafePart(MovingPolytope(H, interpolate(slack, rows)), centre, velocity),))
+        return (UnsafePart(MovingPolytope(H, interpolate(slack, rows)), centre, velocity),)
     # Where facets turn in between: the union of what the set is at the stamps on either side.
     sides = (left,) if np.array_equal(left, right) else (left, right)
-    return PlacedParts(tuple(UnsafePart(MovingPolytope(H[k], slack[k]), centers[k], velocity) for k in sides))
+    return tuple(UnsafePart(MovingPolytope(H[k], slack[k]), centers[k], velocity) for k in sides)
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from ..model.system import Array
 from ..runs.files.atomic import check_file, replacing_file
 from ..runs.files.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
-from .rows import Odd, numbers, rows_of, set_trace, table
+from .rows import SPAN, Odd, numbers, rows_of, set_trace, table
 
 MODE_NUMBERS = {name: number for number, name in MODE_NAMES.items()} | {"UNKNOWN": UNKNOWN}
 MODE_RULE = "must be 1 NORMAL, 2 UNTRUSTED, 3 SAFETY (as a number, a name or {value: number}), or null"
@@ -117,8 +117,8 @@ def _trace(data: Any) -> Trace:
 
 KEYS = {
     "agents": ("state_trace", "mode_trace", "running_times", "margin_trace"),
-    "unsafe": ("set_type", "state_trace"),
-    "ball": ("set_type", "state_trace", "velocity_trace"),
+    "unsafe": ("set_type", "state_trace", *SPAN),
+    "ball": ("set_type", "state_trace", "velocity_trace", *SPAN),
 }
 
 
@@ -134,9 +134,8 @@ def _agent(prefix: str, item: dict[str, Any]) -> AgentTrace:
     limits = _object(f"{prefix}.margin_trace", item.get("margin_trace", {}))
     margins = [_margins(f"{prefix}.margin_trace.{name}", margin) for name, margin in limits.items()]
     if any(len(each) != len(rows) for each in margins):
-        raise ScenarioError(
-            f"{prefix}.margin_trace", list(limits), f"must hold {len(rows)} numbers for each limit"
-        )
+        rule = f"must hold {len(rows)} numbers for each limit"
+        raise ScenarioError(f"{prefix}.margin_trace", list(limits), rule)
     optional = durations, tuple(limits), np.array(margins)
     return AgentTrace(values[:, 0], values[:, 1:], _modes(prefix, item, len(rows)), *optional, where=prefix)
 
@@ -197,7 +196,7 @@ def trace_data(trace: Trace) -> dict[str, Any]:
 
     Agents' rows are flat, ``[t, s0, s1, ...]``; those of sets nested, ``[t, def]``; modes are whole
     numbers, null where unknown. ``running_times`` and ``margin_trace`` are there only if the agent has any,
-    ``velocity_trace`` only if a ball's velocities are known.
+    ``velocity_trace`` only if a ball's velocities are known, ``from_s`` and ``until_s`` only if finite.
     """
     return {
         "agents": {name: _agent_data(agent) for name, agent in trace.agents.items()},
@@ -254,6 +253,7 @@ def _agent_data(agent: AgentTrace) -> dict[str, Any]:
 
 def _set_data(item: AnySet) -> dict[str, Any]:
     out: dict[str, Any] = {"set_type": item.set_type, "state_trace": _set_rows(item)}
+    out |= {key: limit for key, limit in zip(SPAN, item.span, strict=True) if np.isfinite(limit)}
     if isinstance(item, BallTrace) and item.velocities is not None:
         out["velocity_trace"] = item.velocities.tolist()
     return out

@@ -1,6 +1,7 @@
 """Rows of a trace: from nested lists to tables of numbers, and where the first bad row is."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -48,6 +49,8 @@ def numbers(place: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
     return array
 
 
+SPAN = "from_s", "until_s"  # optional keys of a set: when it holds [s]
+
 FORMS = {
     "point": "must be a row [t, center]",
     "ball": "must be a row [t, [center, r]]",
@@ -65,7 +68,13 @@ def rows_of(prefix: str, item: dict[str, Any], form: str) -> list[Any]:
 
 
 def set_trace(prefix: str, item: dict[str, Any]) -> AnySet:
-    """The stamped definitions of one unsafe set; velocities are read for a ball only."""
+    """The stamped definitions of one unsafe set, and when it holds; velocities are read for a ball only."""
+    limits = {k: numbers(f"{prefix}.{k}", [[item[k]]], [item[k]]).item() for k in SPAN if k in item}
+    span = limits.get("from_s", -np.inf), limits.get("until_s", np.inf)
+    return replace(_stamped_set(prefix, item), span=span)
+
+
+def _stamped_set(prefix: str, item: dict[str, Any]) -> AnySet:
     kind, rows = item.get("set_type"), rows_of(prefix, item, "[t, def]")
     if not isinstance(kind, str) or kind not in FORMS:
         raise ScenarioError(f"{prefix}.set_type", kind, f"must be one of {', '.join(FORMS)}")

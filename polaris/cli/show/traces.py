@@ -1,10 +1,11 @@
 """Metrics of traces as tables."""
 
 import math
-from collections.abc import Iterable
+import sys
+from collections.abc import Sequence
 from typing import Any
 
-from rich.table import Table
+from rich.console import Console
 from rich.text import Text
 
 from ...model.checks import counted
@@ -19,7 +20,7 @@ def show_metrics(metrics: TraceMetrics) -> None:
     for name, agent in metrics.agents.items():
         print_line(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
         if agent.unsafe or agent.others:
-            show_table(_separations((*agent.unsafe, *agent.others)))
+            _show_separations((*agent.unsafe, *agent.others))
             print_line(f"velocity: {agent.velocity}")
         else:
             print_line("no keep-out zone, no other agent")
@@ -35,13 +36,15 @@ def show_metrics(metrics: TraceMetrics) -> None:
 QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))
 
 
-def _separations(items: Iterable[Separation]) -> Table:
+def _show_separations(items: Sequence[Separation]) -> None:
+    """Print a table that is as wide as the longest word of a name needs it."""
     grid = table("to", "quantity", "min", "mean", "max", "min at [s]", "on course", words=2, wrap=1)
-    for item in items:
-        title = Text(f"{item.name} ({item.kind})")
+    titles = [f"{item.name} ({item.kind})" for item in items]
+    for item, name in zip(items, titles, strict=True):
+        title = Text(name)
         if item.distance is None:
             grid.add_row(title, "never there at the same time")
-            continue
+            title = Text("")
         for key, quantity in QUANTITIES:
             spread: Spread | None = getattr(item, key)
             if spread is None:
@@ -51,7 +54,8 @@ def _separations(items: Iterable[Separation]) -> Table:
             course = "" if key == "distance" else f"{spread.share:.1%}"
             grid.add_row(title, Text(quantity), warning_text(texts[0], spread.min <= 0), *texts[1:], course)
             title = Text("")
-    return grid
+    longest, word = (max(map(len, names)) for names in (titles, " ".join(titles).split()))
+    show_table(grid, Console(width=sys.maxsize).measure(grid).maximum - longest + word)
 
 
 LEGACY_FORMS = {

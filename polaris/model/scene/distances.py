@@ -53,7 +53,7 @@ def ray_ttc(
     """Seconds (O, ...) until straight rays enter each obstacle, both keeping their velocity of time t.
 
     Velocities v of the chaser are (..., d) [m/s], all else is as in `signed_distances`. 0 if inside, inf if
-    never.
+    never. An obstacle counts while it holds (`Obstacle.span`): at the instant of the entry.
     """
     shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
     out = np.empty((len(obstacles), *shape))
@@ -83,9 +83,7 @@ def closest(distances: ArrayLike, t: ArrayLike) -> SampledApproach:
         raise ScenarioError("distances", values.shape, rule)
     runs, times = values.shape[1:-1], np.broadcast_to(np.asarray(t, dtype=float), values.shape[1:])
     if len(values) == 0:
-        return SampledApproach(
-            np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1, dtype=np.int64)
-        )
+        return SampledApproach(np.full(runs, np.inf), np.full(runs, np.nan), np.full(runs, -1))
     nearest = values.min(axis=0)
     node = np.argmin(nearest, axis=-1)[..., None]
     which = np.take_along_axis(np.argmin(values, axis=0), node, axis=-1)[..., 0]

@@ -1,7 +1,6 @@
 """Time to collision along free drift: when unforced motion first enters an obstacle."""
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,31 +11,16 @@ from reach.numerics.linear import growth, powers
 from ..checks import positive
 from ..errors import ScenarioError
 from ..system import Array, LinearSystem
-from .shapes import Shape
+from ..tolerances import ROUNDING
+from .obstacle import Obstacle
+from .shapes import Shape, in_parts
 
 CHUNK = 2_000_000  # numbers held at once
 MOST_HALVINGS = 12  # most halvings of a coarse interval
 
 
-class Drifting(Protocol):
-    """Interface of an obstacle during free drift; every `polaris.Obstacle` has it."""
-
-    @property
-    def name(self) -> str:
-        """Name of the obstacle in `states`."""
-
-    @property
-    def shape(self) -> Shape:
-        """The true set, relative to its origin."""
-
-    def relative_drift(
-        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array]:
-        """See `polaris.Obstacle.relative_drift`."""
-
-
 def drift_ttc(
-    obstacles: Sequence[Drifting],
+    obstacles: Sequence[Obstacle],
     system: LinearSystem,
     t: ArrayLike,
     x: ArrayLike,
@@ -46,12 +30,12 @@ def drift_ttc(
 ) -> Array:
     """Seconds (O, ...) until the chaser, its thrusters off, enters each obstacle; 0 inside, inf if never.
 
-    Other satellites drift too; rigid obstacles keep their velocity. Coarse intervals in which the distance
-    cannot reach zero (it changes no faster than the path is long, and the path's curvature is bounded)
-    are dropped; the others are halved until the path is straight to within `tolerance` [m], and then clipped
-    as straight rays. No pass is missed, however brief, if it goes deeper than that. Times (...) [s] are those
-    of the states (..., n); `states` are true ones of other satellites, by name, by default their nominal
-    ones.
+    An obstacle counts while it holds (`Obstacle.span`): s seconds after time t, it is entered only if it
+    holds at t + s. Other satellites drift too; rigid obstacles keep their velocity. Coarse intervals in which
+    the distance cannot reach zero (it changes no faster than the path is long, and the path's curvature is
+    bounded) are dropped; the others are halved until the path is straight to within `tolerance` [m], and then
+    clipped as straight rays. No pass is missed, however brief, if it goes deeper than that. Times (...) [s]
+    are those of the states (..., n); `states` are true ones of other satellites, by name, by default nominal.
     """
     positive("horizon", horizon, "s")
     positive("tolerance", tolerance, "m")
@@ -61,35 +45,38 @@ def drift_ttc(
     for name, values in (("t", np.asarray(t, dtype=float)), ("x", x)):
         if not np.all(np.isfinite(values)):
             raise ScenarioError(name, "nan or inf", "must be finite numbers")
-    shape = np.broadcast_shapes(np.shape(t), x.shape[:-1])
-    search = _Search(system, horizon, tolerance)
-    out = np.empty((len(obstacles), *shape))
+    search = DriftSearch(system, horizon, tolerance)
+    out = np.empty((len(obstacles), *np.broadcast_shapes(np.shape(t), x.shape[:-1])))
     for o, obstacle in enumerate(obstacles):
-        state = None if states is None else states.get(obstacle.name)
-        y, c, v = obstacle.relative_drift(t, x, system, state)
-        flat = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (y, c, v)]
-        out[o] = search.first_entry(obstacle.shape, *flat).reshape(shape)
+        motion = obstacle.relative_drift(t, x, system, None if states is None else states.get(obstacle.name))
+        out[o] = search.entry_times(obstacle.shape, obstacle.span, t, *motion)
     return out
 
 
-class _Search:
+class DriftSearch:
     """Coarse grid over the horizon, and its refinement."""
 
     def __init__(self, system: LinearSystem, horizon: float, tolerance: float) -> None:
         fastest = float(np.max(np.abs(np.linalg.eigvals(system.A))))
         self.count = int(np.clip(np.ceil(horizon * fastest / 0.25), 32, 4096))
-        self.h = horizon / self.count
+        self.h, self.horizon = horizon / self.count, horizon * (1 + ROUNDING)
         self.tolerance = tolerance
         self.A, self.C = system.A, system.position
         self.coarse = powers(expm(system.A * self.h), self.count)
         self.curvature = np.abs(self.C @ system.A @ system.A) @ growth(system.A, self.h)
 
-    def first_entry(self, shape: Shape, y: Array, c: Array, v: Array) -> Array:
-        """Entry time [s] of ``C e^{A s} y - c - v s`` into the shape, shape (N,)."""
-        step = max(1, CHUNK // (self.coarse.shape[0] * 8 * y.shape[1]))
-        parts = [slice(i, i + step) for i in range(0, len(y), step)]
-        times = [self._chunk(shape, y[part], c[part], v[part]) for part in parts]
-        return np.concatenate(times) if times else np.empty(0)
+    def entry_times(
+        self, shape: Shape, span: tuple[float, float], t: ArrayLike, y: Array, c: Array, v: Array
+    ) -> Array:
+        """Seconds s after times t until ``C e^{A s} y - c - v s`` is in a shape in its span; inf if never."""
+        t = np.asarray(t, dtype=float)
+        wait = np.asarray(np.maximum(span[0] - t, 0.0))
+        if np.any(wait):
+            carried = expm(self.A * wait[..., None, None])
+            y, c = np.einsum("...ij,...j->...i", carried, y), c + v * wait[..., None]
+        width = len(self.coarse) * 8 * len(self.A)
+        s = wait + in_parts(lambda *parts: self._chunk(shape, *parts), width, y, c, v, most=CHUNK)
+        return np.where((s <= self.horizon) & (t + s < span[1]), s, np.inf)
 
     def _chunk(self, shape: Shape, y: Array, c: Array, v: Array) -> Array:
         s = self.h * np.arange(self.count + 1)

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,10 +95,9 @@ class OutsideCone:
         q = -(half + np.copysign(np.sqrt(np.maximum(half**2 - a * c, 0.0)), half))
         with np.errstate(divide="ignore", invalid="ignore"):
             roots = np.stack([q / a, c / q])
+            end = np.where(rate > 0, (self.length - z) / rate, np.inf)
         roots[~(roots > 0)] = np.inf
         side = np.where(half**2 - a * c >= 0, roots.min(axis=0), np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            end = np.where(rate > 0, (self.length - z) / rate, np.inf)
         return np.where(self.signed_distance(p) <= 0, 0.0, _in_time(np.minimum(side, end), speed))
 
     def overlap(self, place: Zonotope) -> float:
@@ -170,17 +169,10 @@ class KeepInPolytope(Faceted, KeepIn):
         factor = np.where(holds, 1.0, FAR)[:, None, None]
         return tuple(replace(one, offsets=one.offsets * factor, static=static) for one in timed)
 
-    def signed_distance(self, t: ArrayLike, p: ArrayLike, *args: Any) -> Array:
-        """As of all obstacles; inf while it does not hold."""
-        return self._while(t, super().signed_distance(t, p, *args))
-
-    def entry_time(self, t: ArrayLike, p: ArrayLike, v: ArrayLike, *args: Any) -> Array:
-        """As of all obstacles; inf while it does not hold."""
-        return self._while(t, super().entry_time(t, p, v, *args))
-
-    def _while(self, t: ArrayLike, distances: Array) -> Array:
-        holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
-        return distances if np.all(holds) else np.where(holds, distances, np.inf)
+    @property
+    def span(self) -> tuple[float, float]:
+        """From `begins` until `ends`."""
+        return self.begins, self.ends
 
     def _inflated(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)

@@ -1,14 +1,14 @@
 """Base of all obstacles, and the motion of rigid ones."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from ..checks import halfspaces, positive, whole
@@ -69,6 +69,11 @@ class Obstacle(ABC):
         return f"obstacles[{quoted(self.name)}]"
 
     @property
+    def span(self) -> tuple[float, float]:
+        """When the set holds [s]: from the first time on, until before the second."""
+        return -np.inf, np.inf
+
+    @property
     @abstractmethod
     def shape(self) -> Shape:
         """The true set, relative to `centre`."""
@@ -112,10 +117,12 @@ class Obstacle(ABC):
     ) -> Array:
         """Distance [m] from positions p (..., d) at times t (broadcast) to the true unsafe set.
 
-        Positive outside it, negative inside (penetration depth). See `motion` for `system` and `state`.
+        Positive outside it, negative inside (penetration depth), inf while it does not hold. See `motion` for
+        `system` and `state`.
         """
         centre = self.centre(t, system, state)
-        return self.shape.signed_distance(self._positions("p", p, centre) - centre)
+        distance = self.shape.signed_distance(self._positions("p", p, centre) - centre)
+        return np.where(is_holding(self.span, t), distance, np.inf)
 
     def entry_time(
         self,
@@ -125,13 +132,13 @@ class Obstacle(ABC):
         system: LinearSystem | None = None,
         state: ArrayLike | None = None,
     ) -> Array:
-        """Seconds until a straight ray at velocity v [m/s] enters; 0 if inside, inf if never.
+        """Seconds until a straight ray at velocity v [m/s] is inside while the set holds; inf if never.
 
         Both keep the velocity they have at time t.
         """
         centre, velocity = self.motion(t, system, state)
         p, v = self._positions("p", p, centre), self._positions("v", v, centre)
-        return self.shape.entry_time(p - centre, v - velocity)
+        return entry_while_holding(self.span, t, self.shape.entry_time, p - centre, v - velocity)
 
     def _positions(self, name: str, value: ArrayLike, centre: Array) -> Array:
         array = np.asarray(value, dtype=float)
@@ -244,6 +251,23 @@ class RigidObstacle(Anchored):
         nodes = b + normals @ self.anchor + t * (normals @ self._v) + ROUNDING * size
         offsets = np.stack([nodes[:-1], nodes[1:]], axis=1)
         return (TimedPolytope(self.name, normals, offsets, static=not np.any(self._v)),)
+
+
+def is_holding(span: tuple[float, float], t: ArrayLike) -> NDArray[np.bool_]:
+    """Return True for times t [s] at which a set holds; see `Obstacle.span`."""
+    return np.asarray((span[0] <= np.asarray(t)) & (np.asarray(t) < span[1]))
+
+
+def entry_while_holding(
+    span: tuple[float, float], t: ArrayLike, entry_time: Callable[[Array, Array], Array], p: Array, v: Array
+) -> Array:
+    """Return the seconds from times t until rays are inside a set while it holds, inf if never.
+
+    `entry_time` gives the time to the set, holding or not, on rays from relative positions p at velocities v.
+    """
+    wait = np.asarray(np.maximum(span[0] - np.asarray(t, dtype=float), 0.0))
+    entry = wait + entry_time(p + wait[..., None] * v, v)
+    return np.where(np.asarray(t) + entry < span[1], entry, np.inf)
 
 
 def chaser_radius(unsafe: Iterable[Any]) -> float:

@@ -49,12 +49,12 @@ def _in_time(path: Array, speed: Array) -> Array:
         return np.where((path < np.inf) & (speed > 0), path / speed, np.inf)
 
 
-def _in_parts(measure: Callable[..., Array], width: int, *vectors: Array) -> Array:
-    """Measure stacks of vectors (..., d), so many at a time that `CHUNK` numbers are held, shape (...)."""
+def in_parts(measure: Callable[..., Array], width: int, *vectors: Array, most: int = CHUNK) -> Array:
+    """Measure stacks of vectors (..., d), so many at a time that `most` numbers are held, shape (...)."""
     stacks = [np.asarray(one, dtype=float) for one in vectors]
     shape = np.broadcast_shapes(*(one.shape[:-1] for one in stacks))
     flat = [np.broadcast_to(one, shape + one.shape[-1:]).reshape(-1, one.shape[-1]) for one in stacks]
-    step, out = max(1, CHUNK // width), np.empty(len(flat[0]))
+    step, out = max(1, most // width), np.empty(len(flat[0]))
     for i in range(0, len(out), step):
         out[i : i + step] = measure(*(one[i : i + step] for one in flat))
     return out.reshape(shape)
@@ -114,7 +114,7 @@ class PolytopeShape:
         lost to round-off can only make a distance too small.
         """
         widest = max((index.size for index, _ in self._faces), default=1)
-        return _in_parts(self._distance, max(widest, len(self.b)), p)
+        return in_parts(self._distance, max(widest, len(self.b)), p)
 
     def _distance(self, p: Array) -> Array:
         r = p @ self.H.T - self.b
@@ -149,9 +149,7 @@ class PolytopeShape:
             for s, sets in subsets.items():
                 sets.update(combinations(rows, s))
         faces = []
-        for sets in subsets.values():
-            if not sets:
-                continue
+        for sets in filter(None, subsets.values()):
             index = np.array(sorted(sets))
             gram = np.einsum("cid,cjd->cij", self.H[index], self.H[index])
             independent = np.linalg.eigvalsh(gram)[:, 0] > 1e-11
@@ -231,7 +229,7 @@ class PolytopeShape:
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] on the ray, by clipping it against every facet; offsets may differ by ray."""
-        return _in_parts(self._entry, len(self.H), p, v, self.b)
+        return in_parts(self._entry, len(self.H), p, v, self.b)
 
     def _entry(self, p: Array, v: Array, b: Array) -> Array:
         speed, rate, gap, slack = self._rates(p, v, b)
@@ -246,7 +244,7 @@ class PolytopeShape:
 
     def exit_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which the ray touches the boundary from inside; 0 if outside, inf if never."""
-        return _in_parts(self._exit, len(self.H), p, v, self.b)
+        return in_parts(self._exit, len(self.H), p, v, self.b)
 
     def _exit(self, p: Array, v: Array, b: Array) -> Array:
         speed, rate, gap, _ = self._rates(p, v, b)

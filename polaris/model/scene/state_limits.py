@@ -16,7 +16,7 @@ from ..keys import Index, Key, Matrix, NonNegative, Positive, PositivePerAxis, V
 from ..system import Array, LinearSystem, as_finite, speeds
 from ..tolerances import ROUNDING
 from .keep_in import FAR, during
-from .obstacle import FACETS, NAME, Obstacle, directions
+from .obstacle import FACETS, NAME, Obstacle, directions, is_holding
 from .shapes import BallShape
 from .timed_polytope import TimedPolytope
 
@@ -65,6 +65,11 @@ class StateLimit(Obstacle):
             raise ScenarioError(f"{self.path}.ends", self.ends, f"must be after from_s = {self.begins:g}")
 
     @property
+    def span(self) -> tuple[float, float]:
+        """From `begins` until `ends`."""
+        return self.begins, np.inf if self.ends is None else self.ends
+
+    @property
     def path(self) -> str:
         """Beginning of error messages."""
         return f"{'keep_in' if self.inside else 'obstacles'}[{quoted(self.name)}]"
@@ -103,8 +108,7 @@ class StateLimit(Obstacle):
 
     def steps(self, delta: float, cells: int) -> NDArray[np.bool_]:
         """Return True for the steps, of `delta` [s], in which it holds at any time, (cells,)."""
-        ends = np.inf if self.ends is None else self.ends
-        return during(self.begins, ends, np.arange(cells, dtype=float) * delta, delta)
+        return during(*self.span, np.arange(cells, dtype=float) * delta, delta)
 
     def signed_distance(
         self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
@@ -112,9 +116,8 @@ class StateLimit(Obstacle):
         """Return the slack [m] of states p (..., n) at times t; inf while it does not hold."""
         if system is None or np.shape(p)[-1] != system.n:
             raise ScenarioError("p", np.shape(p), f"must be states of a known system for {self.path}")
-        t, slack = np.asarray(t), self.slack(np.asarray(p, dtype=float), system)
-        holds = (self.begins <= t) & (t < (np.inf if self.ends is None else self.ends))
-        return np.asarray(np.where(holds, slack, np.inf))
+        slack = self.slack(np.asarray(p, dtype=float), system)
+        return np.asarray(np.where(is_holding(self.span, t), slack, np.inf))
 
     def blurred(self, clock: float, margin: float) -> Self:
         """Return the limit: it counts by the schedule's clock; its polytopes grow by `margin`."""

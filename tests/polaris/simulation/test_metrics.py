@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,6 +24,8 @@ from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
+from polaris.simulation.simulate import simulate
+from tests.polaris.tiny import synthesised
 
 ETA = 0.0012
 CW = clohessy_wiltshire(ETA, 10.0, 0.1)
@@ -83,6 +87,51 @@ def test_drift_in_straight_lines_equals_the_ray():
     true = {"sat": np.array([[11.0, 0, -1, 0], [11, 0, 1, 0], [0.5, 0, 0, 0]])}  # where it really is
     times = drift_ttc([sat], PLANE, 0.0, np.zeros((3, 4)), 50.0, states=true)[0]
     np.testing.assert_allclose(times, [10.3, np.inf, 0])
+
+
+def test_a_set_counts_for_times_to_collision_only_while_it_holds():
+    """A box that begins later is no collision at once, one that has ended is none at all."""
+    rows, x = [[1.0, 0], [-1, 0]], np.array([-8.0, 0, 1, 0])
+    box = {"late": (10.0, np.inf), "between": (10.0, 12.0), "early": (-np.inf, 5.0), "missed": (12.0, 13.0)}
+    sets = [KeepInPolytope(name, rows, [5, 5], *span) for name, span in box.items()]
+    t = np.array([0.0, 4.0, 11.0])  # x(t + s) = s - 8 leaves the box of 5 m until s = 3, and again from 13 on
+    expected = [[13.0, 13, 0], [np.inf, np.inf, 0], [0, 0, np.inf], [np.inf, np.inf, 1]]
+    np.testing.assert_allclose(ray_ttc(sets, t, x[:2], x[2:], PLANE), expected, atol=1e-9)
+    np.testing.assert_allclose(drift_ttc(sets, PLANE, t, x, 40.0), expected, atol=1e-6)
+    assert np.all(drift_ttc(sets[:1], PLANE, 0.0, x, 12.9) == np.inf), "beyond the horizon"
+    np.testing.assert_array_equal(signed_distances(sets, t, x[:2], PLANE)[0], [np.inf, np.inf, -3])
+
+
+@pytest.mark.parametrize("begins", [0.0, 700.0, 1500.0, 5000.0])
+def test_drift_into_a_later_box_against_dense_propagation(begins):
+    late = KeepInPolytope("late", np.vstack([np.eye(3), -np.eye(3)]), [150.0] * 6, begins, begins + 600)
+    rng, s, t = np.random.default_rng(0), np.linspace(0, 5000, 5001), 100.0
+    x = np.hstack([rng.normal(size=(30, 3)) * 100, rng.normal(size=(30, 3)) * 0.1])
+    times = drift_ttc([late], CW, t, x, 5000.0)[0]
+    p = np.einsum("sij,rj->rsi", free_flight(ETA, s), x)[..., :3]
+    outside = late.signed_distance(t + s, p) <= 0
+    first = np.where(outside.any(axis=1), s[outside.argmax(axis=1)], np.inf)
+    np.testing.assert_array_equal(np.isfinite(times), np.isfinite(first))
+    np.testing.assert_allclose(times, first, atol=1.0)
+    assert np.isfinite(first).any() and (times >= max(begins - t, 0.0) - 1e-9).all()
+
+
+def test_metrics_of_runs_ask_when_a_set_holds():
+    """One keep-in box from half of the run on: it counts from there on, and distances are over its time."""
+    _, schedule = synthesised()
+    runs, problem = simulate(schedule, 3, 0), schedule.safety.problem
+    half, system = float(runs.times[-1]) / 2, problem.system
+    sides = np.vstack([np.eye(system.d), -np.eye(system.d)])
+    later = runs.positions[:, runs.times >= half].reshape(-1, system.d)
+    offsets = np.hstack([later.max(axis=0), -later.min(axis=0)]) + 0.5
+    late = KeepInPolytope("late", sides, offsets, begins=half)
+    assert np.all(late.polytope.signed_distance(runs.positions[:, 0]) > 0), "not yet inside at the start"
+    safety = replace(schedule.safety, problem=replace(problem, unsafe=(late,)))
+    metrics = replace(runs, schedule=replace(schedule, safety=safety)).metrics()
+    assert not metrics.collided.any() and np.all(metrics.closest_time >= half)
+    assert np.all((metrics.min_distance > 0) & (metrics.mean_distance > metrics.min_distance))
+    assert np.all(np.isfinite(metrics.mean_distance))
+    assert np.all((metrics.min_ttc > 0) & (metrics.min_ttc_free_drift > 0))
 
 
 @settings(max_examples=10, deadline=None)

@@ -51,6 +51,15 @@ def test_evaluate_prints_a_table(path):
     assert "share of time: untrusted 100.0%; switches: 0" in done.stdout
 
 
+def test_names_are_whole_in_a_narrow_terminal(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    sets = {f"line_of_sight[{f}]": entry("point", [0, [0, 0, f]]) for f in range(24)}
+    saved = save(tmp_path, trace({"a": agent([[0, 5, 0, 0, 1, 0, 0], [1, 6, 0, 0, 1, 0, 0]])}, **sets))
+    lines = invoke("evaluate", saved, "--mean-motion", "0.0012").stdout.splitlines()
+    shown = [line.split()[0] for line in lines if line.startswith("line")]
+    assert shown == list(sets) and all("…" not in line for line in lines)
+
+
 def test_evaluate_as_json_is_strict(path):
     def strict(name):
         raise AssertionError(name)

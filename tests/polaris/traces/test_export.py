@@ -9,6 +9,7 @@ import polaris
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.scene.distances import UNKNOWN, ray_ttc, signed_distances
+from polaris.model.scene.free_drift import drift_ttc
 from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle, true_states
@@ -18,6 +19,7 @@ from polaris.simulation.baselines import compare
 from polaris.traces import (
     AgentTrace,
     Trace,
+    evaluate_legacy,
     evaluate_trace,
     export_run,
     parse_trace,
@@ -141,6 +143,41 @@ def test_keep_in_sets_go_facet_by_facet():
     assert min(item.distance.min for item in metrics[:6]) == pytest.approx(truth[0])
     leaving = min(item.distance.min for item in metrics[6:])
     assert 0.9 * truth[1] < leaving <= truth[1]
+
+
+def test_a_set_is_exported_with_the_time_in_which_it_holds(tmp_path):
+    """The set itself at all stamps, and its times: the evaluation measures what runs are measured against."""
+    sides = np.vstack([np.eye(3), -np.eye(3)])
+    sets = [
+        KeepInPolytope("first", sides, [210.0] * 6, ends=150.0),
+        KeepInPolytope("later", sides, [198.0] * 6, begins=150.0),
+    ]
+    made = to_trace(T, STATES, MODES, sets, SYSTEM)
+    read = read_trace(write_trace(tmp_path / "a.json", made.trace))
+    assert read.same_as(made.trace) and not read.ignored
+    spans = {key: item.span for key, item in read.unsafe.items()}
+    assert spans["first[2]"] == (-np.inf, 150.0) and spans["later[5]"] == (150.0, np.inf)
+    assert all(np.allclose(item.b, item.b[0]) for item in read.unsafe.values()), "at rest"
+    data = trace_data(made.trace)["unsafe"]
+    assert data["first[0]"]["until_s"] == 150.0 and "from_s" not in data["first[0]"]
+    metrics = evaluate_trace(read, system=SYSTEM).agents["chaser"].unsafe
+    distances = signed_distances(sets, T, STATES[:, :3])
+    rays = ray_ttc(sets, T, STATES[:, :3], STATES[:, 3:])
+    drifts = drift_ttc(sets, SYSTEM, T, STATES, 2 * np.pi / 0.0012)
+    for k, parts in enumerate((metrics[:6], metrics[6:])):
+        assert min(item.distance.min for item in parts) == pytest.approx(distances[k].min())
+        assert max(item.distance.max for item in parts) < 500
+        assert min(item.ttc.min for item in parts) == pytest.approx(rays[k].min(), rel=1e-6)
+        assert min(item.drift_ttc.min for item in parts) == pytest.approx(drifts[k].min(), abs=1.0)
+    assert distances[1].min() > 0 and min(item.ttc.min for item in metrics[6:]) > 1
+    short = to_trace(T[:10], STATES[:10], MODES[:10], sets, SYSTEM).trace
+    assert evaluate_trace(short).agents["chaser"].unsafe[-1].distance is None, "it never holds in the trace"
+    legacy = evaluate_legacy(read)["chaser"]["compute_dists"]
+    assert np.isfinite(legacy[1]), "RTAEval knows no times of sets"
+    for wrong in ({"from_s": None}, {"until_s": "x"}, {"from_s": 2.0, "until_s": 1.0}):
+        data["first[0]"] = trace_data(made.trace)["unsafe"]["first[0]"] | wrong
+        with pytest.raises(ScenarioError, match=r"unsafe\.first\[0\]\.(from|until)_s"):
+            parse_trace({"agents": trace_data(made.trace)["agents"], "unsafe": data})
 
 
 def test_satellite_is_covered_known_or_nominal():
