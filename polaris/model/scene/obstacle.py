@@ -70,7 +70,7 @@ class Obstacle(ABC):
 
     @property
     def span(self) -> tuple[float, float]:
-        """When the set holds [s]: from the first time on, until before the second."""
+        """Times [s] between which the set holds: from the first on, until before the second."""
         return -np.inf, np.inf
 
     @property
