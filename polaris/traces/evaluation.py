@@ -159,6 +159,8 @@ def evaluate_trace(
     d = find_dims(trace, dims)
     drift = None if system is None else FreeDrift(trace, system, d)
     notes = [f"passed over: {place}" for place in trace.ignored]
+    spans = dict.fromkeys((name.partition("[")[0], *item.span) for name, item in trace.unsafe.items())
+    notes += [f"{name} holds from {a:g} to {b:g} s" for name, a, b in spans if a > -np.inf or b < np.inf]
     measurement = _Measurement(trace, d, velocity, drift, agent_radius, notes)
     agents = {name: measurement.agent(name) for name in trace.agents}
     if drift is not None:

@@ -103,8 +103,7 @@ class PlacedParts:
 
     def signed_distance(self, p: Array) -> Array:
         """Distance [m] of positions (N, d), shape (N,), whether it holds or not."""
-        distances = [part.body.signed_distance(p - part.centre) for part in self.parts]
-        return np.asarray(np.min(distances, axis=0))
+        return np.asarray(np.min([part.body.signed_distance(p - part.centre) for part in self.parts], axis=0))
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """Seconds until straight rays from p (N, d) at v (N, d) are inside while it holds, shape (N,)."""

@@ -37,7 +37,6 @@ QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drif
 
 
 def _show_separations(items: Sequence[Separation]) -> None:
-    """Print a table that is as wide as the longest word of a name needs it."""
     grid = table("to", "quantity", "min", "mean", "max", "min at [s]", "on course", words=2, wrap=1)
     titles = [f"{item.name} ({item.kind})" for item in items]
     for item, name in zip(items, titles, strict=True):

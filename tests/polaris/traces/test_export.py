@@ -160,7 +160,9 @@ def test_a_set_is_exported_with_the_time_in_which_it_holds(tmp_path):
     assert all(np.allclose(item.b, item.b[0]) for item in read.unsafe.values()), "at rest"
     data = trace_data(made.trace)["unsafe"]
     assert data["first[0]"]["until_s"] == 150.0 and "from_s" not in data["first[0]"]
-    metrics = evaluate_trace(read, system=SYSTEM).agents["chaser"].unsafe
+    evaluated = evaluate_trace(read, system=SYSTEM)
+    metrics = evaluated.agents["chaser"].unsafe
+    assert evaluated.notes[:2] == ("first holds from -inf to 150 s", "later holds from 150 to inf s")
     distances = signed_distances(sets, T, STATES[:, :3])
     rays = ray_ttc(sets, T, STATES[:, :3], STATES[:, 3:])
     drifts = drift_ttc(sets, SYSTEM, T, STATES, 2 * np.pi / 0.0012)
