@@ -167,18 +167,13 @@ class Assumptions:
                 text = f"each thruster fires one pulse per period, {PLACES[self.placed]}; simultaneous ones "
                 text += f"make at most [{fired}] N"
             text += f"; thrust rises and falls within {self.edge:g} s, impulses are kept" * (self.edge > 0)
-            text += (
-                "; a pulse keeps its impulse whenever it begins, and overlaps no other of its thruster"
-                * (jitter > 0)
-            )
+            steady = "a pulse keeps its impulse whenever it begins, and overlaps no other of its thruster"
+            text += f"; {steady}" * (jitter > 0)
             yield f"pulses: {text}; thruster errors are constant in a period"
         late = ", ".join(f"{name} within {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
-            yield (
-                ALLOCATED.replace("known at once", "known at once or when it is isolated")
-                if late
-                else ALLOCATED
-            )
+            isolated = "known at once or when it is isolated" if late else "known at once"
+            yield ALLOCATED.replace("known at once", isolated)
         if self.layout:
             yield f"allocation: the thrusters' commands are {ALLOCATIONS[self.layout]}"
         if late:
@@ -202,10 +197,15 @@ class Assumptions:
         return f"after T: the safety controller flies on {end}, with fuel for every command"
 
 
+def claim_time(horizon: str, until: float | None) -> str:
+    """Return until when safety is claimed, in words."""
+    end = "end of the schedule" + ", then one period under S" * (horizon == "one_period")
+    return "for all time" if horizon == "infinite" else f"until {until or 0:.6g} s ({end})"
+
+
 def _sum(row: Iterable[float]) -> str:
     """Return a combination of states in words."""
-    terms = (f"{x:g} x{i}".removeprefix("1 ") for i, x in enumerate(row) if x)
-    return " + ".join(terms)
+    return " + ".join(f"{x:g} x{i}".removeprefix("1 ") for i, x in enumerate(row) if x)
 
 
 def _listed(bounds: Iterable[float]) -> str:

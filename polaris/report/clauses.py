@@ -56,7 +56,8 @@ DRIFT = Evidence(
     "summary.json: polaris.min_ttc_free_drift_s",
 )
 SETS = Evidence("keep-out zones", "scenario.toml: obstacles.name")
-CORRIDORS = Evidence("keep-in zones", "scenario.toml: keep_in.name")
+ZONES = "keep_in, navigation.within_m and phases"
+CORRIDORS = Evidence("keep-in zones", f"scenario.toml: {ZONES}")
 THRUST = Evidence("peak thrust demand of S", "summary.json: polaris.max_thrust_ratio_safety")
 START = Evidence("start margin", "summary.json: synthesis.start_margin")
 BOX = Evidence("box around the start set", "scenario.toml: initial_set")

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from textwrap import wrap
+from textwrap import shorten, wrap
 from typing import Any
 
 from ..certificate.checker import verify
@@ -16,7 +16,7 @@ from ..runs.files.ownership import sha256
 from ..runs.files.tables import besides
 from ..runs.missions.mission import MISSION
 from ..synthesis.safety.recoverable import directed
-from .clauses import CLAUSES, SOURCES, Clause, Evidence
+from .clauses import CLAUSES, SOURCES, ZONES, Clause, Evidence
 from .missions import joint_tables
 from .sentences import goal, reach
 from .tables import Measure, value_cell
@@ -24,7 +24,7 @@ from .tables import Measure, value_cell
 MOST_PAGES = 12
 PAGE = (8.27, 11.69)  # A4 [in]
 LINES, COLUMNS = 76, 112  # of a page, in its smallest type
-LONGEST = 240  # characters of one answer: texts come from files that others may have written
+LONGEST = 960  # characters of one answer: texts come from files that others may have written
 HEADS = "#0072B2"  # colour of headings: the light font has no bold letters
 MOST_SCENES = 4  # legs of which a scene is drawn
 ABSENT = "not requested in this run"
@@ -64,7 +64,7 @@ class DossierLeg:
 
     def sentence(self, head: str) -> str:
         """Return a sentence of the guarantee by its head."""
-        sentences = [("Safe", reach(self.claim)), ("Goal", goal(self.claim["goal"])), *besides(self.claim)]
+        sentences = [("Safe", reach(self.claim)), ("Goal", goal(self.claim)), *besides(self.claim)]
         return " ".join(text for name, text in sentences if name == head) or ABSENT
 
     def value(self, file: str, path: str) -> str:
@@ -73,6 +73,11 @@ class DossierLeg:
             box, names = self.run.scenario.initial_set(), self.run.scenario.system().state_names
             ends = zip(names, box.c - box.half_widths, box.c + box.half_widths, strict=True)
             return _plain(", ".join(f"{name} {a:.6g} to {b:.6g}" for name, a, b in ends) + " (m, m/s)")
+        if path == ZONES:
+            scenario, navigation = self.run.scenario, self.run.scenario.model.navigation
+            horizon = scenario.steps, scenario.step
+            boxes = navigation.kept_within(scenario.system(), horizon) if navigation else ()
+            return _plain(", ".join(one.name for one in (*scenario.model.keep_in, *boxes)) or UNDECLARED)
         value, keys = self.files[file], path.split(".")
         for key in keys:
             if isinstance(value, list):
@@ -83,9 +88,8 @@ class DossierLeg:
             simulated = path.startswith("polaris.") and isinstance(self.files[file].get("polaris"), dict)
             absent = ABSENT if file == "summary.json" else UNDECLARED
             return value_cell(None, keys[-1]).text if simulated else absent
-        return _plain(
-            Measure.from_key(keys[-1]).text(value) if isinstance(value, int | float) else _listed(value)
-        )
+        is_number = isinstance(value, int | float)
+        return _plain(Measure.from_key(keys[-1]).text(value) if is_number else _listed(value))
 
 
 @dataclass(frozen=True)
@@ -209,8 +213,8 @@ class Dossier:
 
 def _plain(text: object) -> str:
     """Return a text of a file as one line of bounded length."""
-    text = " ".join("".join(letter if letter.isprintable() else " " for letter in str(text)).split())
-    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+    text = "".join(letter if letter.isprintable() else " " for letter in str(text))
+    return shorten(text, LONGEST, placeholder=" …", break_on_hyphens=False)  # numbers stay whole
 
 
 def _listed(value: object) -> str:

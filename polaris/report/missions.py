@@ -17,14 +17,7 @@ def legs_table(summary: Mapping[str, Any]) -> Table:
         drift = "no claim" if leg["drift_s"] is None else f"{leg['drift_s']:.6g} s"
         texts = f"{leg['leaves_s']:.6g} s", f"{_spent(leg)} m/s", waits, until, drift
         rows.append([Cell(leg["name"], words=True), *map(Cell, texts)])
-    total = [
-        Cell("mission", words=True),
-        Cell(""),
-        Cell(f"{_spent(mission)} m/s"),
-        Cell(""),
-        Cell(""),
-        Cell(""),
-    ]
+    total = [Cell("mission", words=True), *map(Cell, ("", f"{_spent(mission)} m/s", "", "", ""))]
     return Table("Legs", heads, [*rows, total])
 
 
@@ -35,15 +28,10 @@ def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
         names = mission["legs"][i]["name"], mission["legs"][i + 1]["name"]
         caption = f"GO from {names[0]} to {names[1]}, {instants(joint, mission['clocks'][i])}"
         caption += "" if joint["assured"] else "; an admissible flight may be outside, which is NO-GO"
-        rows = [
-            [
-                Cell(name, words=True),
-                Cell(f"{c:.6g}"),
-                Cell(f"{half:.4g}"),
-                Cell(f"{c - half:.6g} to {c + half:.6g}"),
-            ]
-            for name, c, half in zip(mission["states"], joint["center"], joint["half_widths"], strict=True)
-        ]
+        rows = []
+        for name, c, half in zip(mission["states"], joint["center"], joint["half_widths"], strict=True):
+            texts = f"{c:.6g}", f"{half:.4g}", f"{c - half:.6g} to {c + half:.6g}"
+            rows.append([Cell(name, words=True), *map(Cell, texts)])
         tables.append(Table(caption, ["estimated state", "center", "half-width", "GO if within"], rows))
     return tables
 
@@ -81,11 +69,9 @@ def rows_flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     flights = summary["flown"]
     shares = ", ".join(f"{share:.0%}" for share in flights["share_of_start_set"])
     distances = [distance for distance in flights["least_distance_m"] if distance is not None]
+    delta_v = f"mean delta-v {sum(flights['delta_v_m_s']):.4g} m/s"
     return (
-        (
-            "Simulated flights",
-            f"{flights['runs']} from end to end, mean delta-v {sum(flights['delta_v_m_s']):.4g} m/s",
-        ),
+        ("Simulated flights", f"{flights['runs']} from end to end, {delta_v}"),
         ("Largest delta-v of a flight", f"{flights['delta_v_largest_m_s']:.4g} m/s"),
         ("Minimum distance", f"{min(distances):.4g} m" if distances else "no keep-out zone"),
         ("Share of the start sets used", shares),

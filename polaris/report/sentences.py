@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from ..certificate.assumptions import claim_time
 from ..model.checks import counted
 from ..synthesis.safety.recoverable import directed
 
@@ -68,11 +69,7 @@ def _worst(worst: Mapping[str, Any] | None) -> str:
 
 def reach(claim: Mapping[str, Any]) -> str:
     """Describe until when a schedule's claim holds, and of how many flights."""
-    text = {
-        "infinite": "for all time",
-        "one_period": f"until {claim['until_s'] or 0:.6g} s (end of the schedule, then one period under S)",
-        "none": "until the end of the schedule only",
-    }[claim["horizon"]]
+    text = claim_time(claim["horizon"], claim["until_s"])
     if "sampled_bound" in claim:
         sampled = claim["sampled_bound"]
         chance = directed(sampled["probability"], ".2g", up=True)
@@ -80,8 +77,17 @@ def reach(claim: Mapping[str, Any]) -> str:
     return text
 
 
-def goal(claim: Mapping[str, Any]) -> str:
-    """Say if the goal is reached, how nearly, what keeps flights there, and the cost."""
+def no_time_after_end(guarantee: Mapping[str, Any]) -> str:
+    """Return the limit that ends the claim at T, before S can settle, in words; empty for other claims."""
+    if guarantee["horizon"] != "none" or guarantee["goal"]["reached"] is True:
+        return ""
+    limit, T = guarantee["reason"].partition(": ")[2].partition(": needs ")[0], guarantee["until_s"] or 0
+    return f"the claim ends at T = {T:.6g} s because of {limit}, and S needs time after T to settle"
+
+
+def goal(guarantee: Mapping[str, Any]) -> str:
+    """Say if the goal is reached, how nearly, what keeps flights there or from it, and the cost."""
+    claim, cause = guarantee["goal"], no_time_after_end(guarantee)
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
     counts, miss = claim["velocity_time_s"], f"within {near} m (the tolerance is {claim['tolerance_m']:.4g} m"
     miss += ")" if counts is None else f"; velocity errors count as the distance covered in {counts:.4g} s)"
@@ -90,4 +96,4 @@ def goal(claim: Mapping[str, Any]) -> str:
     if claim["reached"] is True:
         return f"reached at {claim['by_s']:.6g} s, {miss}. S must fly on to stay there{drifting}. {cost}"
     failure = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{failure}: at best {miss}. {cost}"
+    return f"{failure}: at best {miss}{f'; {cause}' * bool(cause)}. {cost}"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from ..assumptions import claim_time
 from ..files.document import Document
 from ..files.entries import UnsafeSet, Vector
 from ..kernel.arcs import Arc, Path
@@ -59,7 +60,7 @@ def check_end(document: Document, path: Path) -> str:
         _closes(doc, path, tail)
     elif doc.horizon == "one_period" and not tail:
         raise Rejected("end", "safety for one more period is claimed, but the reference ends at T")
-    return doc.horizon if doc.claim_end is None else f"{doc.horizon}, until {doc.claim_end:.6g} s"
+    return claim_time(doc.horizon, doc.claim_end)
 
 
 def _closes(doc: Document, path: Path, tail: int) -> None:

@@ -34,8 +34,8 @@ REASONS = {
     "one_period": r"the reference does not end on a natural motion trajectory"
     r"|unsafe sets that move \((?P<moving>.*)\) are covered until (?P<until>\S+) s only"
     r"|one period is shorter than the loop's settling horizon",
-    "none": r"not proven after T = (?P<until>\S+) s: "
-    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER}, available {_NUMBER}",
+    "none": r"not proven after T = (?P<until>\S+) s(?:, though S flies on)?: "
+    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER}(?: m| N)?, available {_NUMBER}(?: m| N)?",
 }
 """Words for why a claim about the time after T reaches as far as it does."""
 
@@ -185,8 +185,7 @@ KINDS = {"any_thrust": "AnyThrust", "neural": "NeuralController", "black_box": "
 
 def _controller(document: Document, mode: int) -> dict[str, Any]:
     law = document.laws[mode]
-    kind = KINDS.get(law.kind, "AffineController")
-    return {"mode": mode, "name": law.name, "kind": kind}
+    return {"mode": mode, "name": law.name, "kind": KINDS.get(law.kind, "AffineController")}
 
 
 def share(modes: list[int]) -> float:

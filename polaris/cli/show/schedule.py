@@ -24,7 +24,7 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     print_line(f"{verdict} Assumptions:" if proved else verdict, "bold" if claim["kind"] == "proved" else RED)
     assume(claim["assumptions"] if proved else ())
     if proved:
-        print_line(f"Goal: {goal(claim['goal'])}")
+        print_line(f"Goal: {goal(claim)}")
     for head, sentence in besides(claim) if proved else ():
         print_line(f"{head}: {sentence}")
     print_line(f"Run folder: {folder}")

@@ -18,7 +18,7 @@ from ..scene.items import Actor, drawn_pilots
 from ..scene.palette import mode_colour
 from ..scene.scene import describe, shown_axes
 from ..scene.timelines import schedule_timeline
-from ..sentences import goal, reach, synthesis
+from ..sentences import goal, no_time_after_end, reach, synthesis
 from ..tables import Cell, Measure, Table, metrics
 from .page import Page, badge, macros, reading, table
 from .scene import plain
@@ -92,7 +92,9 @@ def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
     cost = f"mean of {counted(flights['runs'], 'simulated run')}"
     if proved:
         word = "not proven" if end["reached"] == "not_proven" else "no"
-        arrives = (word, f"at best within {within} m; the tolerance is {end['tolerance_m']:.4g} m")
+        cause = no_time_after_end(claim)
+        near = f"at best within {within} m; the tolerance is {end['tolerance_m']:.4g} m"
+        arrives = (word, near + f"; {cause}" * bool(cause))
         if end["reached"] is True:
             near = f"proven, within {within} m of the goal (the tolerance is {end['tolerance_m']:.4g} m)"
             arrives = (f"at {_time(end['by_s'])}", f"{near}; S must fly on to stay there")
@@ -128,9 +130,9 @@ def _when(picture: PlotData) -> str:
 
 def guarantee_section(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
-    rows = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
-    reached = claim["goal"]["reached"] is True
-    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), reached, rows))
+    rows = [("Goal", goal(claim)), *besides(claim)] if claim["kind"] == "proved" else []
+    arrival = claim["goal"]["reached"] is True, no_time_after_end(claim)
+    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), *arrival, rows))
 
 
 def aborts(claim: Mapping[str, Any]) -> Markup:

@@ -18,7 +18,7 @@ from ...model.system import LinearSystem
 from ...model.timing import Timing
 from ...planning.reference import Reference
 from ...simulation.metrics import finite
-from ...synthesis.safety.recoverable import directed, missing
+from ...synthesis.safety.recoverable import directed, quantity
 from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import in_words
 
@@ -174,7 +174,7 @@ def _attributed(claim: Mapping[str, Any]) -> str:
     if not steps:
         return f"fault {fault} reserves no step for S along this reference."
     worst = max(steps, key=lambda step: step["shortfall"] / max(abs(step["clearance"]), 1e-300))
-    deficit, instant = missing(worst["limit"], worst["shortfall"]), f"t = {worst['limit_time_s']:.6g} s"
+    deficit, instant = quantity(worst["limit"], worst["shortfall"]), f"t = {worst['limit_time_s']:.6g} s"
     return (
         f"fault {fault} reserves {len(steps)} steps for S ({', '.join(str(x['step']) for x in steps)}):"
         f" {worst['controller']} in step {worst['step']} would leave {worst['limit']} {deficit} short in step"

@@ -71,9 +71,8 @@ def natural_motion(planned: Reference, x: Array) -> tuple[Array, str]:
     """Return the nearest state whose unforced motion closes (Hill's frame) or rests (any other system)."""
     system = planned.system
     if in_hills_frame(system):
-        assert system.mean_motion is not None
         closed = x.copy()
-        closed[4] = -2 * system.mean_motion * x[0]
+        closed[4] = -system.A[3, 4] * x[0]  # v_y = -2 eta r_x
         return closed, "on a closed orbit"
     # Nearest point of the null space of A: the states at rest.
     _, values, rows = np.linalg.svd(system.A)
@@ -107,7 +106,7 @@ def prove_end(
     T, delta = planned * tracking.delta, tracking.delta
     until = (planned + tail) * delta
     if not start.inside:
-        return EndCondition("none", T, f"not proven after T = {T:g} s: {start}")
+        return EndCondition("none", T, f"not proven after T = {T:g} s, though S flies on: {start}")
     closed, word = natural_motion(reference, reference.chi[planned])
     exact = np.allclose(closed, reference.chi[planned], rtol=0, atol=1e-12 * max(1.0, np.max(np.abs(closed))))
     if not exact or not _stays(reference.system, closed):
@@ -117,7 +116,6 @@ def prove_end(
     if moving:
         reason = f"unsafe sets that move ({', '.join(moving)}) are covered until {until:g} s only"
         return EndCondition("one_period", until, reason)
-    settled = (tracking.settling + 1) <= tail * tracking.feedback.nodes_per_cell
-    if not settled:
+    if tracking.settling + 1 > tail * tracking.feedback.nodes_per_cell:
         return EndCondition("one_period", until, "one period is shorter than the loop's settling horizon")
     return EndCondition("infinite", np.inf, f"the reference ends {word}, and all unsafe sets are static")

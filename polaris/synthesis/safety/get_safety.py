@@ -25,7 +25,7 @@ from .continuation import Continuation
 from .end_condition import EndCondition
 from .passive import FreeFlight
 from .problem import Problem, as_problem
-from .recoverable import Margin, RecoverableSet, missing
+from .recoverable import Margin, RecoverableSet, quantity
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""
@@ -193,7 +193,10 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
             start = free.tracking.true_error(start)
         margin = sets.margin_at(0, start)
-        short, step = missing(margin.limit, margin.tightening - margin.clearance), margin.time / problem.delta
+        short, step = (
+            quantity(margin.limit, margin.tightening - margin.clearance),
+            margin.time / problem.delta,
+        )
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         text += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None

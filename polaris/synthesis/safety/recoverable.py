@@ -51,7 +51,8 @@ class Margin:
         return self.value >= 0
 
     def __str__(self) -> str:
-        tightening, clearance = directed(self.tightening, ".4g", up=True), directed(self.clearance, ".4g")
+        tightening = quantity(self.limit, self.tightening)
+        clearance = quantity(self.limit, self.clearance, up=False)
         return f"{self.limit} at t = {self.time:.6g} s: needs {tightening}, available {clearance}"
 
 
@@ -113,13 +114,13 @@ def directed(value: float, form: str, up: bool = False) -> str:
     return f"{float(text):{form}}" if form.endswith("g") else text  # the other way of writing exponents
 
 
-def missing(margin_limit: str, short: float) -> str:
-    """Text of a proven shortfall of a limit by its name, rounded up: in N of a thrust, in m of an unsafe set.
+def quantity(margin_limit: str, value: float, up: bool = True) -> str:
+    """Text of a proven number of a limit by its name, rounded up or down: in N of a thrust, in m of a set.
 
     Inputs of a system with a unit of its own have none.
     """
     unit = "" if margin_limit.startswith("input ") else " N" if margin_limit in THRUSTS else " m"
-    return f"{directed(short, '.4g', up=True)}{unit}"
+    return f"{directed(value, '.4g', up)}{unit}"
 
 
 def slack_share(tightening: Array, clearance: Array) -> Array:
