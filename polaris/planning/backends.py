@@ -73,8 +73,7 @@ def _warm_highs(**options: Any) -> Any:
 
 def _highs(lp: Any, options: PlannerOptions, limit: int, seconds: float, hear: Hear) -> BackendResult:
     highspy = silent_highspy()
-    kind, gave_up = highspy.HighsModelStatus, [""]
-    calls = count()
+    kind, gave_up, calls = highspy.HighsModelStatus, [""], count()
 
     def ask(event: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         gave_up[0] = hear(data.mip_primal_bound, data.mip_dual_bound, data.mip_node_count) or gave_up[0]

@@ -20,6 +20,7 @@ from .tree import branch
 
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
 WITHIN = re.compile(r"within(?:-(\d+))?\[\d+\]")  # sides of boxes in which bounds of navigation hold
+GROWN = 0.01  # growth [m] of a half-width from which on the place of an obstacle counts as uncertain
 EFFORT = 1000  # most linear programs solved to find by how much margins must give way
 
 
@@ -35,9 +36,8 @@ def unreachable(rows: PlanRows, deadline: float) -> NoReturn:
     )
     relax = "change the goal or the number of steps, as larger input limits do not help."
     if factor is not None:
-        relax = (
-            f"input limits {factor:.3g} times as large (when tightened), a longer horizon or a wider goal."
-        )
+        limits = f"input limits {factor:.3g} times as large (when tightened)"
+        relax = f"{limits}, a longer horizon or a wider goal."
     elif not np.all(rows.limit):
         relax = "a smaller planner.thrust_reserve or initial set, or larger input limits."
     raise SynthesisInfeasible(condition, miss, relax)
@@ -51,16 +51,14 @@ def blocked(rows: PlanRows, deadline: float) -> NoReturn:
     helpful = _droppable(problem, deadline)
     larger = (f for f in FACTORS if perf_counter() < deadline)
     factor = next((f for f in larger if _works(problem, deadline, u_limit=problem.u_limit * f)), None)
-    amount = ""
+    amount, remedies = "", list[str]()
     if short is not None:
         amount = f" ({'' if proven else 'at most '}{short:.3g} m short{_lengths(*problem.unsafe)})"
+        remedies = [f"{short:.3g} m less margin ({_smaller_margins(problem, short, deadline)})"]
     condition = (
         f"The goal ({problem.goal.describe()}) can be reached within the input limits, but not with the "
         f"margins required from the unsafe sets{amount}."
     )
-    remedies = []
-    if short is not None:
-        remedies.append(f"{short:.3g} m less margin (a smaller initial set or disturbance, a stiffer gain)")
     if helpful:
         remedies.append("without " + " or without ".join(helpful))
     if factor is not None:
@@ -126,6 +124,24 @@ def _shortfall(rows: PlanRows, stop: float) -> tuple[float | None, bool]:
     return outcome.best.short, outcome.status == "optimal"
 
 
+def _smaller_margins(problem: PlanProblem, short: float, stop: float) -> str:
+    """Say what makes margins smaller: obstacles known better if they make most of the shortfall [m]."""
+    names, unsafe = [], list(problem.unsafe)
+    for i, body in enumerate(unsafe):
+        opposite = np.argmin(body.normals @ body.normals.T, axis=1)
+        widths = body.offsets + body.offsets[..., opposite]
+        growth = np.maximum(widths - widths[0, 0], 0.0) / 2
+        if np.allclose(body.normals[opposite], -body.normals) and np.max(growth) > GROWN:
+            unsafe[i] = replace(body, offsets=body.offsets - growth)
+            names.append(body.name)
+    certain = _shortfall(PlanRows(replace(problem, unsafe=tuple(unsafe))), stop)[0] if names else None
+    if certain is None or not (part := short - certain) > short / 2:
+        return "a smaller initial set or disturbance, a stiffer gain"
+    whose = " and ".join(f"{name}'s place" for name in names)
+    keys = "disturbance_max, thrust_accel_max or state_half_widths"
+    return f"{part:.3g} m of them are the uncertainty of {whose} by then: a smaller {keys}"
+
+
 def _works(problem: PlanProblem, stop: float, **changes: Any) -> bool:
     """Return True if the quick search finds a plan of a changed problem."""
     search = PathSearch(PlanRows(replace(problem, objective="fuel", **changes)), stop)
@@ -138,10 +154,8 @@ def _droppable(problem: PlanProblem, stop: float) -> list[str]:
     """Names of unsafe sets without any one of which there is a plan."""
     names, unsafe, margins = [], problem.unsafe, problem.margins
     for i, body in enumerate(unsafe):
-        if perf_counter() > stop:
-            break
         fewer = {"unsafe": unsafe[:i] + unsafe[i + 1 :], "margins": margins[:i] + margins[i + 1 :]}
-        if _works(problem, stop, **fewer):
+        if perf_counter() < stop and _works(problem, stop, **fewer):
             names.append(body.name)
     return names
 

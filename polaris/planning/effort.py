@@ -67,11 +67,9 @@ class SearchEffort:
         """A share of the effort left; `SPARE_SHARE` of it where the stage is spare."""
         options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
         limit = options.max_linear_programs if options.solver == "facets" else options.max_nodes
-        spare_end, end = (
-            perf_counter() + (each * self.remaining_s if each else 0.0) for each in shares.tolist()
-        )
+        ends = [perf_counter() + (each * self.remaining_s if each else 0.0) for each in shares.tolist()]
         effort = used + shares * max(limit - used, 0.0)
-        return Allowance(tuple(effort.tolist()), (spare_end, end), spare)
+        return Allowance(tuple(effort.tolist()), (ends[0], ends[1]), spare)
 
     def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
         """Tell the progress callback, a few times a second at most."""

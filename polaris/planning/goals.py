@@ -93,10 +93,9 @@ class Inset(Goal):
     def conditions(self) -> GoalConditions:
         """The conditions of the goal, inequalities tightened."""
         base = self.goal.conditions
-        groups = zip(base.one_of, self.clearance[1:], strict=True)
-        return replace(
-            base, g=base.g - self.clearance[0], one_of=tuple((N, c + inset) for (N, c), inset in groups)
-        )
+        first, *others = self.clearance
+        one_of = tuple((N, c + inset) for (N, c), inset in zip(base.one_of, others, strict=True))
+        return replace(base, g=base.g - first, one_of=one_of)
 
     def describe(self) -> str:
         """One line for messages."""
@@ -247,9 +246,8 @@ class EllipticalNMT(HillGoal):
         super().__post_init__()
         apothem = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= apothem:
-            rule = (
-                f"must be below {exact(apothem)} m (the {self.sides}-sided outer polygon reaches no further)"
-            )
+            reason = f"the {self.sides}-sided outer polygon reaches no further"
+            rule = f"must be below {exact(apothem)} m ({reason})"
             raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
 
     @cached_property

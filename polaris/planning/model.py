@@ -146,9 +146,8 @@ def goal_frame(rows: PlanRows) -> Array:
     """Diagonal scaling that makes every entry of the last state a number near 1, shape (n, n)."""
     system = rows.problem.system
     reach = np.abs(rows.state_rows(np.eye(system.n), rows.problem.K)) @ rows.limit
-    typical = np.sqrt(
-        np.maximum(reach, 1e-9) * np.maximum(np.abs(rows.free[rows.problem.K]), 1e-3 * reach + 1e-9)
-    )
+    drift = np.maximum(np.abs(rows.free[rows.problem.K]), 1e-3 * reach + 1e-9)
+    typical = np.sqrt(np.maximum(reach, 1e-9) * drift)
     position = np.abs(system.position).sum(axis=0) > 0
     return np.diag(np.where(position, 1 / rows.length, 1 / np.maximum(typical, 1e-9)))
 

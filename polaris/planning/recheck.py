@@ -95,16 +95,13 @@ def certified(
     facets = np.reshape([s.argmax(axis=1) for s in check.surplus], shape).astype(int)
     if surplus.size and np.min(surplus) < 0:
         i, k = (int(at) for at in np.unravel_index(np.argmin(surplus), shape))
-        raise NotCertified(
-            f"plan not certified: the clearance from {problem.unsafe[i].name} in cell {k} is "
-            f"{-surplus[i, k]:.3g} m short of its margin ({problem.required(i)[k].max():.3g} m)"
-        )
+        place, margin = f"{problem.unsafe[i].name} in cell {k}", problem.required(i)[k].max()
+        short = f"{-surplus[i, k]:.3g} m short of its margin ({margin:.3g} m)"
+        raise NotCertified(f"plan not certified: the clearance from {place} is {short}")
     amount, name = check.goal
     if amount > 0:
-        rule = f"the goal is missed by {amount:.3g} of its scale: {name}"
-        raise NotCertified(f"plan not certified: {rule}")
-    nu = check.reference.nu
-    extra: Array = surplus[:, :K]
+        raise NotCertified(f"plan not certified: the goal is missed by {amount:.3g} of its scale: {name}")
+    nu, extra = check.reference.nu, surplus[:, :K]
     return Plan(
         chi=check.reference.chi,
         nu=nu,

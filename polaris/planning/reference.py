@@ -80,6 +80,5 @@ class Reference:
     def extend(self, cells: int) -> "Reference":
         """Return the trajectory followed by `cells` steps with zero input (coasting)."""
         tail = Reference.propagate(self.system, self.delta, self.chi[-1], np.zeros((cells, self.system.m)))
-        return Reference(
-            self.system, self.delta, np.vstack([self.chi, tail.chi[1:]]), np.vstack([self.nu, tail.nu])
-        )
+        chi, nu = np.vstack([self.chi, tail.chi[1:]]), np.vstack([self.nu, tail.nu])
+        return Reference(self.system, self.delta, chi, nu)

@@ -117,9 +117,8 @@ class PlanRows:
         if i < 0:
             return stored
         slope = float(self.extra[i][k, 0]) / self.length
-        return replace(
-            stored, at_least=stored.at_least + self._allowance(i, [k])[0].T / self.length, slope=slope
-        )
+        at_least = stored.at_least + self._allowance(i, [k])[0].T / self.length
+        return replace(stored, at_least=at_least, slope=slope)
 
     def _allowance(self, i: int, cells: Any) -> Array:
         """Tightening [m] of the rows of some cells of unsafe set i, shape (cells, R, F).

@@ -49,13 +49,10 @@ def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
     options = options or PlannerOptions()
     answer = Planner(problem, options).run()
     if answer.cut_by_clock:
-        warnings.warn(
-            f"planner.time_limit_s = {options.time_limit} ended the planner's search early"
-            f" ({', '.join(answer.cut_by_clock)}): another machine or run may find another plan; raise the"
-            " limit, or lower planner.max_linear_programs",
-            ClockWarning,
-            stacklevel=2,
-        )
+        limit, cut = f"planner.time_limit_s = {options.time_limit}", ", ".join(answer.cut_by_clock)
+        reason = f"{limit} ended the planner's search early ({cut}): another machine or run may find another"
+        remedy = "raise the limit, or lower planner.max_linear_programs"
+        warnings.warn(f"{reason} plan; {remedy}", ClockWarning, stacklevel=2)
     return answer
 
 
@@ -171,10 +168,9 @@ class Planner:
         # answer; where re-checks have forced it up, it only says that this program has none.
         tightening = max((float(b.max()) for b in self.rows.booking), default=0.0)
         if tightening > BOOKED_MOST:
-            raise NotCertified(
-                f"no certified plan: with the {tightening:.3g} m that the re-check requires between "
-                "waypoints, the program has no solution; take smaller steps"
-            )
+            reason = f"with the {tightening:.3g} m that the re-check requires between waypoints"
+            rule = "the program has no solution; take smaller steps"
+            raise NotCertified(f"no certified plan: {reason}, {rule}")
         explain(self.rows, self.search.deadline)
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:

@@ -193,10 +193,8 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         if start.dim != sets.clearance.tracking.loop.N:  # a box stands for estimates beside this fault
             start = free.tracking.true_error(start)
         margin = sets.margin_at(0, start)
-        short, step = (
-            quantity(margin.limit, margin.tightening - margin.clearance),
-            margin.time / problem.delta,
-        )
+        short = quantity(margin.limit, margin.tightening - margin.clearance)
+        step = margin.time / problem.delta
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         text += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None
