@@ -38,15 +38,15 @@ class SatelliteObstacle(Obstacle):
     radius : float [m]
         Collision distance from its centre.
     thrust_accel_max : float [m/s^2]
-        Bound on the 2-norm of its own acceleration.
+        Bound on the 2-norm of its own acceleration. Its place grows uncertain by about
+        ``(thrust_accel_max + disturbance_max) t^2 / 2``, and faster after a tenth of an orbit.
     facets : int, optional
         Facets for the planner: 6, 14, 18 or 26 (default) in space, any number in the plane (default 12).
 
     Notes
     -----
-    The timed polytope holds for every initial state in the box, every disturbance and every acceleration
-    within their bounds. The true set, by which runs are judged, is the ball about the true centre (given as
-    `state`), or about the nominal one.
+    The timed polytope holds for every initial state, disturbance and acceleration within their bounds. Runs
+    are judged by the true set: the ball about the true centre (given as `state`), or the nominal one.
     """
 
     name: Annotated[str, NAME]

@@ -2,15 +2,18 @@
 
 import tomllib
 from functools import cache
+from types import SimpleNamespace
 
 import pytest
 
 from polaris.certificate.assumptions import Assumptions
+from polaris.certificate.claims import coasting
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.model.perception import check_unsafe
 from polaris.cli.show.schedule import show_summary
 from polaris.report.html.run_report import guarantee_section as told_in_report
+from polaris.report.sentences import reach
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import ScheduleScenario
@@ -35,6 +38,21 @@ def scene(name):
         data = data | {"obstacles": data["obstacles"][:1], "feedback": {"period_s": 0.1}}
     scenario = ScheduleScenario.from_dict(data)
     return scenario, synthesize(scenario)
+
+
+@pytest.mark.parametrize(
+    ("horizon", "until", "text"),
+    [
+        ("infinite", None, "for all time"),
+        ("one_period", 7050.0, "until 7050 s (end of the schedule, then one period under S)"),
+        ("none", 1800.0, "until 1800 s (end of the schedule)"),
+    ],
+)
+def test_run_and_checker_have_one_phrase_for_the_end_of_a_claim(horizon, until, text, monkeypatch):
+    claim = {"horizon": horizon, "until_s": until}
+    monkeypatch.setattr(coasting, "_closes", lambda *_: None)
+    document = SimpleNamespace(horizon=horizon, claim_end=until, steps=10, cells=12)
+    assert reach(claim) == text == coasting.check_end(document, None)
 
 
 UNTIL, EVER = (f"after T: the safety controller flies on {how}" for how in ("until ", "for ever"))

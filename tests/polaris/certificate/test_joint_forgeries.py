@@ -20,6 +20,8 @@ from polaris.certificate.model.perception import RIGID, _check_obstacle, _row_su
 from polaris.certificate.model.references import check_goal
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.system import LinearSystem
+from polaris.synthesis.safety.end_condition import prove_end
+from polaris.synthesis.safety.recoverable import Margin
 from tests.polaris.forging import CERTIFICATE, Forger, Lie, make
 
 SCENARIO = "scenario.toml"
@@ -55,6 +57,7 @@ def test_a_set_at_rest_may_not_move_by_a_bit_so_that_nothing_is_assumed_of_it(li
     ("reason", "claim"),
     [
         ("pillar at t = 13 s: needs 0.1, available 0.05", ""),
+        ("pillar at t = 13 s: needs 0.1 kg, available 0.05 kg", "end"),
         ("but safe for ever, whatever happens", "end"),
         ("safe for ever, really at t = 13 s: needs 0.1, available 0.05", "end"),
         ("pillar at t = ever s: needs nothing of it", "end"),
@@ -67,6 +70,17 @@ def test_the_words_for_no_claim_after_the_end_are_those_of_a_limit(lie, reason, 
     lie.guarantee()
     verdict = lie.verdict()
     assert verdict.claim == claim and (verdict.outcome == "VERIFIED") == (not claim), verdict.text()
+
+
+@pytest.mark.parametrize(("limit", "unit"), [("pillar", " m"), ("radial thrust", " N"), ("input 0", "")])
+def test_the_words_for_no_claim_after_the_end_have_units_and_are_understood(limit, unit):
+    start = Margin(-1.0, limit, 13.0, 0.25, 0.125)
+    end = prove_end(SimpleNamespace(delta=1.0), None, 10, 5, (), start)
+    text = f"{limit} at t = 13 s: needs 0.25{unit}, available 0.125{unit}"
+    assert end.reason == f"not proven after T = 10 s, though S flies on: {text}"
+    unsafe, inputs = [SimpleNamespace(name="pillar")], ["radial thrust", "input 0"]
+    scene = {"unsafe": unsafe, "input_names": inputs, "mean_motion": None, "moves": lambda item: False}
+    _check_reason(SimpleNamespace(horizon="none", claim_end=10.0, **scene), end.reason)
 
 
 @pytest.mark.parametrize(("eta", "how"), [(None, "on a closed orbit"), (1e-3, "at rest")])

@@ -118,6 +118,20 @@ def test_satellite_polytope_is_tight(thrust):
     assert slack.max() < 0.004 + 2 * bulge
 
 
+@pytest.mark.parametrize("thrust", [0.0, 5e-5])
+def test_the_place_of_a_satellite_grows_uncertain_as_the_reference_says(thrust):
+    """By about half of the accelerations times t squared, and by more after a tenth of an orbit."""
+    sat = SatelliteObstacle("s", [100, 300, 20, 0.1, -0.24, 0.02], np.zeros(6), 20, thrust)
+    system = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max=3e-5)
+    (tp,) = sat.timed_polytopes(system, 10.0, 180)
+    opposite = np.argmin(tp.normals @ tp.normals.T, axis=1)
+    half = ((tp.offsets + tp.offsets[..., opposite]) / 2)[:, 1].max(axis=1) - sat.radius
+    t = 10.0 * np.arange(1, 181)
+    share = half / ((thrust + system.w_max) * t**2 / 2)
+    tenth = int(0.1 * 2 * np.pi / system.mean_motion / 10.0)
+    assert share[tenth - 1] == pytest.approx(1.0, rel=0.1) and share[-1] > 1.5
+
+
 def test_satellite_on_a_straight_line_is_exact():
     sat = SatelliteObstacle("s", [1, 2, 3, 4], [0, 0, 0, 0], 5.0)
     (tp,) = sat.timed_polytopes(PLANE, 2.0, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -347,6 +348,22 @@ def test_blocked_goal_names_what_to_relax():
     assert short is not None and short > 0
     relaxed = replace(task, margins=(task.margins[0] - short * 1.05 - 0.01,), objective="fuel")
     assert_holds(relaxed, plan(relaxed))
+
+
+@pytest.mark.parametrize("grows", [0.0, 0.25])
+def test_blocked_goal_names_the_uncertainty_of_places(grows):
+    """An obstacle in the way that is known exactly, or whose half-width grows by 0.25 m a second."""
+    exact, width = box("visitor", (0, 0, 0), 495 - grows * 1200), grows * 50.0 * np.arange(61)[:, None]
+    growing = exact.offsets + np.stack([width[:-1], width[1:]], axis=1)
+    visitor = replace(exact, offsets=growing, static=not grows)
+    with pytest.raises(SynthesisInfeasible, match="without visitor") as caught:
+        plan(problem([visitor, CROSSING]), PlannerOptions(time_limit=20))
+    named = re.search(
+        r"\(([\d.]+) m of them are the uncertainty of (.*) by then: a sm.* dist", str(caught.value)
+    )
+    assert (named is not None) == (grows > 0)
+    if named:
+        assert named[2] == "visitor's place" and 0.5 < float(named[1]) / caught.value.shortfall <= 1.01
 
 
 @pytest.mark.parametrize("wrong", [{"surplus": (np.full((60, 6), -1.0),)}, {"goal": (0.5, "off")}])

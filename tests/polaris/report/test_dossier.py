@@ -16,6 +16,7 @@ from polaris.report import write_report
 from polaris.report.clauses import CLAUSES
 from polaris.report.dossier import ABSENT, ALONE, COLUMNS, LINES, MOST_PAGES, UNDECLARED, UNPROVEN, Dossier
 from polaris.runs.run import read_run
+from polaris.scenario.reading import write_toml
 from tests.polaris.report.folders import EVIL, rename, rewrite_json, write_tiny
 
 
@@ -101,6 +102,34 @@ def test_what_a_run_does_not_have_is_said(run):
     assert answers["claim: Passive safety"] == ABSENT and answers["scenario.toml: faults.kind"] == UNDECLARED
     assert answers["summary.json: mission.joints"] == ALONE
     assert answers["claim: Safe"] != ABSENT and answers["check: outcome"] == "VERIFIED"
+
+
+def with_scenario(run, scenario):
+    """The dossier of a folder with another scenario, and its digest."""
+    sheet, certificate = run / "scenario.toml", run / "certificate.json"
+    before = hashlib.sha256(sheet.read_bytes()).hexdigest()
+    sheet.write_text(write_toml(scenario))
+    now = hashlib.sha256(sheet.read_bytes()).hexdigest()
+    certificate.write_text(certificate.read_text().replace(before, now))
+    dossier = lines_of(run, Verdict("VERIFIED"))
+    return {one.words: dossier.answers(one)[0] for clause in CLAUSES for one in clause.evidence}
+
+
+def test_boxes_of_navigation_are_keep_in_zones_and_its_errors_are_whole(run):
+    scenario = tomllib.loads((run / "scenario.toml").read_text())
+    later = [
+        {"from_s": float(t), "state_error": [1.25e-6 * t, 0.002, 0.001, 0.00123456]} for t in range(1, 9)
+    ]
+    later[7]["within_m"] = [8.25, 6.25]
+    scenario["navigation"] = {"within_m": 9.0, "state_error": [0.01, 0.01, 0.004, 0.004], "phases": later}
+    answers = with_scenario(run, scenario)
+    names = [zone["name"] for zone in scenario.get("keep_in", [])]
+    assert answers["keep-in zones"] == ", ".join([*names, "within", "within-7"])
+    errors = answers["errors of navigation"]
+    assert "within_m 8.25, 6.25" in errors and errors.count("0.00123456") == 8
+    later += [{"from_s": 9.0 + t / 10, "state_error": [1.25e-6] * 4} for t in range(20)]
+    cut = with_scenario(run, scenario)["errors of navigation"]
+    assert cut.endswith(" …") and re.fullmatch(r"[a-z_]*|[\d.]+(e-\d\d)?,", cut.split()[-2])
 
 
 def test_long_texts_of_files_make_no_more_pages(run):

@@ -153,7 +153,7 @@ def test_first_screen_answers_what_a_reader_asks(run, html):
         ({"goal": {"reached": False, "by_s": None}}, "Does it arrive? no at best within"),
         ({"kind": "none"}, "Does it arrive? no claim"),
         ({"horizon": "infinite", "until_s": None}, "for all time"),
-        ({"horizon": "none", "until_s": 12.0}, "end of the schedule only"),
+        ({"horizon": "none", "until_s": 12.0}, "until 12 s (end of the schedule)"),
     ],
 )
 def test_first_screen_says_no_more_than_is_proven(run, tmp_path, change, told):
@@ -171,6 +171,25 @@ def test_first_screen_says_no_more_than_is_proven(run, tmp_path, change, told):
     assert ("NOTHING IS PROVEN" in words(html)) == ("What is proven" not in words(html)) == ("kind" in change)
     names = [one.get("name") or "" for panel in data_of(html)["panels"] for one in panel["series"]]
     assert "kind" not in change or not (data_of(html)["marks"] or any("proven" in name for name in names))
+
+
+def test_a_claim_that_ends_at_T_is_named_as_the_cause_of_a_missed_goal(run, tmp_path, capsys):
+    folder = shutil.copytree(run, tmp_path / "run")
+
+    def returns(data):
+        reason = (
+            "not proven after T = 12 s, though S flies on: a: b at t = 17 s: needs 2.4 m, available -18.8 m"
+        )
+        data["guarantee"] |= {"horizon": "none", "until_s": 12.0, "reason": reason}
+        data["guarantee"]["goal"] |= {"reached": "not_proven", "by_s": None}
+
+    rewrite_json(folder / "summary.json", returns)
+    text = words(report_of(folder, tmp_path))
+    show_summary(read_run(folder).summary, "run")
+    cause = "the claim ends at T = 12 s because of a: b at t = 17 s, and S needs time after T to settle"
+    assert text.count(cause) == 3 and "a flight need not" not in text
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("Goal: not proven"))
+    assert f"; {cause}. Delta-v" in line
 
 
 def test_velocity_change_adds_up_to_what_was_flown(run, html):
