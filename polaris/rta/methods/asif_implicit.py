@@ -69,8 +69,7 @@ class ImplicitASIF(Method):
         facets = self.recovery.matrix[: len(self.recovery.intersample), :-1]
         none = np.zeros((0, grid.system.m))
         self.inner_moves = np.vstack([none, *(facets @ move for move in moves[:-1])])
-        demand = self.prospect.demand
-        self.rows = demand.tall[: demand.near, :-2] @ moves[-1]
+        self.rows = self.prospect.demand.tall[:, :-2] @ moves[-1]
         self.most = np.abs(self.rows).sum(axis=1)
         W = grid.tracking.W
         norms = (float(np.linalg.norm(np.abs(W @ move).sum(axis=1))) for move in moves)
@@ -86,32 +85,31 @@ class ImplicitASIF(Method):
         e = observed.estimate - grid.xi[k * grid.nodes]
         end_error = e @ self.prospect.end.M.T + self.prospect.end.offset[k * grid.nodes]
         size = self.prospect.size(k, e) + self.pushed
-        first = node * len(recovery.rows)
-        window = recovery.reciprocals[first : first + demand.near]
-        tightening = extended(end_error, size) @ demand.tall[: demand.near].T
-        limit = np.minimum(recovery.window(node)[: demand.near], UNLIMITED)
+        # The quick bound on far rows counts the tightest limit of all times: if it refuses, rows are exact.
+        count = len(demand.tall) if (demand.base + demand.slope * size > 1).any() else demand.near
+        moved, largest, first = self.rows[:count], self.most[:count], node * len(recovery.rows)
+        window = recovery.reciprocals[first : first + count]
+        tightening = extended(end_error, size) @ demand.tall[:count].T
+        limit = np.minimum(recovery.window(node)[:count], UNLIMITED)
         slack = SLACK * np.abs(limit)
         limit = limit - slack
         clearance = limit - tightening
         allowed = clearance - self._kept(k, e, limit)
         desired = observed.desired / grid.system.u_max
-        margins = (allowed - desired @ self.rows.T) * window
+        margins = (allowed - desired @ moved.T) * window
         margin, u = margins.min(axis=1), desired.copy()
-        far_share = np.maximum(demand.base + demand.slope * size, size / max(recovery.far(node), 1e-300))
-        infeasible = far_share > 1
+        infeasible = size > recovery.far(node)
         for run in np.flatnonzero((margin < 0) & ~infeasible):
             for clearances in (allowed, clearance) if self.slope < 1 else (clearance,):
-                near = clearances[run] < self.most
-                answer = project(
-                    -self.rows[None, near], -clearances[None, run, near], desired[None, run], 1.0
-                )
+                near = clearances[run] < largest
+                answer = project(-moved[None, near], -clearances[None, run, near], desired[None, run], 1.0)
                 if answer.status[0] <= SOLVED:
                     u[run] = answer.u[0]
                     break
             else:
                 infeasible[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        infeasible |= ~(clearance - u @ self.rows.T >= -slack).all(axis=1)
+        infeasible |= ~(clearance - u @ moved.T >= -slack).all(axis=1)
         infeasible |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
         mode = np.where(infeasible, 0, FILTERED)
         reasons = np.where(infeasible, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
