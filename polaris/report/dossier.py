@@ -256,9 +256,8 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
         for number, (name, draw, picture) in enumerate(drawn, len(texts) + 1):
             figure = draw(picture)
             figure.set_layout_engine("constrained", rect=(0.05, 0.05, 0.9, 0.9))
-            figure.set_size_inches(
-                PAGE[0], min(PAGE[1], PAGE[0] / figure.get_figwidth() * figure.get_figheight())
-            )
+            height = PAGE[0] / figure.get_figwidth() * figure.get_figheight()
+            figure.set_size_inches(PAGE[0], min(PAGE[1], height))
             figure.text(0.05, 0.99, name, fontsize=8, color=HEADS, va="top", parse_math=False)
             figure.text(0.95, 0.01, f"{number} of {count}", fontsize=7, ha="right")
             pdf.savefig(figure)

@@ -46,9 +46,8 @@ def instants(joint: Mapping[str, Any], clock: Mapping[str, float]) -> str:
         parts.append("at any node after that")
     elif joint["later"]:
         spans = ", ".join(_span(a * h, b * h) for a, b in joint["later"])
-        parts.append(
-            f"in later revolutions of {clock['turn_s']:.6g} s, counted from {T:g} s, at {spans} of each"
-        )
+        turns = f"in later revolutions of {clock['turn_s']:.6g} s, counted from {T:g} s"
+        parts.append(f"{turns}, at {spans} of each")
     return " and ".join(parts)
 
 

@@ -36,7 +36,7 @@ TITLES = {  # titles of metrics, in the order of tables
     "delta_v_max_m_s": "delta-v, largest",
     "collided": "any run enters a keep-out zone",
     "collided_runs": "runs that enter a keep-out zone",
-    "deviation": "deviation from U's input, mean",
+    "deviation": "deviation from U's input, mean (N for a spacecraft)",
     "max_thrust_ratio": "peak thrust demand",
     "max_thrust_ratio_safety": "peak thrust demand of S",
     "max_thrust_ratio_experimental": "peak thrust demand of U",
@@ -117,6 +117,35 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 1e4 <= abs(value) < MOST_WHOLE else f"{value:.4g}"
 
 
+SELDOM = 0.01  # share of time under U, unchanged or filtered, below which a comparison warns
+SETS = "smaller estimate errors, a shorter --period or a larger planner.extra_margin_m"
+REMEDIES = {  # changes that may let U fly more, by the reason for which a method withholds it
+    "no input is recoverable: S": SETS,
+    "U is not recoverable": SETS,
+    "U asks": SETS,
+    "latched in S": SETS,
+    "S keeps control: dwell or re-entry margin": "a smaller --tune {key}.reentry or {key}.dwell",
+    "no input satisfies all conditions: S": "a larger --tune {key}.alpha",
+    "the predicted flight enters an unsafe set": "a shorter --tune {key}.horizon",
+    "U's reachable set touches an unsafe set": "a shorter --tune {key}.horizon",
+}
+
+
+def seldom_flown(method: Mapping[str, Any]) -> str:
+    """Return a warning if a compared method hardly lets U fly, with its most frequent reason; else ''."""
+    share = method["metrics"].get("experimental_share")
+    pairs = (part.rpartition(": ") for part in str(method.get("note")).split("; "))
+    counts = {reason: int(count) for reason, _, count in pairs if count.isdecimal()}
+    total = sum(counts.values())
+    if not isinstance(share, Mapping) or share["mean"] is None or not total or method["key"] == "safety":
+        return ""
+    share = share["mean"] + counts.get("filtered", 0) / total
+    reason = max(counts, key=counts.__getitem__)
+    text = f"U flies {100 * share:.2g} % of the time; most decisions ({counts[reason]} of {total}): {reason}"
+    text += f"; try {REMEDIES[reason].format(key=method['key'])}" if reason in REMEDIES else ""
+    return text if share < SELDOM else ""
+
+
 @dataclass(frozen=True)
 class Measure:
     """A metric: its key, title and unit, and whether it is a share, shown in per cent."""
@@ -138,10 +167,8 @@ class Measure:
     def in_tables(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
         """Return all metrics of some tables, in the order of `TITLES`; unknown ones last."""
         keys = {key for table in tables for key in table}
-        return [
-            cls.from_key(key)
-            for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))
-        ]
+        ordered = *(key for key in TITLES if key in keys), *sorted(keys - set(TITLES))
+        return [cls.from_key(key) for key in ordered]
 
     @property
     def head(self) -> str:
@@ -187,9 +214,8 @@ BRIEF = (  # metrics that the command line shows of a run
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
     """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
     names = controllers(summary)
-    measures = (
-        Measure.in_tables(*(summary[name] for name in names)) if keys is None else map(Measure.from_key, keys)
-    )
+    tables = (summary[name] for name in names)
+    measures = Measure.in_tables(*tables) if keys is None else map(Measure.from_key, keys)
     rows = [
         [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in names)]
         for one in measures

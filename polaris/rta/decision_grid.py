@@ -237,6 +237,7 @@ def check_decisions(
     """
     n, delta = problem.system.n, problem.delta
     h = problem.period or delta / problem.feedback.nodes_per_cell
+    met_by_decisions(problem.system, 1, 0, h)  # refuses faults
     period = positive("period", h if period is None else period, "s")
     _check_parts("period", period, delta / period, f"must divide the planning step of {delta:g} s")
     if not 0 <= non_negative("latency", latency, "s") <= period:
@@ -260,7 +261,8 @@ def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
     if not (faults := system.transients):
         return system
     if system.observer is not None:
-        rule = "must be isolated at once with navigation.measurement, for run-time methods"
+        rule = "must be isolated at once with navigation.measurement, for run-time methods: leave out one of"
+        rule += " them, or fly S, U and the schedule with both by `polaris run`"
         raise ScenarioError("faults", faults[0].name, rule)
     wait, after = h * (nodes - 1), h * max(delay, 1) * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)

@@ -7,8 +7,9 @@ from typing import Any
 from rich.text import Text
 
 from ...model.checks import counted
+from ...report.tables import seldom_flown
 from ...synthesis.safety.recoverable import directed
-from . import print_line, show_table, table
+from . import RED, print_line, show_table, table
 
 SAFETY = {  # metrics of the first table, and their heads
     "violations": "violations",
@@ -22,8 +23,8 @@ COST = {  # metrics of the second table, and their heads
     "switches": "switches",
     "delta_v_m_s": "delta-v\nm/s",
     "deviation": "deviation",
-    "decision_median_us": "median\nµs",
-    "decision_p99_us": "p99\nµs",
+    "decision_median_us": "decision\nmedian\nµs",
+    "decision_p99_us": "decision\np99\nµs",
     "synthesis_s": "offline\ns",
 }
 LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
@@ -40,11 +41,13 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
             grid.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
         show_table(grid)
         print_line("")
-    print_line(
-        "Minimum distance and time to collision (TTC): worst of all runs. Other columns: means over runs."
-    )
+    print_line("Distance and time to collision (TTC): minimum of all runs. Other columns: means over runs.")
+    print_line("Deviation: 2-norm of applied minus U's desired input, in N for a spacecraft.")
+    print_line("Switches: between S and U, and to and from filtered inputs.")
     print_line("95 % intervals and paired differences: see comparison.json or the report.")
     for method in summary["methods"]:
+        if warning := seldom_flown(method):
+            print_line(f"warning: {method['name']}: {warning}", RED)
         if not method["available"]:
             print_line(f"not applicable: {method['key']} ({method['reach']})")
     print_line(f"Comparison folder: {folder}")

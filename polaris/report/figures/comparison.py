@@ -108,9 +108,8 @@ def _paths(results: ComparisonData) -> Any:
         # The distance tells whether a set is passed or entered, which a plane need not show.
         words = "not flown" if one is None else f"minimum distance {float(one.nearest[0].min()):.3g} m"
         title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{words}"
-        ax.set_title(
-            title, fontsize=7, linespacing=1.1, pad=3, color=GREEN if method["guarantee"] == "proved" else RED
-        )
+        colour = GREEN if method["guarantee"] == "proved" else RED
+        ax.set_title(title, fontsize=7, linespacing=1.1, pad=3, color=colour)
         ax.tick_params(labelsize=6)
         ax.plot(*picture.path()[0][:, flat].T, **REFERENCE, zorder=2)
         for u in [] if one is None else alone(picture):  # beside every method

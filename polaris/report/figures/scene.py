@@ -167,9 +167,8 @@ def _goal(ax: Any, scene: Scene) -> list[Any]:
             ax.plot(*points.T, **line, **order)
         if not handles and (inside or len(scene.seen(points))):
             look = star | {"ms": 6} if shape.kind == "points" else line
-            handles.append(
-                Line2D([], [], label="goal ring" if len(shapes) == 2 else LOOKS["goal"].legend, **look)
-            )
+            legend = "goal ring" if len(shapes) == 2 else LOOKS["goal"].legend
+            handles.append(Line2D([], [], label=legend, **look))
     return handles
 
 

@@ -16,7 +16,7 @@ from ...runs.files.folder import RunFolder
 from ...synthesis.safety.recoverable import directed
 from ..scene.items import Actor
 from ..scene.palette import method_style
-from ..tables import Cell, Measure, Table, number, value_cell, words
+from ..tables import Cell, Measure, Table, number, seldom_flown, value_cell, words
 from .page import Page, details, macros, reading, table
 from .run_report import NOTE, guarantee_section, schedule_data
 
@@ -54,18 +54,13 @@ def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
     """Return the plot data of a comparison; methods without flights are left out."""
     controllers: list[Actor] = []
     for method in (method for method in picture.table["methods"] if method["key"] in picture.shown):
-        name, look, flights = (
-            str(method["name"]),
-            method_style(len(controllers)),
-            picture.shown[method["key"]],
-        )
-        controllers.append(Actor(str(method["key"]), name, name, *look, flights, len(controllers) < FIRST))
+        key, name, look = str(method["key"]), str(method["name"]), method_style(len(controllers))
+        controllers.append(Actor(key, name, name, *look, picture.shown[key], len(controllers) < FIRST))
     envelopes = [one.flights for one in controllers[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in envelopes]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
-    return schedule_data(
-        replace(picture.run.plot_data(), slices=None), controllers, proved, by="pilot", opened=opened
-    )
+    run = replace(picture.run.plot_data(), slices=None)
+    return schedule_data(run, controllers, proved, by="pilot", opened=opened)
 
 
 def _tradeoffs(methods: Methods) -> Markup:
@@ -91,10 +86,11 @@ def _methods(methods: Methods) -> Markup:
         values, name = method.get("metrics") or {}, str(method["name"])
         note = "" if method.get("available", True) else " (not available)"
         cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
-        rows.append([Cell(name + note, name), _claim(method, method.get("reach") or ""), *cells])
-    caption = (
-        "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
-    )
+        warning = seldom_flown(method)
+        named = Cell(name + note, name, lines=(warning,) if warning else ())
+        rows.append([named, _claim(method, method.get("reach") or ""), *cells])
+    caption = "Mean over runs, of violations the number of runs, with 95 % confidence bounds; changes to and"
+    caption += " from filtered inputs count as switches; select a head to sort"
     return table(Table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True))
 
 
@@ -107,15 +103,10 @@ def _protocol(protocol: Mapping[str, Any]) -> Markup:
 
 
 def _claims(methods: Methods) -> Markup:
-    rows = [
-        [
-            Cell(str(method["name"])),
-            _claim(method),
-            words(method.get("reach") or "none"),
-            words(method.get("note") or ""),
-        ]
-        for method in methods
-    ]
+    rows = []
+    for one in methods:
+        texts = one.get("reach") or "none", one.get("note") or ""
+        rows.append([Cell(str(one["name"])), _claim(one), *map(words, texts)])
     heads = ["method", "guarantee", "reach", "decisions by reason"]
     return table(Table("How far each claim goes", heads, rows))
 
@@ -135,8 +126,8 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
             for key, cells in others.items()
         ]
         caption = (
-            f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
-            " differences that could as well be 0 say so"
+            f"Method minus {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
+            " a difference whose bounds include 0 says so"
         )
         tables.append(table(Table(caption, ["method", *(one.head for one in measures)], rows, sort=True)))
     return Markup("\n").join(tables) or Markup("<p>None were computed.</p>")
@@ -148,7 +139,7 @@ def _difference(one: Mapping[str, Any]) -> Cell:
     cell = Measure.from_key(one["metric"]).cell(bounds, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
-    return replace(cell, lines=(*cell.lines, "perhaps 0"))
+    return replace(cell, lines=(*cell.lines, "bounds include 0"))
 
 
 Decisions = list[dict[str, Any]]
@@ -159,11 +150,10 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
     rows: dict[str, Decisions] = {}
     for row in (parse_json(line) for line in lines if line.strip()):
         rows.setdefault(str(row["method"]), []).append(row)
-
-    def alike(row: Mapping[str, Any]) -> tuple[Any, Any]:
-        return row["mode"], row.get("reason")
-
-    return {key: [list(group) for _, group in groupby(decisions, alike)] for key, decisions in rows.items()}
+    return {
+        key: [list(group) for _, group in groupby(decisions, lambda row: (row["mode"], row.get("reason")))]
+        for key, decisions in rows.items()
+    }
 
 
 def _decisions(path: Path, names: Mapping[str, str]) -> Markup:

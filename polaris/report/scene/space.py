@@ -111,9 +111,8 @@ class Space:
             return [DrawnShape("line", b * ring) for b in rims]
         if isinstance(goal, LinearNMT):
             amplitude = goal.amplitude_max
-            return [
-                DrawnShape("line", np.array([[0.0, goal.along_track, z] for z in (-amplitude, amplitude)]))
-            ]
+            ends = np.array([[0.0, goal.along_track, z] for z in (-amplitude, amplitude)])
+            return [DrawnShape("line", ends)]
         return self._allowed(goal)
 
     def _allowed(self, goal: Goal) -> list[DrawnShape]:

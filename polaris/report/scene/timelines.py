@@ -201,9 +201,8 @@ def _limit_panel(
             np.maximum(reach[:, :-1], reach[:, 1:]) + _intersample(picture, picture.tube, system.position),
             axis=-1,
         )
-        series.append(
-            _proven(picture, shown(bound, distance), f"{'most' if of_speed else 'least'} that is proven")
-        )
+        legend = f"{'most' if of_speed else 'least'} that is proven"
+        series.append(_proven(picture, shown(bound, distance), legend))
     word, unit, side = ("Speed", "m/s", "above") if of_speed else ("Room", "m", "below")
     title = f"{word}, limit {limit.name}" + (f", 1 m/s as {1 / RATE:g} m" if not of_speed else "")
     limits = [] if slope else [Limit(float(top), "limit" if of_speed else "unsafe", side)]

@@ -99,6 +99,7 @@ WRONG = [
     (("compare", TINY, "--latency", "2"), "latency: got 2"),
     (("compare", TINY, "--estimate-error", "1,2"), "half_widths"),
     (("compare", TINY, "--out", "."), "--out"),
+    (("compare", "cubesat"), "isolated at once with navigation.measurement"),
     (("tradeoff", TINY, "--prices", "cheap"), "--prices"),
     (("tradeoff", TINY, "--sweep", "nonsense=1"), "nonsense"),
     (("tradeoff", TINY, "--share", "2"), "share"),

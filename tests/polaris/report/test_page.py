@@ -263,7 +263,7 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     for name in ("Polaris schedule", "S alone", "U alone", "filter 0", "needs a licence"):
         assert name in text
     assert "4.5 to 5.5" in text and "worst 4" in text and "never heard of (m)" in text
-    assert "-1.5 to -0.5" in text and "Method less Polaris schedule" in text
+    assert "-1.5 to -0.5" in text and "Method minus Polaris schedule" in text
     assert {one["mode"] for one in data["modes"]} == {-1, 0, 1}
     assert "40 decisions in 2 stretches" in text and EVIL in text
     assert "alert(1)</script>" not in HIDDEN.sub("", html)

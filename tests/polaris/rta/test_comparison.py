@@ -9,7 +9,9 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
+from polaris.report import write_report
 from polaris.report.figures import draw_run
+from polaris.report.tables import REMEDIES
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, Flight, fly
@@ -162,7 +164,8 @@ def test_command(tmp_path):
     assert done.exit_code == 0, done.output
     assert "violations" in done.output and "proved" in done.output
     words = done.output.split()
-    assert {"switches", "deviation", "median", "offline"} <= set(words)
+    assert {"switches", "deviation", "decision", "median", "offline"} <= set(words)
+    assert "warning" not in words and "in N for a spacecraft" in done.output
     assert not [word for word in words if len(word) > 1 and word.endswith("-")]
     again = runner.invoke(app, ["compare", str(TINY), *options, "--json"])
     assert again.exit_code == 0
@@ -180,3 +183,19 @@ def test_command(tmp_path):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])
         assert failed.exit_code == 2 and rule in failed.output, failed.output
         assert not (tmp_path / "other").exists()
+
+
+def test_methods_that_withhold_u_are_named_with_a_reason_and_a_remedy(tmp_path):
+    """With estimates 5 m off nothing is recoverable at any decision; the schedule looks at no estimate."""
+    out, keys = tmp_path / "cmp", ("safety", "schedule", "monitor", "asif_implicit")
+    options = ["--methods", ",".join(keys), "--runs", "2", "--estimate-error", "5", "--no-figures"]
+    done = CliRunner().invoke(app, ["compare", str(TINY), *options, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    warnings = [line for line in done.output.splitlines() if line.startswith("warning: ")]
+    assert [line.split(": ")[1] for line in warnings] == ["Polaris online monitor", "Implicit ASIF"]
+    count = 2 * sum('"asif_implicit"' in line for line in (out / "decisions.jsonl").read_text().splitlines())
+    reason = f"U flies 0 % of the time; most decisions ({count} of {count}): no input is recoverable: S; try "
+    assert reason in warnings[1] and "smaller estimate errors" in warnings[1]
+    html = write_report(out).read_text(encoding="utf-8")
+    assert html.count(reason) == 1 and html.count("U flies 0 % of the time") == 2
+    assert set(REMEDIES) <= {reason for one in METHODS.values() for reason in one.reasons}
