@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,10 +122,12 @@ def replay_command(
     code: str | None = Option(None, metavar="DIR", help="Flight code to fly, from polaris export c."),
 ) -> int | None:
     """Fly a saved case again and print the limit it violates and the time."""
+    from ..report.sentences import limit_words
     from ..runs.case import replay
     from ..simulation.on_board import FlightCode
 
     failure, scenario = replay(case, None if code is None else FlightCode(code))
+    failure = failure and replace(failure, limit=limit_words(failure.limit))
     echo(f"{scenario.name}: {failure or 'no violation in this case'}")
     return REFUTED if failure is not None else None
 
@@ -150,18 +153,27 @@ def verify(
 
 def _show_falsification(name: str, attack: Falsification) -> None:
     """Print the least margin of every limit beside the proven one, and a violation if there is one."""
+    from ..report.scene.palette import input_labels
+    from ..report.sentences import side_words
     from ..synthesis.safety.recoverable import directed
 
-    summary = attack.summary()
+    summary, safety = attack.summary(), attack.schedule.safety
+    system, unsafe = safety.problem.system, safety.clearance.unsafe
+    words, thrust = side_words(unsafe, system), input_labels(system)[0] == "Thrust (N)"
+    width = max(len(words.get(each, each)) for each in attack.names)
     echo(f"{name}: {summary['runs']} trajectories, {summary['runs_per_s']:.0f} per second")
-    echo(f"{'limit':24} {'least flown':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
+    echo(f"{'limit':{width}} unit {'least flown':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
     for row in summary["limits"]:
+        unit = "m" if row["limit"] in words else "N" if thrust else "-"
         proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
-        echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
+        limit = words.get(row["limit"], row["limit"])
+        echo(f"{limit:{width}} {unit:4} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
     proven = directed(summary["delta_v_proven_m_s"], ".4g", up=True)
     echo(f"delta-v until T: at most {summary['delta_v_m_s']:.4g} m/s flown, bound {proven} m/s proven")
-    echo("No violation." if attack.failure is None else f"VIOLATED: {attack.failure}")
+    failure = attack.failure
+    failure = failure and replace(failure, limit=words.get(failure.limit, failure.limit))
+    echo(f"VIOLATED: {failure}" if failure else "No violation.")
 
 
 def _show_within(summary: dict[str, Any]) -> None:

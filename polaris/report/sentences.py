@@ -1,11 +1,40 @@
 """Results of a schedule in sentences, which the command line prints and the page shows."""
 
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from ..certificate.assumptions import claim_time
 from ..model.checks import counted
+from ..model.scene.timed_polytope import TimedPolytope
+from ..model.system import HILL_AXES, LinearSystem
 from ..synthesis.safety.recoverable import directed
+
+
+def limit_words(name: str, of: str = "") -> str:
+    """Return the name of a limit in words; a side of a keep-in set has its number, counted from 1."""
+    return re.sub(r"\[(\d+)\]$", lambda side: f", side {int(side[1]) + 1}{of}", name)
+
+
+def set_of_limit(name: str) -> str:
+    """Return the name of a limit without the number of a keep-in set's side."""
+    return limit_words(name).partition(", side ")[0]
+
+
+def side_words(unsafe: Sequence[TimedPolytope], system: LinearSystem) -> dict[str, str]:
+    """Return limits in words by name: a side has its number and, if it has one, its outward axis."""
+    counts = Counter(set_of_limit(one.name) for one in unsafe)
+    axes = HILL_AXES if system.mean_motion is not None and system.d == 3 else tuple("xyz")
+    words = {}
+    for one in unsafe:
+        along = np.flatnonzero(one.normals[0])
+        known = one.keep_in and not one.of_state and len(along) == 1
+        axis = f" ({'-' if one.normals[0, along[0]] > 0 else '+'}{axes[along[0]]})" if known else ""
+        words[one.name] = limit_words(one.name, f" of {counts[set_of_limit(one.name)]}{axis}")
+    return words
 
 
 def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -20,7 +49,9 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = [("Reference", text)]
     start, limit = details["start_margin"], details["start_limit"]
     if start is not None:
-        rows.append(("Start margin", f"{directed(start, '.1%')} of the clearance (limiting: {limit})"))
+        rows.append(
+            ("Start margin", f"{directed(start, '.1%')} of the clearance (limiting: {limit_words(limit)})")
+        )
     rows.append(("Recoverable sets", str(details["recoverable"])))
     rows.append(("U flies", share(details)))
     if "proven_share" in details:

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from scipy.spatial import cKDTree
@@ -31,8 +31,8 @@ LEADER = 7.0  # a name further than this from its anchor is led to it by a line 
 CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; each point of distance
 
 
-def name(ax: Any, text: str, points: Any, colour: Any) -> None:
-    """Write a name at an item with these points (N, 2), in the units of the axes."""
+def name(ax: Any, text: str, points: Any, colour: Any, beside: bool = False) -> None:
+    """Write a name at an item with these points (N, 2), in the units of the axes, or always `beside` it."""
     labels = next((one for one in ax.artists if isinstance(one, Labels)), None)
     if labels is None:
         labels = ax.add_artist(Labels(zorder=7.9))
@@ -42,22 +42,23 @@ def name(ax: Any, text: str, points: Any, colour: Any) -> None:
     drawn = ax.text(*centre, text, color=colour, transform=ax.transAxes, **look)
     drawn.set_in_layout(False)
     drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-    labels.known.append((drawn, np.atleast_2d(np.asarray(points, dtype=float))))
+    labels.known.append((drawn, np.atleast_2d(np.asarray(points, dtype=float)), beside))
 
 
 @dataclass(eq=False)
 class _Map:
-    """Occupied area of a frame [px]: cells (N, 2) with something drawn, and boxes (M, 4) that are taken."""
+    """Occupied area of a frame [px]: cells (N, 2) of lines and of filled sets, boxes (M, 4) of names."""
 
     low: Array
     high: Array
     cell: float
     drawn: Array
+    filled: Array
     taken: list[Array] = field(default_factory=list)
 
-    def crossed(self, at: Array, size: Array) -> Array:
-        """Share of the cells of boxes of one size, about places (M, 2), in which something is drawn."""
-        tree = cKDTree(self.drawn / (size / 2))
+    def crossed(self, at: Array, size: Array, cells: Array) -> Array:
+        """Share of the boxes of one size, about places (M, 2), that some cells take."""
+        tree = cKDTree(cells / (size / 2))
         count = tree.query_ball_point(at / (size / 2), 1.0, p=np.inf, return_length=True)
         return np.asarray(count * self.cell**2 / np.prod(size))
 
@@ -84,14 +85,14 @@ class Labels(Artist):
     def __init__(self, **look: Any) -> None:
         super().__init__()
         self.set(**look)
-        self.known: list[tuple[Any, Array]] = []  # texts, and the points (N, 2) that they name
+        self.known: list[tuple[Any, Array, bool]] = []  # texts, points (N, 2) that they name, if beside them
         self._placed: Any = None
         self._leaders: list[tuple[Array, Any]] = []
 
     def draw(self, renderer: Any) -> None:
         """Place the names and draw the lines that lead to those that stand apart."""
         ax: Any = self.axes
-        texts = [text.get_text() for text, _ in self.known]
+        texts = [text.get_text() for text, *_ in self.known]
         size = np.round(ax.bbox.size / ax.figure.dpi, 4).tolist()
         key = (size, ax.get_xlim(), ax.get_ylim(), texts)  # the same places in each format
         if key != self._placed:
@@ -109,12 +110,12 @@ class Labels(Artist):
         cell = CELL * point
         drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
         inside = np.all((drawn >= low) & (drawn < high), axis=1)
-        free_space = _Map(low, high, cell, drawn[inside])
-        names = {text for text, _ in self.known}
+        free_space = _Map(low, high, cell, drawn[inside], _filled(ax, low, high, cell))
+        names = {text for text, *_ in self.known}
         others = [text for text in ax.texts if text not in names and text.get_visible() and text.get_text()]
         free_space.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
         leaders = []
-        for text, coords in self.known:
+        for text, coords, beside in self.known:
             points = _display(ax, coords)
             inside = np.all((points >= low) & (points <= high), axis=1) if len(points) > 1 else [True]
             text.set_visible(bool(np.isfinite(points).all() and len(points)))
@@ -123,7 +124,8 @@ class Labels(Artist):
             box = text.get_window_extent(renderer)
             size = np.array([box.width, box.height])
             anchors = points[inside] if np.any(inside) else np.clip(points, low, high)
-            at, leader = _best(free_space, anchors, np.clip(points, low, high), size, point)
+            outline = np.clip(anchors[:1] if beside else points, low, high)
+            at, leader = _best(free_space, anchors, outline, size, point)
             free_space.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
             text.set_position(ax.transAxes.inverted().transform(at))
             if np.isfinite(leader).all():
@@ -161,7 +163,10 @@ def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
     inside = (rows < len(within)) & (candidates is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
-    crossed = free_space.crossed(at, size + 2 * point)
+    crossed, covered = (
+        free_space.crossed(at, size + 2 * point, cells) for cells in (free_space.drawn, free_space.filled)
+    )
+    crossed = crossed + np.where(inside, 0.0, covered)
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
@@ -194,6 +199,15 @@ def _drawn(ax: Any, step: float, point: float) -> Array:
             parts.append(np.column_stack([np.interp(s, along, axis) for axis in vertices.T]))
     drawn = np.vstack(parts)
     return np.asarray(drawn[np.isfinite(drawn).all(axis=1)])
+
+
+def _filled(ax: Any, low: Array, high: Array, cell: float) -> Array:
+    """Cells (N, 2) [px] of a frame within filled sets."""
+    across = (np.arange(a, b, cell) for a, b in zip(low, high, strict=True))
+    grid = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
+    filled = [one for one in ax.patches if isinstance(one, Polygon) and one.get_facecolor()[3] > 0]
+    flags = [Path(part).contains_points(grid) for one in filled for part in polylines(one)]
+    return np.asarray(grid[np.any(flags, axis=0)]) if flags else grid[:0]
 
 
 def polylines(artist: Any) -> list[Array]:

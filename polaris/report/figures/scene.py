@@ -2,7 +2,7 @@
 
 A moving set is drawn at the closest approach and once before and after, on its dotted way; each time is
 written at the set and at the chaser's place. Dashed: keep-in sets, and sets that the plane does not show to
-be passed. A thin line about another satellite is where it is known to be.
+be passed. A thin line about another satellite holds all places where it may be.
 """
 
 from collections.abc import Callable, Sequence
@@ -92,9 +92,9 @@ def frame_axes(ax: Any, scene: Scene) -> None:
     ax.set(xlim=(x0, x1), ylim=(y0, y1))
 
 
-def label(ax: Any, scene: Scene, text: str, points: Array, colour: str) -> None:
+def label(ax: Any, scene: Scene, text: str, points: Array, colour: str, beside: bool = False) -> None:
     """Write a name at the part of an outline (or a point) that is in view."""
-    name(ax, text, np.clip(points, scene.low, scene.high), colour)
+    name(ax, text, np.clip(points, scene.low, scene.high), colour, beside)
 
 
 def _slices(ax: Any, scene: Scene) -> list[Any]:
@@ -241,7 +241,7 @@ def _unsafe(ax: Any, scene: Scene, item: Item, lettered: bool, named: bool) -> b
         if mark.cover is not None:
             _outline(ax, mark.cover, 0.7, "-", DULL_RED, 1.6)
             covered |= len(scene.seen(mark.cover)) > 1
-        parts = [shortened(item.name, 1.5) if first else "", mark.told]
+        parts = [shortened(item.name, 1.5), mark.told]
         if named:
             label(ax, scene, ", ".join(filter(None, parts)) + (note if first else ""), outline, RED)
     if item.way is not None:
@@ -250,7 +250,7 @@ def _unsafe(ax: Any, scene: Scene, item: Item, lettered: bool, named: bool) -> b
         if mark.place is not None and scene.contains(mark.place):
             ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
             if named:
-                label(ax, scene, mark.told, mark.place[None], RED)
+                label(ax, scene, f"chaser, {mark.told}", mark.place[None], RED)
     return covered
 
 
@@ -262,4 +262,4 @@ def _keep_in(ax: Any, scene: Scene, item: Item, named: bool) -> None:
     text = f"{shortened(title, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
     points = item.marks[0].shape.points if item.marks else scene.seen(item.points[:-1])
     if named and len(points):
-        label(ax, scene, text, points, RED)
+        label(ax, scene, text, points, RED, beside=True)

@@ -1,6 +1,5 @@
 """Figures over time: diagrams of a timeline, which controller flies, and how much clearance is left."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,10 +13,11 @@ from ...runs.plot_data import PlotData
 from ..scene import palette
 from ..scene.items import Actor, drawn_pilots
 from ..scene.palette import BLACK, GREEN, GREY, RED, mode_colour, shades, tint
-from ..scene.timelines import Limit, Panel, Series, schedule_timeline
+from ..scene.timelines import Instant, Limit, Panel, Series, schedule_timeline
+from ..sentences import set_of_limit
 from .cuts import mark_cuts
 from .labels import name
-from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure
+from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, shortened
 
 DASHES: dict[str, Any] = {
     "solid": "-",
@@ -31,25 +31,24 @@ PAD = 0.07  # margin above and below what is drawn, as a share of its range
 SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
 
 MOST_NAMED = 10  # most lines that a legend names
+LEAST_BAR = 0.012  # height of the bar of a smaller margin, which would look as if nothing were left
 
 
 def timeline_figure(
-    panels: Sequence[Panel],
-    controllers: Sequence[Actor],
-    marks: Sequence[tuple[float, str]] = (),
-    height: float = 1.25,
+    panels: Sequence[Panel], controllers: Sequence[Actor], marks: Sequence[Instant] = (), height: float = 1.25
 ) -> Any:
-    """Draw diagrams over each other, each of a height [in], and marks at instants [s]."""
+    """Draw diagrams over each other, each of a height [in], and marks at instants."""
     figure = new_figure(0.8 + height * len(panels))
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
     labelled: set[str] = set()
     for ax, panel in zip(axes, panels, strict=True):
         draw_panel(ax, panel, controllers, labelled)
         ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
-        for t, text in marks:  # after T a line is not seen
-            ax.axvline(t, color=GREEN, lw=1.2, ls=GOAL_DASHES)
-            if ax is axes[-1]:
-                name(ax, text, [(t, y) for y in ax.get_ylim()], GREEN)
+        for one in marks:  # after T a line is not seen
+            colour = RED if one.panel else GREEN
+            ax.axvline(one.t, color=colour, lw=0.7 if one.panel else 1.2, ls=GOAL_DASHES)
+            if one.panel == panel.key or not one.panel and ax is axes[-1]:
+                name(ax, one.text, [(one.t, y) for y in ax.get_ylim()], colour)
     keep_ticks(axes)
     return figure
 
@@ -85,6 +84,8 @@ def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], labelled: se
     ax.set(xlim=(0, end), ylim=(low, high), xlabel="Time (s)", ylabel=f"{panel.label} ({panel.unit})")
     for limit in panel.limits:
         _draw_limit(ax, limit, (low, high), end)
+    for points, text in panel.names:
+        name(ax, shortened(text, 1.3), points, GREY, beside=True)
     ax.grid(True)
     mark_cuts(ax)
     unique = [one for label, one in handles.items() if label and label not in labelled]
@@ -164,6 +165,7 @@ def margin_figure(picture: PlotData) -> Any:
     ax, modes, delta = figure.add_subplot(), picture.modes, picture.reference.delta
     floor = -0.3 if np.any(picture.margins < 0) else -0.03
     margins = np.clip(np.nan_to_num(picture.margins, neginf=floor), floor, 1.0)
+    margins[(margins >= 0) & (margins < LEAST_BAR)] = LEAST_BAR
     start = np.arange(len(modes)) * delta
     handles: list[Any] = []
     for mode in np.unique(modes):
@@ -171,7 +173,7 @@ def margin_figure(picture: PlotData) -> Any:
         ax.bar(start[chosen], margins[chosen], width=delta, align="edge", color=colour, lw=0.2, ec="white")
         handles.append(Patch(facecolor=colour, label=picture.mode_name(int(mode))))
     ax.axhline(0, color=BLACK, lw=0.6)
-    names = np.array([limit_group(name) for name in picture.limits])
+    names = np.array([set_of_limit(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
     for is_input, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
         group = [one for one in dict.fromkeys(names) if (one in picture.system.input_names) == is_input]
@@ -200,8 +202,3 @@ def _bars(
 def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
     """Write at a share of the width, and a value."""
     ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)
-
-
-def limit_group(name: str) -> str:
-    """Return the name of a limit without the number of a keep-in set's facet."""
-    return re.sub(r"\[\d+\]$", "", name)

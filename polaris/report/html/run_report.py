@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from ...model.checks import counted
 from ...model.scene.distances import stretches
+from ...model.scene.obstacles import perceive
 from ...runs.files.folder import RunFolder
 from ...runs.files.tables import besides
 from ...runs.plot_data import PlotData
@@ -18,7 +19,7 @@ from ..scene.items import Actor, drawn_pilots
 from ..scene.palette import mode_colour
 from ..scene.scene import describe, shown_axes
 from ..scene.timelines import schedule_timeline
-from ..sentences import goal, no_time_after_end, reach, synthesis
+from ..sentences import goal, no_time_after_end, reach, side_words, synthesis
 from ..tables import Cell, Measure, Table, metrics
 from .page import Page, badge, macros, reading, table
 from .scene import plain
@@ -74,7 +75,9 @@ def schedule_data(
 def _margins(picture: PlotData) -> dict[str, Any]:
     """Return the diagram of the clearance left in the recoverable sets: a bar per step, by who flies."""
     delta, pairs = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
-    text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in pairs]
+    sets = (*picture.obstacles, *picture.state_limits)
+    words = side_words(perceive(sets, picture.system, delta, picture.planned), picture.system)
+    text = [f"margin {directed(share, '.3f')}, limit: {words.get(name, name)}" for share, name in pairs]
     series: dict[str, Any] = {"pilot": None, "name": "margin", "bars": True, "text": text}
     series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
     series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}

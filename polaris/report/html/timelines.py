@@ -33,7 +33,7 @@ def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any
         "modes": [{"mode": mode, "name": name, "colour": colour} for mode, name, colour in timeline.modes],
         "modes_title": timeline.modes_title,
         "by": timeline.by,
-        "marks": [{"t": plain(t), "text": text} for t, text in timeline.marks],
+        "marks": [one._asdict() | {"t": plain(one.t)} for one in timeline.marks],
         "pilots": [_pilot(one, scene, position, chosen[one.key]) for one in controllers],
         "panels": [_panel(one, chosen) for one in timeline.panels],
     }

@@ -19,7 +19,7 @@ from ...simulation.baselines import FlightEnvelope
 from . import palette
 from .geometry import DrawnShape, gapped
 from .items import Actor, Item, View
-from .timelines import Limit, Panel, Series, Timeline, input_panels, modes_present, step_edges
+from .timelines import Instant, Limit, Panel, Series, Timeline, input_panels, modes_present, step_edges
 from .unsafe import AXES, ORDER, surroundings
 
 MOST_INSTANTS = 400  # most instants at which margins and the direction of the sun are shown
@@ -86,7 +86,7 @@ def fuel_timeline(run: FuelRun) -> Timeline:
         modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
         latched,
         by="mode",
-        marks=[] if run.latched_at is None else [(run.latched_at, "backup takes over")],
+        marks=[] if run.latched_at is None else [Instant(run.latched_at, "backup takes over")],
     )
 
 

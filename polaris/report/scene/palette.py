@@ -53,7 +53,7 @@ class Look:
 
 LOOKS = {  # by role of an item of a scene
     "unsafe": Look(RED, "keep-out zone", "unsafe", "unsafe"),
-    "cover": Look(DULL_RED, "is within", "satellite is within", "unsafe"),
+    "cover": Look(DULL_RED, "its bounds", "satellite's bounds", "unsafe"),
     "keep_in": Look(RED, "stay inside", "stay inside", "unsafe"),
     "sides": Look(RED, "its sides", "", "unsafe"),
     "goal": Look(GREEN, "goal", "goal", "goal"),

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from reach.numerics.linear import growth
 
-from ...model.scene.distances import UNKNOWN, signed_distances
+from ...model.scene.distances import UNKNOWN, signed_distances, stretches
 from ...model.scene.keep_in import FAR
 from ...model.scene.obstacles import perceive
 from ...model.scene.state_limits import RATE, SpeedLimit, SpeedPolygon, StateLimit
@@ -33,6 +33,14 @@ class Limit(NamedTuple):
     unsafe: str = ""
 
 
+class Instant(NamedTuple):
+    """A time [s] marked in all diagrams; its text stands in the last one, or in red in that of a key."""
+
+    t: float
+    text: str
+    panel: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Series:
     """A line over times (N,) [s]: values (N,), or (r, N) of the runs of a pilot, by its key.
@@ -54,7 +62,10 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One diagram; `label` is its title on the axis of a printed figure, where it is `log`arithmic or not."""
+    """One diagram; `label` is its title on the axis of a printed figure, where it is `log`arithmic or not.
+
+    Print writes `names` at points (N, 2) in it.
+    """
 
     key: str
     title: str
@@ -63,6 +74,7 @@ class Panel:
     limits: Sequence[Limit]
     series: Sequence[Series]
     log: bool = False
+    names: Sequence[tuple[Array, str]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +82,7 @@ class Timeline:
     """Pilots and diagrams with one time axis; the page opens at `opened` [s].
 
     `modes` are those that occur, with their names and colours. A page colours its scene `by` ``mode`` or by
-    ``controller``. `marks` are instants [s] with a text.
+    ``controller``.
     """
 
     controllers: Sequence[Actor]
@@ -79,7 +91,7 @@ class Timeline:
     opened: float
     modes_title: str = WHO
     by: str = "pilot"
-    marks: Sequence[tuple[float, str]] = ()
+    marks: Sequence[Instant] = ()
 
 
 def modes_present(present: ArrayLike, styles: Callable[[int], tuple[str, str]]) -> list[tuple[int, str, str]]:
@@ -130,8 +142,18 @@ def schedule_timeline(
         modes_present(present, named),
         picture.closest if opened is None else opened,
         by=by,
-        marks=[(picture.reached, picture.arrival)] if proved and picture.reached else [],
+        marks=_changes(picture, proved),
     )
+
+
+def _changes(picture: PlotData, proved: bool) -> list[Instant]:
+    """Return when the goal is reached, and sets begin or cease to hold: of several at one time the last."""
+    changes = {0.0: Instant(picture.reached, picture.arrival)} if proved and picture.reached else {}
+    for key in ("ends", "begins"):
+        for one in picture.obstacles:
+            if 0 < (t := getattr(one, key, 0.0)) < picture.duration:
+                changes[t] = Instant(t, f"{one.name} {key}", "distance")
+    return list(changes.values())
 
 
 def step_edges(values: Array, axis: int = 0) -> Array:
@@ -159,15 +181,27 @@ def _of_axis(one: Series, axis: int, limit: float) -> Series:
 
 def _distances(picture: PlotData, runs: dict[str, FlightEnvelope], proved: bool) -> Panel:
     """Describe distances to the nearest unsafe set; other satellites are where they are nominally."""
-    series = []
+    series, names = [], list[tuple[Array, str]]()
     for key, each in runs.items():
         positions = each.states @ picture.system.position.T
-        distances = signed_distances(picture.obstacles, each.times, positions, picture.system).min(axis=0)
-        series.append(Series(each.times, distances, key, band=each.nearest[[0, 2]]))
+        by_set = signed_distances(picture.obstacles, each.times, positions, picture.system)
+        names = names or _nearest(picture, each.times, by_set[:, 0])
+        series.append(Series(each.times, by_set.min(axis=0), key, band=each.nearest[[0, 2]]))
     if proved and (bound := proven_distance(picture)) is not None:
         series.append(_proven(picture, bound, "least that is proven"))
     title = "Distance to the nearest keep-out zone"
-    return Panel("distance", title, "Distance", "m", [Limit(0.0, "unsafe", "below")], series)
+    return Panel("distance", title, "Distance", "m", [Limit(0.0, "unsafe", "below")], series, names=names)
+
+
+def _nearest(picture: PlotData, times: Array, distances: Array) -> list[tuple[Array, str]]:
+    """Return the longest stretch of a flight on which each set is nearest; distances (sets, N) [m]."""
+    nearest, names = distances.argmin(axis=0), []
+    for i in np.unique(nearest):
+        a, b = max(stretches(nearest == i), key=lambda span: span[1] - span[0])
+        middle = slice(a + (b - a) // 4, b - (b - a) // 4)
+        line = np.column_stack([times[middle], distances[i, middle]])
+        names.append((line, f"nearest: {picture.obstacles[i].name}"))
+    return names
 
 
 def _limit_panel(

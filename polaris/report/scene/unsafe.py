@@ -149,7 +149,7 @@ def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[
     ends = np.maximum(timed.offsets[:, 0] - shifts[:-1], timed.offsets[:, 1] - shifts[1:])
     ends = np.vstack([ends, timed.offsets[-1, 1] - shifts[-1]])
     shapes = tuple(_cover(timed.normals, b, axes) for b in ends)
-    item = Item("cover", shapes, f"{obstacle.name} is within", times, centres[:, axes])
+    item = Item("cover", shapes, f"{obstacle.name}: its bounds", times, centres[:, axes])
     return [item] if item.shape else []
 
 

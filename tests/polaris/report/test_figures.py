@@ -316,8 +316,9 @@ def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
 
 def test_moving_sets_and_the_chaser_bear_the_same_times(picture):
     texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts if text.get_color() == RED]
-    times = [float(text.removeprefix("trolley, ")[:-2]) for text in texts if text.endswith(" s")]
+    names, times = zip(*(text.split(", ") for text in texts if text.endswith(" s")), strict=True)
     assert 2 <= len(times) <= 6 and all(times.count(t) == 2 for t in times)
+    assert names.count("trolley") == names.count("chaser") == len(times) / 2
     assert f"trolley, {picture.approach(picture.obstacles[1]).time:.3g} s" in texts
 
 

@@ -9,10 +9,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from markupsafe import escape
 
+from polaris.model.hill import clohessy_wiltshire
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacles import BallObstacle, perceive
 from polaris.report.html.page import script_json, table
 from polaris.report.html.scene import plain
 from polaris.report.html.timelines import MOST, kept
 from polaris.report.scene.geometry import boxed, cut_surface, hull, polyhedron
+from polaris.report.sentences import limit_words, set_of_limit, side_words
 from polaris.report.tables import Cell, Measure, Table, value_cell, words
 
 CUBE = np.vstack([np.eye(3), -np.eye(3)])
@@ -159,3 +163,20 @@ def test_outline_is_cut_in_the_plane():
     wall = boxed(np.array([[0.0, -1.0]]), np.array([-7.0]), np.zeros(2), np.array([5.0, 9.0])).vertices()
     assert sorted(map(tuple, wall.round(9).tolist())) == [(0, 7), (0, 9), (5, 7), (5, 9)]
     assert boxed(np.array([[0.0, -1.0]]), np.array([-70.0]), np.zeros(2), np.ones(2)).depth < 0
+
+
+def test_sides_of_keep_in_sets_have_numbers_from_one_and_axes_where_they_have_one():
+    box = KeepInPolytope("within-0", CUBE, np.full(6, 9.0))
+    cone = KeepInCone("sight", [0.0, -9, 0], [0.0, 1, 0], 0.5, facets=5)
+    system = clohessy_wiltshire(0.0011, 10.0, 0.1)
+    unsafe = perceive([box, cone, BallObstacle("ball", [0.0, 5, 0], 1.0)], system, 10.0, 2)
+    words = side_words(unsafe, system)
+    axes = ("+radial", "+along-track", "+cross-track", "-radial", "-along-track", "-cross-track")
+    assert [words[f"within-0[{i}]"] for i in range(6)] == [
+        f"within-0, side {i + 1} of 6 ({axis})" for i, axis in enumerate(axes)
+    ]
+    assert words["sight[4]"] == "sight, side 5 of 5" and words["ball"] == "ball"
+    for i, one in enumerate(unsafe[:6]):  # the middle of a side is on the boundary of its unsafe half
+        assert one.normals[0] @ (9.0 * CUBE[i]) == pytest.approx(one.offsets[0, 0, 0])
+    assert limit_words("sight[4]") == "sight, side 5" and limit_words("radial thrust") == "radial thrust"
+    assert set_of_limit("sight[4]") == "sight" and set_of_limit("input 0") == "input 0"

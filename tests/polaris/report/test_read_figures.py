@@ -1,17 +1,21 @@
 """Figures can be read: names apart and whole, all that is drawn explained, no set cut without a mark."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from matplotlib.text import Text
 
+from polaris.model.scene.keep_in import KeepInPolytope
 from polaris.report.figures import FIGURES
-from polaris.report.figures.style import DASHES, style
+from polaris.report.figures.labels import name as write_name
+from polaris.report.figures.style import DASHES, new_figure, style
 from polaris.report.scene.items import alone, closeups
-from polaris.report.scene.palette import mode_colour
+from polaris.report.scene.palette import BLACK, RED, mode_colour
 from polaris.runs.build_plot_data import schedule_plot_data
 from polaris.runs.plot_data import SliceData, directions
 from polaris.simulation.baselines import FlightEnvelope
@@ -148,3 +152,61 @@ def test_each_of_several_experimental_controllers_is_named_and_drawn_alone():
         assert {"U alone (a)", "U alone (b)"} <= names, name
     assert [one.colour for one in alone(picture)] == [mode_colour(1), mode_colour(2)]
     assert [one.short for one in alone(base)] == ["U alone"]
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_names_lie_on_no_filled_set_but_their_own(beside):
+    """Two sides of a box are in view, with a set in the middle; or a point in another set has a name."""
+    with style():
+        ax = new_figure(3.0).add_subplot()
+        ax.set(xlim=(0, 100), ylim=(0, 100))
+        for corner in ((15, 15), (65, 75)):
+            square = np.array(corner) + 50 / (1 + corner[0] // 50) * np.array(
+                [[0, 0], [1, 0], [1, 1], [0, 1]]
+            )
+            ax.add_patch(Polygon(square, facecolor=RED, edgecolor=RED))
+        s = np.linspace(0, 1, 200)[:, None]
+        sides = np.vstack([(1 - s) * [2, 2] + s * [2, 80], (1 - s) * [2, 80] + s * [80, 80]])
+        if beside:
+            write_name(ax, "stay", sides, RED, beside=True)
+        else:
+            write_name(ax, "end", [[77, 87]], BLACK)
+        ax.figure.draw_without_rendering()
+    (text,) = ax.texts
+    low, high = ax.transData.inverted().transform(text.get_window_extent().get_points())
+    for a, b in (((15, 15), (65, 65)), ((65, 75), (90, 100))):
+        assert np.any(np.minimum(high, b) < np.maximum(low, a))
+
+
+def test_every_time_in_the_scene_says_of_what_it_is():
+    texts = [text.get_text() for ax in draw(tiny()).axes[:1] for text in ax.texts]
+    times = [text for text in texts if text.endswith(" s")]
+    assert any(text.startswith("chaser, ") for text in times)
+    assert all(re.match(r"(S from|U from|chaser,|trolley,) ", text) for text in times), times
+
+
+def test_distances_name_the_nearest_set_and_say_when_a_box_begins():
+    base = tiny()
+    near, far = (base.duration * share for share in (0.25, 0.5))
+    size = 1.0 + np.abs(base.flights["polaris"].states).max()
+    late = KeepInPolytope("late", np.eye(2), [size, size], begins=far)
+    early = KeepInPolytope("early", np.eye(2), [9 * size, 9 * size], ends=near)
+    first = draw(replace(base, obstacles=(*base.obstacles, early, late)), "distance").axes[0]
+    texts = [text.get_text() for text in first.texts]
+    assert "late begins" in texts and "early ends" in texts
+    marks = [line.get_xdata()[0] for line in first.lines if line.get_color() == RED and line.get_lw() == 0.7]
+    assert {near, far} <= set(marks)
+    times, states = base.flights["polaris"].times, base.flights["polaris"].states[0]
+    every = [one.signed_distance(times, states[:, :2], base.system) for one in base.obstacles]
+    texts = [text.get_text() for text in draw(base, "distance").axes[0].texts]
+    nearest = {base.obstacles[i].name for i in np.argmin(every, axis=0)}
+    assert {text for text in texts if text.startswith("nearest")} == {f"nearest: {one}" for one in nearest}
+
+
+def test_a_margin_near_zero_has_a_bar_that_can_be_seen():
+    base = tiny()
+    margins = np.full(len(base.modes), 0.5)
+    margins[:3] = 0.0006, -np.inf, 0.0
+    bars = sorted(draw(replace(base, margins=margins), "margin").axes[0].patches, key=lambda one: one.get_x())
+    heights = [bar.get_height() for bar in bars if bar.get_y() == 0][:3]
+    assert heights[0] == heights[2] > 0.01 and heights[1] < 0

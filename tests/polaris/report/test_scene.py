@@ -109,7 +109,16 @@ def scene(space):
 
 def test_sets_are_where_they_are_at_each_time(scene):
     layers = named(scene)
-    meshes = {"ball", "box", "wall", "shutter", "visitor", "visitor is within", "sight (stay inside)", "goal"}
+    meshes = {
+        "ball",
+        "box",
+        "wall",
+        "shutter",
+        "visitor",
+        "visitor: its bounds",
+        "sight (stay inside)",
+        "goal",
+    }
     assert {name for name, layer in layers.items() if layer["kind"] == "mesh"} >= meshes
     assert "corridor (stay inside)" not in layers  # its faces are out of view
     assert {"safe reference", "start", "initial set", "reachable now", "sight: its sides"} <= set(layers)
@@ -130,7 +139,7 @@ def test_sets_are_where_they_are_at_each_time(scene):
 
 def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
     layers = named(scene)
-    cover = layers["visitor is within"]
+    cover = layers["visitor: its bounds"]
     visitor = space.obstacles[4]
     (timed,) = visitor.timed_polytopes(space.system, DELTA, K)
     for t in np.linspace(0, K * DELTA, 301)[:-1]:
@@ -188,7 +197,7 @@ def test_sets_in_the_plane_are_areas_and_fill_the_frame():
     goal = Box(np.zeros(4), np.r_[np.inf, 5.0, np.inf, np.inf])
     scene = scene_of(picture(integrator(2), kinds, goal), [])
     layers, (low, high) = named(scene), scene["range"][0]
-    for name in ("ball", "other", "other is within", "reachable now", "wall"):
+    for name in ("ball", "other", "other: its bounds", "reachable now", "wall"):
         assert layers[name]["kind"] == "area"
     wall, ends = np.array(layers["wall"]["p"]), np.array(layers["goal"]["p"])
     assert wall[0].min() < low and wall[0].max() > high and wall[1].min() == 70

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli.app import app
+from polaris.cli.attacks import _show_falsification
 from polaris.model.errors import ScenarioError
 from polaris.runs.case import replay, write_case
 from polaris.runs.schedule import digest
@@ -17,6 +18,7 @@ from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.falsification.attacks import Attack, Attacker
 from polaris.simulation.falsification.claims import EXACT_M, Claims, attained
 from polaris.simulation.falsification.search import falsify
+from polaris.simulation.falsification.violations import Failure
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.safety.get_safety import get_safety
@@ -56,6 +58,19 @@ def test_nothing_breaks_a_proven_schedule(name):
     assert np.all(result.least >= 0)
     first, second = (falsify(schedule, 60, seed=seed).least for seed in (3, 3))
     assert np.array_equal(first, second) and not np.array_equal(first, falsify(schedule, 60, seed=4).least)
+
+
+def test_printed_margins_have_units_and_sides_of_boxes_have_axes(capsys):
+    box = "navigation={within_m=[900.0, 900.0, 900.0], position_error_m=0.05, velocity_error_m_s=0.001}"
+    result = falsify(synthesised("static", *quick("static"), box)[1], 60, seed=1)
+    _show_falsification("static", result)
+    _, head, *rows = capsys.readouterr().out.splitlines()
+    at = head.index("unit")
+    units = {row[:at].strip(): row[at : at + 4].strip() for row in rows[:-2]}
+    assert units["within, side 5 of 6 (-along-track)"] == "m" and units["radial thrust"] == "N"
+    assert len(units) == len(result.names) and set(units.values()) == {"m", "N"}
+    _show_falsification("static", replace(result, failure=Failure("unsafe set", "within[4]", 9.0, -1.0, 0.0)))
+    assert "VIOLATED: within, side 5 of 6 (-along-track) is entered at t = 9 s" in capsys.readouterr().out
 
 
 def test_the_bound_is_neither_violated_nor_idle():

@@ -36,7 +36,7 @@ function lineTraces(data, state, panel, yaxis) {
     if (series.bars) {
       const colours = series.modes.map((mode) => (data.modes.find((one) => one.mode === mode) || {}).colour);
       traces.push({ type: "bar", x, y: series.y, width: series.width, text: series.text.map(plain), textposition: "none",
-        marker: { color: colours, line: { color: "#fff", width: 0.3 } }, xaxis: "x", yaxis,
+        marker: { color: colours, line: { color: colours, width: 1 } }, xaxis: "x", yaxis, // a margin near 0 is a line
         hovertemplate: "%{text}<extra></extra>" });
       continue;
     }
@@ -126,10 +126,11 @@ function timelineFigure(data, state) {
   });
   for (const one of data.marks || []) { // after the line of the time shown
     if (one.t <= data.end * 1.001) {
-      layout.shapes.push({ type: "line", xref: "x", yref: "paper", x0: one.t, x1: one.t, y0: 0, y1: 1, line: { color: "#009E73", width: 1.5, dash: "dot" } });
+      layout.shapes.push({ type: "line", xref: "x", yref: "paper", x0: one.t, x1: one.t, y0: 0, y1: 1, line: { color: one.panel ? "#C0202B" : "#009E73", width: 1.5, dash: "dot" } });
     }
-    if (!narrow) layout.annotations.push({ text: plain(one.text), xref: "x", yref: "paper", x: Math.min(one.t, data.end), y: 1, xanchor: "right",
-      yanchor: "top", showarrow: false, font: { size: 11, color: "#00694d" } });
+    const at = data.panels.findIndex((panel) => panel.key === one.panel);
+    if (!narrow) layout.annotations.push({ text: plain(one.text), xref: "x", yref: "paper", x: Math.min(one.t, data.end),
+      y: at < 0 ? 1 : layout["yaxis" + (at + 2)].domain[1], xanchor: "right", yanchor: "top", showarrow: false, font: { size: 11, color: at < 0 ? "#00694d" : "#C0202B" } });
   }
   layout.xaxis.anchor = data.panels.length ? "y" + (data.panels.length + 1) : "y";
   return { traces, layout };
