@@ -77,15 +77,10 @@ def compare_command(target: Target, options: CompareOptions, programs: BlackBoxe
         with stages.stage("schedule"):
             schedule = loaded.schedule(boxes)
         with stages.stage("flights"):
-            comparison = compare_methods(
-                DecisionGrid.from_schedule(schedule, options.period, options.latency, half),
-                options.runs,
-                options.seed,
-                methods=methods,
-                tuning=tuning,
-                progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
-                code=code,
-            )
+            grid = DecisionGrid.from_schedule(schedule, options.period, options.latency, half)
+            settings: dict[str, Any] = {"methods": methods, "tuning": tuning, "code": code}
+            settings["progress"] = lambda key, done, total: stages.note(f"flights: {key}", done, total)
+            comparison = compare_methods(grid, options.runs, options.seed, **settings)
         with stages.stage("folder"):
             folder = write_comparison(place, scenario, comparison, draw=output.draw, stages=stages)
     output.finish(folder)
@@ -140,17 +135,10 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, programs: BlackBo
         raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
     prices = PRICES if options.prices is None else _numbers("--prices", options.prices)
     with programs.running() as boxes:
-        folder = tradeoff(
-            scenario,
-            options.out,
-            dict(map(read_sweep, options.sweep)) or prices,
-            share=options.share,
-            overrides=options.assignments or (),
-            draw=output.draw,
-            stages=output.stages,
-            executor=None if boxes else local(options.workers),
-            black_boxes=boxes,
-        )
+        workers = None if boxes else local(options.workers)
+        settings: dict[str, Any] = {"draw": output.draw, "stages": output.stages, "executor": workers}
+        settings |= {"share": options.share, "overrides": options.assignments or (), "black_boxes": boxes}
+        folder = tradeoff(scenario, options.out, dict(map(read_sweep, options.sweep)) or prices, **settings)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         text = f"planner.time_limit_s ended the search early ({', '.join(cut)})"

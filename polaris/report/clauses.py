@@ -26,9 +26,9 @@ class Clause:
 
     source: str
     title: str
-    asks: str
     evidence: tuple[Evidence, ...]
     mission: str
+    asks: str = ""
 
 
 FRENCH, ISO, ESA = "French technical regulation", "ISO 24330:2022", "ESA guidelines"
@@ -60,6 +60,7 @@ SETS = Evidence("keep-out zones", "scenario.toml: obstacles.name")
 ZONES = "keep_in, navigation.within_m and phases"
 CORRIDORS = Evidence("keep-in zones", f"scenario.toml: {ZONES}")
 THRUST = Evidence("peak thrust demand of S", "summary.json: polaris.max_thrust_ratio_safety")
+SHARE = Evidence("share of the time under untrusted control", "summary.json: synthesis.experimental_share")
 START = Evidence("start margin", "summary.json: synthesis.start_margin")
 BOX = Evidence("box around the start set", "scenario.toml: initial_set")
 JOINTS = Evidence("GO boxes between legs", "summary.json: mission.joints")
@@ -78,111 +79,97 @@ CLAUSES = (
     Clause(
         FRENCH,
         "Art. 47-2, survival mode and collision",
-        "Entering survival mode brings no risk of a collision with the target.",
         (SAFE, PASSIVE, POWERED, DRIFT),
         "that survival mode is S, or all thrust off; attitude and power in it",
+        "Entering survival mode brings no risk of a collision with the target.",
     ),
     Clause(
         FRENCH,
         "Art. 47-5, volumes and corridors",
-        "Volumes and corridors of approach are defined; leaving one is monitored all the time, and a fallback"
-        " keeps both objects safe.",
         (SETS, CORRIDORS, SAFE, LEAST, THRUST),
         "the volumes themselves; the monitor's software and computer; a target that is not as declared",
+        "Volumes and corridors of approach are defined; leaving one is monitored all the time, and a fallback"
+        " keeps both objects safe.",
     ),
     Clause(
         FRENCH,
         "Art. 47-6, GO and NO-GO",
-        "At hold or passage points the states of both objects that allow to go on are defined in advance:"
-        " position, velocity, attitude, rates.",
         (JOINTS, BOX, START, GOAL, UPKEEP),
         "attitude and rates; states of equipment and ground; who decides",
+        "At hold or passage points the states of both objects that allow to go on are defined in advance:"
+        " position, velocity, attitude, rates.",
     ),
     Clause(
         FRENCH,
         "Art. 47-16, performance in the approach",
-        "Corridors are violated with a probability of less than 1 % per approach.",
         (SAFE, ENTER, RUNS, ALLOWED, MODEL),
         "the probability that an assumption does not hold, which is all that is left of it",
+        "Corridors are violated with a probability of less than 1 % per approach.",
     ),
     Clause(
         ISO,
         "4.1.1 Promote safety and mission success",
-        "",
         (SAFE, GOAL),
         "hazard analysis, everything but relative motion",
     ),
     Clause(
         ISO,
         "5.1.3 Resilient software design and verification",
-        "",
         (CHECK, SHARE),
         "flight software of S, switch and monitor",
     ),
     Clause(
         ISO,
         "5.1.4 Concepts of operation, 5.1.5 Approved and proven procedures",
-        "",
         (DIGESTS,),
         "approval; commands from the ground",
     ),
-    Clause(
-        ISO, "5.2.3 Trajectory practice", "", (LEAST, GOAL, UPKEEP, WHOLE), "choice of the goal and of zones"
-    ),
+    Clause(ISO, "5.2.3 Trajectory practice", (LEAST, GOAL, UPKEEP, WHOLE), "choice of the goal and of zones"),
     Clause(
         ISO,
         "5.2.5 Collision avoidance practices in proximity",
-        "",
         (SETS, SAFE, THRUST, POWERED),
         "conjunctions with third objects; a client that is not as declared",
     ),
     Clause(
         ISO,
         "5.2.6 Anomaly resolution",
-        "",
         (FAULTS, Evidence("isolated late", "claim: Isolated late")),
         "failures of S's sensors and computer, and those not declared",
     ),
-    Clause(ISO, "5.2.7 On-orbit checkout", "", ERRORS, "the checkout that shows these bounds"),
+    Clause(ISO, "5.2.7 On-orbit checkout", ERRORS, "the checkout that shows these bounds"),
     Clause(
         ISO,
         "5.3.2 Avoiding physical interference",
-        "",
         (Evidence("radius of the chaser", "scenario.toml: chaser.radius_m"), SETS, LEAST),
         "plumes, contact, debris",
     ),
-    Clause(ISO, "4.2 and 5.4 Transparency, sharing of information", "", (CHECK, DIGESTS), "notification"),
-    Clause(ESA, "Keep-out zones and approach corridors", "", (SETS, CORRIDORS, SAFE), "their sizes"),
+    Clause(ISO, "4.2 and 5.4 Transparency, sharing of information", (CHECK, DIGESTS), "notification"),
+    Clause(ESA, "Keep-out zones and approach corridors", (SETS, CORRIDORS, SAFE), "their sizes"),
     Clause(
         ESA,
         "Passive safety of trajectories",
-        "",
         (PASSIVE, DRIFT),
         "what to do at steps that are not clear; drifts of flights under the monitor",
     ),
     Clause(
         ESA,
         "Active safety: abort and collision avoidance",
-        "",
         (SAFE, THRUST, POWERED),
         "what to do at steps from which it is not proven; aborts of flights under the monitor",
     ),
-    Clause(ESA, "Go/no-go criteria", "", (JOINTS, BOX, START), "criteria of other subsystems"),
+    Clause(ESA, "Go/no-go criteria", (JOINTS, BOX, START), "criteria of other subsystems"),
     Clause(
         ESA,
         "Navigation and actuation performance",
-        "",
         (*ERRORS, Evidence("estimates", "claim: Estimate")),
         "error budgets that justify the numbers",
     ),
     Clause(
         ESA,
         "Failure tolerance",
-        "",
         (FAULTS, SAFE),
         "that isolation is as fast as declared; a second fault; S itself",
     ),
-    Clause(
-        ESA, "Verification and validation", "", (CHECK, ALLOWED, MODEL, RUNS, ENTER), "hardware in the loop"
-    ),
+    Clause(ESA, "Verification and validation", (CHECK, ALLOWED, MODEL, RUNS, ENTER), "hardware in the loop"),
 )

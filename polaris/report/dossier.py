@@ -105,9 +105,8 @@ class Dossier:
         """Read the files of a run folder of a schedule or a mission, and let the checker judge it."""
         if run.kind is MISSION:
             pairs = zip(run.summary["mission"]["legs"], run.plot_data().legs, strict=True)
-            return cls(
-                run, judge(run.path), [DossierLeg.from_run(leg, entry["name"]) for entry, leg in pairs]
-            )
+            legs = [DossierLeg.from_run(leg, entry["name"]) for entry, leg in pairs]
+            return cls(run, judge(run.path), legs)
         if run.kind.name != "schedule":
             raise ScenarioError("report", str(run.path), "must be the run of a schedule or a mission")
         return cls(run, judge(run.path), [DossierLeg.from_run(run)])

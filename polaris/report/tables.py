@@ -93,10 +93,8 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
         return Cell(text, why=reason)
     if isinstance(value, (list, tuple, Mapping)):
         pairs = value.items() if isinstance(value, Mapping) else (("", each) for each in value)
-        parts = [
-            f"{str(name).replace('_', ' ')} {value_cell(each, key).text}".strip() for name, each in pairs
-        ]
-        return Cell(", ".join(parts) + (suffix if parts else ""))
+        parts = [f"{str(name).replace('_', ' ')} {value_cell(each, key).text}" for name, each in pairs]
+        return Cell(", ".join(map(str.strip, parts)) + (suffix if parts else ""))
     if isinstance(value, bool):
         return Cell("yes" if value else "no")
     if not isinstance(value, (int, float)):
@@ -214,13 +212,9 @@ BRIEF = (  # metrics that the command line shows of a run
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
     """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
     names = controllers(summary)
-    tables = (summary[name] for name in names)
-    measures = Measure.in_tables(*tables) if keys is None else map(Measure.from_key, keys)
-    rows = [
-        [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in names)]
-        for one in measures
-        if one.key != "controller"
-    ]
+    chosen = Measure.in_tables(*(summary[name] for name in names)) if keys is None else None
+    measures = [one for one in chosen or map(Measure.from_key, keys or ()) if one.key != "controller"]
+    rows = [[Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in names)] for one in measures]
     return Table(caption, ["", *names.values()], rows)
 
 
@@ -248,15 +242,9 @@ def studies(summary: Mapping[str, Any]) -> Table:
     for study in summary["studies"]:
         counts = [int(study["failures"].get(kind, 0)) for kind in kinds]
         shares = (study[key] for key in ("success_share", "success_share_lower_95", "interventions_share"))
-        rows.append(
-            [
-                Cell(str(study["name"])),
-                value_cell(study["successes"]),
-                *map(_share, shares),
-                value_cell(study["delta_v_mean_m_s"], unit="m/s"),
-                *(Cell(str(count), count, bad=count > 0) for count in counts),
-            ]
-        )
+        delta_v = value_cell(study["delta_v_mean_m_s"], unit="m/s")
+        row = [Cell(str(study["name"])), value_cell(study["successes"]), *map(_share, shares), delta_v]
+        rows.append([*row, *(Cell(str(count), count, bad=count > 0) for count in counts)])
     heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "delta-v", *kinds]
     return Table(f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s", heads, rows, True)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.path import Path
@@ -163,10 +164,8 @@ def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
     inside = (rows < len(within)) & (candidates is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
-    crossed, covered = (
-        free_space.crossed(at, size + 2 * point, cells) for cells in (free_space.drawn, free_space.filled)
-    )
-    crossed = crossed + np.where(inside, 0.0, covered)
+    crossed = free_space.crossed(at, size + 2 * point, free_space.drawn)
+    crossed += np.where(inside, 0.0, free_space.crossed(at, size + 2 * point, free_space.filled))
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
@@ -205,7 +204,7 @@ def _filled(ax: Any, low: Array, high: Array, cell: float) -> Array:
     """Cells (N, 2) [px] of a frame within filled sets."""
     across = (np.arange(a, b, cell) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
-    filled = [one for one in ax.patches if isinstance(one, Polygon) and one.get_facecolor()[3] > 0]
+    filled = [one for one in ax.patches if isinstance(one, Polygon) and to_rgba(one.get_facecolor())[3]]
     flags = [Path(part).contains_points(grid) for one in filled for part in polylines(one)]
     return np.asarray(grid[np.any(flags, axis=0)]) if flags else grid[:0]
 

@@ -54,13 +54,13 @@ def comparison_data(picture: ComparisonData, proved: bool) -> dict[str, Any]:
     """Return the plot data of a comparison; methods without flights are left out."""
     controllers: list[Actor] = []
     for method in (method for method in picture.table["methods"] if method["key"] in picture.shown):
-        key, name, look = str(method["key"]), str(method["name"]), method_style(len(controllers))
-        controllers.append(Actor(key, name, name, *look, picture.shown[key], len(controllers) < FIRST))
+        count, key, name = len(controllers), str(method["key"]), str(method["name"])
+        controllers.append(Actor(key, name, name, *method_style(count), picture.shown[key], count < FIRST))
     envelopes = [one.flights for one in controllers[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in envelopes]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
-    run = replace(picture.run.plot_data(), slices=None)
-    return schedule_data(run, controllers, proved, by="pilot", opened=opened)
+    bare = replace(picture.run.plot_data(), slices=None)
+    return schedule_data(bare, controllers, proved, by="pilot", opened=opened)
 
 
 def _tradeoffs(methods: Methods) -> Markup:
@@ -104,9 +104,9 @@ def _protocol(protocol: Mapping[str, Any]) -> Markup:
 
 def _claims(methods: Methods) -> Markup:
     rows = []
-    for one in methods:
-        texts = one.get("reach") or "none", one.get("note") or ""
-        rows.append([Cell(str(one["name"])), _claim(one), *map(words, texts)])
+    for method in methods:
+        claim = words(method.get("reach") or "none"), words(method.get("note") or "")
+        rows.append([Cell(str(method["name"])), _claim(method), *claim])
     heads = ["method", "guarantee", "reach", "decisions by reason"]
     return table(Table("How far each claim goes", heads, rows))
 
@@ -173,15 +173,9 @@ def _log(groups: Sequence[Decisions]) -> Markup:
         margin = value_cell(least)
         if least is not None and np.isfinite(least):
             margin = Cell(directed(least, ".4g"), least)  # a share of clearance left is rounded down
-        rows.append(
-            [
-                Cell(f"{number(first['t'])} to {number(last['t'])} s", first["t"]),
-                words({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
-                value_cell(len(group)),
-                margin,
-                words(first.get("reason") or "none"),
-            ]
-        )
+        time = Cell(f"{number(first['t'])} to {number(last['t'])} s", first["t"])
+        flies = words({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})"))
+        rows.append([time, flies, value_cell(len(group)), margin, words(first.get("reason") or "none")])
     total, changes = sum(map(len, groups)), len(groups)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(Table(f"{total} decisions in {changes} stretches of the same reason", heads, rows))

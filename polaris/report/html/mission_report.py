@@ -19,12 +19,9 @@ def mission_page(folder: RunFolder) -> Page:
     claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
     delta_v = claim["delta_v_max_m_s"]
     text = "no bound" if delta_v is None else f"{directed(delta_v, '.4g', up=True)} m/s"
+    safe = "every leg, and every hand-over at GO; at NO-GO the safety controller stays"
     cards = (
-        (
-            "Is it safe?",
-            badge("proved"),
-            "every leg, and every hand-over at GO; at NO-GO the safety controller stays",
-        ),
+        ("Is it safe?", badge("proved"), safe),
         ("Does it go on?", f"{len(names)} legs", " → ".join(names)),
         ("What does it cost?", text, "at most, proven, to the planned end"),
         ("Who flies when?", f"{picture.flown.times[-1]:.6g} s", "as planned"),
@@ -38,16 +35,9 @@ def mission_page(folder: RunFolder) -> Page:
         ("flights", "Flights", table(flights)),
     ]
     for name, leg in zip(names, picture.legs, strict=True):
-        leg_summary = leg.summary
-        link = Markup(
-            '<p><a href="{0}/report.html">Interactive report of this leg</a>, in the folder {0}.</p>'
-        )
-        text = (
-            answers(leg_summary, leg.plot_data())
-            + link.format(leg.path.name)
-            + guarantee_section(leg_summary["guarantee"])
-        )
-        sections.append((f"leg-{name}", f"Leg {name}", text))
+        link = Markup('<p><a href="{0}/report.html">Interactive report of this leg</a>, in folder {0}.</p>')
+        head = answers(leg.summary, leg.plot_data()) + link.format(leg.path.name)
+        sections.append((f"leg-{name}", f"Leg {name}", head + guarantee_section(leg.summary["guarantee"])))
     return Page(str(summary["title"]), lead, (*sections, reading(summary)), {}, summary)
 
 

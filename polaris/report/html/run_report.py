@@ -105,10 +105,8 @@ def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
         cost += f"; proven {endpoint}: at most {delta_v} m/s"
     if "safety" in summary:
         cost += "; S alone " + Measure.from_key("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
-    share, switches = (
-        Measure.from_key("experimental_share").text(search["experimental_share"]),
-        search["switches"],
-    )
+    share = Measure.from_key("experimental_share").text(search["experimental_share"])
+    switches = search["switches"]
     cards = (
         ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),

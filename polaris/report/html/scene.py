@@ -53,16 +53,10 @@ def _short(value: float) -> float | int | None:
 
 def scene_data(scene: View) -> dict[str, Any]:
     """A scene: ``space`` (2 or 3 axes), ``equal`` (one scale serves all), ``axes``, ``range``, ``layers``."""
-    return {
-        "space": len(scene.labels),
-        "equal": not scene.over_time,
-        "axes": list(scene.labels),
-        "range": plain(np.stack([scene.low, scene.high], axis=1)),
-        "layers": [
-            *(_slices(scene) if isinstance(scene, Scene) else ()),
-            *(_layer(item) for item in scene.items if item.shape is not None),
-        ],
-    }
+    layers = _slices(scene) if isinstance(scene, Scene) else []
+    layers += [_layer(item) for item in scene.items if item.shape is not None]
+    frame = {"space": len(scene.labels), "equal": not scene.over_time, "axes": list(scene.labels)}
+    return frame | {"range": plain(np.stack([scene.low, scene.high], axis=1)), "layers": layers}
 
 
 def _layer(item: Item) -> Layer:

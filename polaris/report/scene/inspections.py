@@ -77,12 +77,10 @@ def fuel_timeline(run: FuelRun) -> Timeline:
     thrust = Series(run.t, step_edges(run.u)[None], "deputy0")
     fuel = Limit(q.delta_v_max, "fuel limit", "above")
     delta_v = [Series(run.t, run.delta_v[None], "deputy0")]
+    spent = Panel("fuel", "Delta-v so far", "Delta-v", "m/s", [fuel], delta_v)
     return Timeline(
         [_pilot(0, "deputy", run.t, run.x, run.u, backup)],
-        [
-            Panel("fuel", "Delta-v so far", "Delta-v", "m/s", [fuel], delta_v),
-            *input_panels(THRUSTS, "N", [q.thrust_max] * 3, [thrust]),
-        ],
+        [spent, *input_panels(THRUSTS, "N", [q.thrust_max] * 3, [thrust])],
         modes_present((0, 1), palette.BACKUP_MODES.__getitem__),
         latched,
         by="mode",
@@ -109,10 +107,9 @@ def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
     def panel(title: str, unit: str, limits: list[Limit], series: list[Series], log: bool = False) -> Panel:
         return Panel(title, title, title, unit, limits, series, log)
 
+    velocities = [_of_deputies(run, run.x[..., 3 + k]) for k in range(3)]
     panels = {
-        "velocity": [
-            panel(name, "m/s", speed, _of_deputies(run, run.x[..., 3 + k])) for k, name in enumerate(AXES)
-        ],
+        "velocity": [panel(name, "m/s", speed, v) for name, v in zip(AXES, velocities, strict=True)],
         "sun": [panel("Chief to sun", "degrees", sun, _of_deputies(run, np.degrees(values["phi4"]) + half))],
         "thrust": thrust_panels(run),
         "delta_v": [panel("Delta-v", "m/s", [], _of_deputies(run, run.delta_v))],

@@ -109,6 +109,7 @@ def test_timelines_are_those_of_the_folder(run, html):
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
     assert [one["y"] for one in panels["input0"]["limits"]] == [-1, 1]
+    assert all(set(one) == {"t", "text", "panel"} for one in data["marks"]) and data["marks"]
 
 
 def test_band_and_proof_lie_around_the_simulated_distances(run, html):
