@@ -58,7 +58,7 @@ synthesis/tracker/tightening.py
 ! synthesis/tracker/test_loop.py::test_the_remainder_bounds_every_state_that_is_left_at_any_later_node
 # What S recovers from, and where it takes over
 synthesis/safety/continuation.py
-- tightening[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
+- tightening[:, self.clearance.limits.levels :] += np.hstack([falls, falls])
 + tightening += 0 * falls.sum()
 ! synthesis/tracker/test_margins.py::test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for
 synthesis/safety/continuation.py
@@ -78,7 +78,7 @@ synthesis/schedule/spending.py
 + thrust.sum(axis=-1)[1].sum()
 ! synthesis/schedule/test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/safety/carried_rows.py
-- self.tracking.settled_tightening(self.rows) + self._upset[-1]
+- self.tracking.settled_tightening(self.rows) + self._transient[-1]
 + self.tracking.settled_tightening(self.rows)
 ! synthesis/schedule/test_powered_abort.py::test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit
 # The checker

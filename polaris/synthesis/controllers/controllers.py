@@ -121,7 +121,7 @@ class AffineController(AffineLaw):
             return law._flown(start, k)[0]
         bound = law.foreseen(start - self.whole_offset(k)[0], k)
         while True:
-            tube, commanded = law._like(bound, law.off)._flown(start, k)
+            tube, commanded = law._like(bound, law.step_error)._flown(start, k)
             if np.all(commanded <= bound):
                 return tube
             bound = raised(bound, commanded, self.system.u_max)
@@ -129,15 +129,15 @@ class AffineController(AffineLaw):
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
         errors = self.tracking.step_errors
-        return self._like(self.most, errors[min(k, len(errors) - 1)]) if np.any(errors) else self
+        return self._like(self.level, errors[min(k, len(errors) - 1)]) if np.any(errors) else self
 
     def _like(self, commands: Array | None, estimate_error: Array | None) -> "AffineController":
         """Return the law, made once, with bounds on commands (m,) and on further estimate errors (n,)."""
         key = tuple(b"" if bound is None else bound.tobytes() for bound in (commands, estimate_error))
         law = self._levels.get(key)
         if law is None:
-            law = self._levels[key] = replace(self, most=commands, off=estimate_error, _levels={})
-            if estimate_error is self.off:
+            law = self._levels[key] = replace(self, level=commands, step_error=estimate_error, _levels={})
+            if estimate_error is self.step_error:
                 vars(law).update(flow=self.flow, closed=self.closed, powers=self.powers)
                 vars(law).update(offset=self.offset, _whole_offsets=self._whole_offsets)
         assert isinstance(law, AffineController)

@@ -61,13 +61,13 @@ class CarriedRows:
         return np.asarray(self.tracking.whole(self.rows) @ self.tracking.whole_transitions)
 
     @cached_property
-    def handed(self) -> Array:
+    def per_state(self) -> Array:
         """Tightening, and its intersample part, per unit of loop states beside the error, by age.
 
         Shape (2, settling + 3, r, N - n).
         """
-        between = self.tracking.handed_between(self.plant) * self.between
-        return np.stack([self.tracking.handed(self.rows) + between, between])
+        between = self.tracking.between_per_state(self.plant) * self.between
+        return np.stack([self.tracking.per_state(self.rows) + between, between])
 
     @cached_property
     def beside_errors(self) -> Array:
@@ -75,7 +75,7 @@ class CarriedRows:
         tracking = self.tracking
         size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.state_offset))
         bound = np.abs(self.carried[..., : tracking.system.n]) @ tracking.state_offset + self.curvature * size
-        return np.asarray(np.vstack([bound, self.beyond * size]) + self.handed[0] @ tracking.remembered)
+        return np.asarray(np.vstack([bound, self.beyond * size]) + self.per_state[0] @ tracking.remembered)
 
     @cached_property
     def disturbance(self) -> Array:
@@ -84,10 +84,10 @@ class CarriedRows:
         if self.between:
             return tracking.disturbance(self.rows, self.faults)
         tightening = tracking.responses(self.rows, tracking.feedback_bound)
-        return tightening + self._upset[np.minimum(np.arange(len(tightening)) + 2, len(tightening) - 1)]
+        return tightening + self._transient[np.minimum(np.arange(len(tightening)) + 2, len(tightening) - 1)]
 
     @cached_property
-    def _upset(self) -> Array:
+    def _transient(self) -> Array:
         """Tightening by a transient fault up to l periods after it begins, shape (settling + 3, r)."""
         return self.tracking.transient_tightening(self.rows) * self.faults
 
@@ -112,7 +112,7 @@ class CarriedRows:
     @cached_property
     def settled_tightening(self) -> Array:
         """Tightening at nodes for ever once S has settled, a fault included, shape (r,)."""
-        return np.asarray(self.tracking.settled_tightening(self.rows) + self._upset[-1])
+        return np.asarray(self.tracking.settled_tightening(self.rows) + self._transient[-1])
 
     def long_after(self, start: Zonotope) -> Array:
         """Bound rows at nodes more than `Tracking.long` periods after a hand-over of a set, shape (r,)."""
@@ -122,7 +122,7 @@ class CarriedRows:
     def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
         """Return the tightenings from a set at ages within the settling horizon, shape (ages, r)."""
         start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
-        carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
+        carried, between = self.carried[ages], self.per_state[1, :-1][ages] @ others
         spread = _spread(carried.reshape(-1, start.dim), start.G).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)
         return np.asarray(support + self.curvature[ages] * radius + between + self.disturbance[:-1][ages])
@@ -136,7 +136,7 @@ class CarriedRows:
     def tube(self, start: Zonotope) -> "SetTightening":
         """Return the tightenings from a set, for all time."""
         radius, others = self.sizes_of(start)
-        beyond = self.beyond * radius + self.handed[0, -1] @ others + self.disturbance[-1]
+        beyond = self.beyond * radius + self.per_state[0, -1] @ others + self.disturbance[-1]
         tightening = np.vstack([self.from_set(start, slice(None)), beyond])
         return SetTightening(self, tightening + ROUNDING * np.abs(tightening))
 

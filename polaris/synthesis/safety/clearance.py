@@ -156,7 +156,7 @@ class Limits:
         return len(self.clearance.obstacle_rows[0])
 
     @property
-    def booked(self) -> int:
+    def levels(self) -> int:
         """First of the rows that limit commands to the level of bounded errors; they count if exceeded."""
         return self.facets + 2 * self.clearance.tracking.system.m
 
@@ -183,7 +183,7 @@ class Limits:
     def _scheduled(self) -> Array:
         """Part of the clearance taken by errors that depend on the time of the flight."""
         tightening = by_ends(self.clearance.scheduled(self.rows))
-        tightening[..., self.booked :] = 0.0  # their tightening is separate
+        tightening[..., self.levels :] = 0.0  # their tightening is separate
         return tightening
 
     @cached_property
@@ -197,12 +197,12 @@ class Limits:
         return np.asarray(self._scheduled + np.repeat(jump, self.clearance.q, axis=0))
 
     @cached_property
-    def most_taken(self) -> Array:
+    def max_tightening(self) -> Array:
         """Largest part of the clearance of each row that is `tightening`, shape (r,)."""
         return np.asarray(self.tightening.max(axis=(0, 1)))
 
     @cached_property
-    def ahead(self) -> Array:
+    def least_later(self) -> Array:
         """Least clearance of every row from a node on, shape (periods + 1, r)."""
         least = np.vstack([self.available.min(axis=0), np.full(len(self.rows), np.inf)])
         return np.asarray(np.minimum.accumulate(least[::-1])[::-1])

@@ -85,13 +85,13 @@ class LimitsAhead:
     """
 
     near: Array  # (sets, entries of the table)
-    pushed: Array  # (entries of the table,)
+    disturbance: Array  # (entries of the table,)
     beyond: Array  # (sets, rows)
-    taken: Array
+    scheduled: Array
     clearance: Array
-    where: Where
+    places: Where
     exact: Callable[[NDArray[np.int_]], Array]
-    """Exact tightenings of the table's entries with some indices, without the part `pushed`."""
+    """Exact tightenings of the table's entries with some indices, without `disturbance`."""
 
     def __post_init__(self) -> None:
         self._worked_out = np.zeros(self.near.shape[1], dtype=bool)
@@ -104,11 +104,11 @@ class LimitsAhead:
     @property
     def tightening(self) -> Array:
         """Return the tightenings, rounded up."""
-        near = self.near + self.pushed
+        near = self.near + self.disturbance
         tightening = np.hstack([near, near, self.beyond])
-        return np.asarray(tightening * (1 + ROUNDING * np.sign(tightening)) + self.taken)
+        return np.asarray(tightening * (1 + ROUNDING * np.sign(tightening)) + self.scheduled)
 
-    def met(self) -> NDArray[np.bool_]:
+    def satisfied(self) -> NDArray[np.bool_]:
         """Return True where tightenings are less than the clearance, or nothing limits them."""
         clearance = self.clearance
         return (clearance > 0) & (self.tightening / np.where(clearance > 0, clearance, 1) < 1) | np.isinf(
@@ -117,7 +117,7 @@ class LimitsAhead:
 
     def work_out(self, entries: NDArray[np.bool_]) -> None:
         """Replace bounds by the norm by exact tightenings, where these are less, of entries (entries,)."""
-        count = len(self.pushed)
+        count = len(self.disturbance)
         pending = np.flatnonzero((entries[:count] | entries[count : 2 * count]) & ~self._worked_out)
         self._worked_out[pending] = True
         self.near[:, pending] = np.minimum(self.exact(pending), self.near[:, pending])
@@ -155,7 +155,7 @@ class Continuation(RecoverableSet):
             falls = tracking.feedback_bound[0] - np.vstack(
                 [tracking.feedback_bound, tracking.feedback_bound[-1:]]
             )
-            tightening[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
+            tightening[:, self.clearance.limits.levels :] += np.hstack([falls, falls])
         return tightening
 
     @cached_property
@@ -177,10 +177,10 @@ class Continuation(RecoverableSet):
 
     def _allowed(self, node: int) -> float:
         """Largest ``norm(W e)`` allowed by limits beyond the settling horizon, whoever has flown."""
-        spare = self.clearance.limits.ahead[self._later(node)] - self.beside_errors[-1]
+        spare = self.clearance.limits.least_later[self._later(node)] - self.beside_errors[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
-    def _ahead(
+    def _limits_ahead(
         self,
         at: NDArray[np.int_],
         sets: Zonotope,
@@ -197,8 +197,8 @@ class Continuation(RecoverableSet):
         radius, others = sizes
         limits, table = self.clearance.limits, self.table
         r, last = len(limits.rows), limits.available.shape[1] - 1
-        threshold = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
-        per_state, between = table.handed
+        threshold = spare * limits.least_later[at[0]] - (1 - spare) * limits.max_tightening
+        per_state, between = table.per_state
         from_others = per_state @ others.max(axis=0, initial=0.0)
         upper = (self._per_size * radius.max() + from_others[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
         lag, row = np.nonzero(upper > threshold)
@@ -219,7 +219,7 @@ class Continuation(RecoverableSet):
         indices = end, np.clip(period, 0, last), rows
         clearance, by_time = limits.available[indices], limits.tightening[indices]
         clearance[(period < at[0]) | (period > last)] = np.inf
-        clearance[:, -r:], by_time[:, -r:] = limits.ahead[start], limits.most_taken
+        clearance[:, -r:], by_time[:, -r:] = limits.least_later[start], limits.max_tightening
         beyond = np.multiply.outer(radius, table.beyond) + others @ per_state[-1].T + self.disturbance[-1]
         return LimitsAhead(near, response, beyond, by_time, clearance + by_time, (end, period, rows), exact)
 
@@ -228,27 +228,27 @@ class Continuation(RecoverableSet):
 
         They are exact wherever the least share may be; elsewhere the tightening is a larger one, by the norm.
         """
-        limits_ahead = self._ahead(*tube)
-        limits_ahead.work_out(_least(self._left(limits_ahead).min(axis=0), FIRST))
-        share = self._left(limits_ahead).min(axis=0)
+        limits_ahead = self._limits_ahead(*tube)
+        limits_ahead.work_out(_least(self._slack(limits_ahead).min(axis=0), FIRST))
+        share = self._slack(limits_ahead).min(axis=0)
         limits_ahead.work_out(np.asarray(share <= share[limits_ahead.is_final].min(initial=np.inf)))
-        return self._left(limits_ahead), limits_ahead.tightening, limits_ahead.clearance, limits_ahead.where
+        return self._slack(limits_ahead), limits_ahead.tightening, limits_ahead.clearance, limits_ahead.places
 
-    def _left(self, limits: "LimitsAhead") -> Array:
-        """Return the slack as shares of the clearance; a limit of `booked` that is met is no tightest one."""
-        share, rows = slack_share(limits.tightening, limits.clearance), limits.where[2]
-        share[np.isinf(limits.clearance) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+    def _slack(self, limits: "LimitsAhead") -> Array:
+        """Return the slack as shares of the clearance; a limit of `levels` that is met is no tightest one."""
+        share, rows = slack_share(limits.tightening, limits.clearance), limits.places[2]
+        share[np.isinf(limits.clearance) | ((rows >= self.clearance.limits.levels) & (share >= 0))] = np.inf
         return share
 
-    def _met(
+    def _satisfied(
         self, at: NDArray[np.int_], sets: Zonotope, intersample: Array, sizes: tuple[Array, Array]
     ) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        limits_ahead = self._ahead(at, sets, intersample, sizes, 1.0)
-        satisfied = limits_ahead.met()
+        limits_ahead = self._limits_ahead(at, sets, intersample, sizes, 1.0)
+        satisfied = limits_ahead.satisfied()
         if not satisfied.all():
             limits_ahead.work_out(np.asarray(~satisfied.all(axis=0)))
-            satisfied = limits_ahead.met()
+            satisfied = limits_ahead.satisfied()
         return np.asarray(np.all(satisfied, axis=1))
 
     def _sizes(self, sets: Zonotope, intersample: Array) -> tuple[Array, Array]:
@@ -290,7 +290,7 @@ class Continuation(RecoverableSet):
         )
         return bool(
             np.all(
-                self._met(
+                self._satisfied(
                     first + np.arange(len(intersample)), nodes, intersample, self._sizes(nodes, intersample)
                 )
             )
@@ -305,7 +305,7 @@ class Continuation(RecoverableSet):
             points = Zonotope(errors[inside], np.zeros((int(inside.sum()), errors.shape[1], 0)))
             points = self.clearance.tracking.whole_state(points)
             sizes = self.table.sizes_of(points)
-            inside[inside] = self._met(np.array([node]), points, 0 * errors[inside], sizes)
+            inside[inside] = self._satisfied(np.array([node]), points, 0 * errors[inside], sizes)
         return inside
 
     def radius(self, node: int) -> float:

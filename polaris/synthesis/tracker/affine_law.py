@@ -38,8 +38,8 @@ be clipped, twice as many with errors."""
 class AffineLaw:
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`.
 
-    Its loop state is S's: the error and all other states of the flight computer. `most` (m,) bounds its
-    commands, `off` (n,) the estimate errors beside the loop's own.
+    Its loop state is S's: the error and all other states of the flight computer. `level` (m,) bounds its
+    commands, `step_error` (n,) the estimate errors beside the loop's own.
     """
 
     name: str
@@ -49,8 +49,8 @@ class AffineLaw:
     own: Reference
     tracking: Tracking
     clips: bool = False
-    most: Array | None = None
-    off: Array | None = None
+    level: Array | None = None
+    step_error: Array | None = None
     _levels: dict[tuple[bytes, ...], "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -71,8 +71,8 @@ class AffineLaw:
     def closed(self) -> ClosedLoop:
         """Loop of the craft under the law, unsaturated, about the law's own reference."""
         loop = self.tracking.loop
-        if self.off is not None and np.any(self.tracking.step_errors):
-            loop = loop.with_channels(Channel("steps", self.off, noise=np.eye(self.system.n)))
+        if self.step_error is not None and np.any(self.tracking.step_errors):
+            loop = loop.with_channels(Channel("steps", self.step_error, noise=np.eye(self.system.n)))
         return loop.close(self.gain)
 
     @cached_property
@@ -82,8 +82,8 @@ class AffineLaw:
 
     @cached_property
     def error(self) -> Array:
-        """Bounds on the errors of thrust, shape (m,), as long as commands are within `most`."""
-        return self.system.input_error(self.gain, self.system.u_max if self.most is None else self.most)
+        """Bounds on the errors of thrust, shape (m,), as long as commands are within `level`."""
+        return self.system.input_error(self.gain, self.system.u_max if self.level is None else self.level)
 
     @cached_property
     def powers(self) -> Array:
@@ -102,7 +102,7 @@ class AffineLaw:
         """
 
         def most(lag: int) -> Array | None:
-            return self.most if lag == 0 else np.max(before[-lag:], axis=0) if lag <= len(before) else None
+            return self.level if lag == 0 else np.max(before[-lag:], axis=0) if lag <= len(before) else None
 
         return [(c, self.sizes(c, most(c.lag))) for c in self.closed.loop.channels]
 
@@ -122,16 +122,16 @@ class AffineLaw:
 
         A channel that remembers commands counts those before the cell with the limits of the thrusters.
         """
-        channels = [(c, self.sizes(c, self.most)) for c in self.closed.loop.channels]
+        channels = [(c, self.sizes(c, self.level)) for c in self.closed.loop.channels]
         once = np.hstack([rates_added(self.closed.loop, channels), sampled_added(self.closed, channels)])
-        return self._caused(once, self._early)
+        return self._summed(once, self._early)
 
     @cached_property
     def disturbance_if_cut(self) -> Zonotope:
         """Return `disturbance` where errors of estimates may take commands of some inputs beyond limits."""
-        return self._caused(self.added_clipped, lambda i: [])
+        return self._summed(self.added_clipped, lambda i: [])
 
-    def _caused(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:
+    def _summed(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:
         """Sum the additions of all periods, `once` (N, g) each, and `early` at every node of a cell.
 
         Additions to the error alone hardly turn from one period to the next, so some periods are merged.
@@ -174,8 +174,8 @@ class AffineLaw:
     def _early(self, i: int) -> list[Array]:
         """Generators, at node i, of the effect of commands before the cell on channels with a lag."""
         generators = []
-        for c in self.closed.loop.channels if self.most is not None else ():
-            more = self.sizes(c, None) - self.sizes(c, self.most)
+        for c in self.closed.loop.channels if self.level is not None else ():
+            more = self.sizes(c, None) - self.sizes(c, self.level)
             for j in range(min(c.lag, i)) if np.any(more > 0) else ():
                 generators.append(self.powers[i - 1 - j] @ self.closed.sampled(c) * more)
         return generators

@@ -124,6 +124,6 @@ class Contraction:
         """Return the tightening of rows over the next period, per unit of ``norm(W e)``, shape (r,)."""
         return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
 
-    def forgotten(self, rows: Array, radius: float) -> Array:
+    def after_settling(self, rows: Array, radius: float) -> Array:
         """Return the tightening of rows after settling for errors up to ``norm(W e) = radius``, (r,)."""
         return np.asarray(self.per_size(rows) * self.decay[-1] * radius)

@@ -168,9 +168,9 @@ class Tracking(Contraction):
             self.system.u_max,
             np.linalg.norm(self.gain @ self.transitions @ self.W_inverse, axis=-1),
         )
-        tail = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
+        tail = self.after_settling(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
-        others = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
+        others = (self.per_state(rows) + self.between_per_state(rows[:, : self.system.n])) @ self.remembered
         return feedback_bound(
             norms, self.level * u_max, tail, u_max, lambda P: self._tightenings(rows, P) + others + self.noise
         )
@@ -298,7 +298,7 @@ class Tracking(Contraction):
             return self.transitions
         return powers(self.tightening.closed.F, self.settling + 1)
 
-    def handed(self, rows: Array) -> Array:
+    def per_state(self, rows: Array) -> Array:
         """Return the tightening of rows at nodes per unit of every loop state beside the handed error.
 
         Shape (settling + 3, r, N - n), by age and ever after.
@@ -307,9 +307,9 @@ class Tracking(Contraction):
         ever = limits.remainder(rows)[:, None] / limits.v[n:]
         return self._by_age(np.concatenate([np.abs(limits.carried(rows))[..., n:], ever[None]]))
 
-    def handed_between(self, rows: Array) -> Array:
-        """Return the intersample bound to add to `handed` next to a node, for rows of the error, (r, n)."""
-        rates = self.handed(self.tightening.closed.rates)
+    def between_per_state(self, rows: Array) -> Array:
+        """Return the intersample bound to add to `per_state` next to a node, for error rows (r, n)."""
+        rates = self.per_state(self.tightening.closed.rates)
         before = np.concatenate([rates[:1], rates[:-1]])
         return np.asarray(self.tightening.curvature(rows) @ np.maximum(rates, before))
 

@@ -271,7 +271,7 @@ def test_what_is_older_than_the_horizon_counts(case):
     ever = limits.from_rest(rows)
     assert np.all(total <= ever[-1] * (1 + 1e-12)) and np.all(total > ever[limits.horizon])
     n = s.system.n
-    assert np.all(np.abs(carried)[limits.horizon + 2 :, :, n:] <= s.handed(rows)[-1])
+    assert np.all(np.abs(carried)[limits.horizon + 2 :, :, n:] <= s.per_state(rows)[-1])
     tightenings = checker_tightenings(s, np.eye(s.system.n))
     last, N, more = tightenings.carried[-1], tightenings.settling.periods, np.zeros(s.system.n)
     for _ in range(N):
