@@ -80,7 +80,7 @@ def _tightenings(prospect: Permission, box: Array) -> Array:
     later = (tall[:, n] * size + tall[:, n + 1]).reshape(-1, len(recovery.rows))
     first = np.full(len(recovery.rows), -FREE)  # S commands nothing before the next node
     estimate_error = np.abs(recovery.rows[:facets, :n]) @ prospect.grid.half_widths
-    first[:facets] = recovery.intersample + recovery._bent * (size + recovery._radius) + estimate_error
+    first[:facets] = recovery.intersample + recovery._curvature * (size + recovery._radius) + estimate_error
     return np.vstack([first, later])
 
 

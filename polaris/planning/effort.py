@@ -41,7 +41,7 @@ class SearchEffort:
     """Account of one run: wall time by part [s], counts (`Plan.stats`), and stages so far."""
 
     def __init__(self, search: PathSearch, options: PlannerOptions, start: float) -> None:
-        self.search, self.options, self.begun = search, options, start
+        self.search, self.options, self.start = search, options, start
         self.seconds: dict[str, float] = {}
         self.stats = dict.fromkeys(("rows", "cols", "binaries", "nodes", "rounds", "lps"), 0.0)
         self.stages: list[Stage] = []
@@ -77,7 +77,7 @@ class SearchEffort:
         if self.options.progress is not None and now - self._last_report > 0.1:
             self._last_report = now
             gap = relative_gap(incumbent, bound)
-            self.options.progress(Progress(stage, now - self.begun, incumbent, bound, gap))
+            self.options.progress(Progress(stage, now - self.start, incumbent, bound, gap))
 
     def add_time(self, part: str, start: float) -> None:
         """Add the wall time since `start` to a part."""

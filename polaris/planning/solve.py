@@ -175,7 +175,7 @@ class Planner:
 
     def _certify(self, path: Candidate, value: float, bound: float, status: str) -> Plan:
         self.effort.stats["lps"] = self.search.solves
-        self.effort.seconds["total"] = perf_counter() - self.effort.begun
+        self.effort.seconds["total"] = perf_counter() - self.effort.start
         nu = path.z.reshape(self.problem.K, -1) * self.problem.system.u_max
         targets = np.array([e[: self.problem.K, 0] for e in self.rows.extra])
         return certified(

@@ -213,7 +213,7 @@ class Permission:
         limits = slice(first, first + rows.shape[1])
         tightening = np.dot(vector, rows)
         tightening *= self.recovery.reciprocals[limits]
-        tightening += self.recovery.taken[limits]
+        tightening += self.recovery.shares[limits]
         index = int(tightening.argmax())
         return float(tightening[index]), index
 

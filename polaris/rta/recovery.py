@@ -87,16 +87,16 @@ class Recovery:
         """``[row phi^l, tightening per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
         carried, slope = self.sets.table.carried[..., : tracking.system.n], self.sets.table.curvature.copy()
-        slope[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
+        slope[:, : len(self._curvature)] += self._curvature * tracking.decay_before[:, None]
         slope += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
         out = np.concatenate([carried, slope[..., None]], axis=-1)
         return np.ascontiguousarray(out.reshape(-1, out.shape[-1]))
 
     @cached_property
-    def booked(self) -> Array:
+    def tightening(self) -> Array:
         """Tightening of every row by S's disturbance, round-off and the path between nodes, shape (L r,)."""
         out = self.sets.beside_errors[: self.lags].copy()
-        out[:, : len(self.intersample)] += self.intersample + self._bent * self._radius
+        out[:, : len(self.intersample)] += self.intersample + self._curvature * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
     @cached_property
@@ -141,7 +141,7 @@ class Recovery:
         return np.asarray(curvature + flow.h / 2 * varying)
 
     @cached_property
-    def _bent(self) -> Array:
+    def _curvature(self) -> Array:
         """Intersample bound by the error itself per unit of ``norm(W e)`` at the start of a period, (o,)."""
         flow, rows = self.open_flow, self.grid.clearance.obstacle_rows[0]
         size = np.linalg.norm(self.grid.tracking.W_inverse, axis=1)
@@ -171,7 +171,7 @@ class Recovery:
             return np.asarray(np.where(available > 0, 1 / available, NEVER).reshape(-1))
 
     @cached_property
-    def taken(self) -> Array:
+    def shares(self) -> Array:
         """Share of the clearance that the jump uses, flat as `reciprocals`."""
         return np.asarray(self._jump.reshape(-1) * self.reciprocals)
 
@@ -186,9 +186,9 @@ class Recovery:
     def demand(self, G: Array) -> SetDemand:
         """Return the demand of sets with generators G (n, g) on the rows."""
         r, W_inverse = len(self.rows), self.grid.tracking.W_inverse
-        tightening = self.booked + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
+        tightening = self.tightening + np.abs(self.matrix[:, :-1] @ G).sum(axis=1) * (1 + ROUNDING)
         first = min(max(NEAR // r, 1), self.lags)
-        tightest, jump = self.reciprocals.reshape(-1, r).max(axis=0), self.taken.reshape(-1, r).max(axis=0)
+        tightest, jump = self.reciprocals.reshape(-1, r).max(axis=0), self.shares.reshape(-1, r).max(axis=0)
         size = np.linalg.norm(self.matrix[:, :-1] @ W_inverse, axis=1) * (1 + ROUNDING) + self.matrix[:, -1]
         slope, base = size.reshape(-1, r) * tightest, tightening.reshape(-1, r) * tightest + jump
         far = (float(part[first:].max(initial=0.0)) for part in (base, slope))
@@ -216,7 +216,7 @@ class Recovery:
         limits = slice(first, first + len(demand.tall))
         tightening = vector @ demand.tall[part].T
         tightening *= self.reciprocals[limits][part]
-        tightening += self.taken[limits][part]
+        tightening += self.shares[limits][part]
         return tightening
 
     def far(self, node: int) -> float:
@@ -235,11 +235,11 @@ class Recovery:
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.intersample)
         ends = self.grid.clearance.limits.available
         tightening = np.zeros_like(ends) + self.sets.beside_errors[-1] * (1 + ROUNDING)
-        path = (self.intersample + self._bent * self._radius) * (1 + ROUNDING)
+        path = (self.intersample + self._curvature * self._radius) * (1 + ROUNDING)
         tightening[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         tightening[1, : self.grid.last, :o] += path
         weight = tracking.per_size(self.rows)
-        weight[:o] += self._bent
+        weight[:o] += self._curvature
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
         allowed = np.min((ends - tightening) / np.maximum(weight, 1e-300), axis=2)

@@ -111,7 +111,7 @@ def _powered(schedule: Schedule) -> dict[str, Any]:
         for each in powered.branches
     ]
     steps = [None if way.branch is None else {"branch": way.branch, "cell": way.cell} for way in powered.ways]
-    limits = {"within": powered.asked.within, "budget": powered.asked.budget}
+    limits = {"within": powered.abort.within, "budget": powered.abort.budget}
     return {"powered": {**limits, "branches": branches, "steps": steps}}
 
 

@@ -51,11 +51,11 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], steps: list[FlownStep],
     facets = [row for branch in powered.branches for row in branch.facets]
     corrections = Corrections(tracker)
     for place, branch in enumerate(powered.branches):
-        served = [abort for abort in takeovers if abort.way.branch == place]
+        served = [abort for abort in takeovers if abort.step.branch == place]
         if served:
             motion = BranchMotion.for_branch(branched(document, branch), branch, corrections, facets, claims)
             motion.flight.keeps(
-                {abort.handed.first + i: z for abort in served for i, z in enumerate(abort.sets)}
+                {abort.start.first + i: z for abort in served for i, z in enumerate(abort.sets)}
             )
             for abort in served:
                 motion.arrives(abort)
@@ -67,10 +67,10 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], steps: list[FlownStep],
 class Takeover:
     """Nodes, one after another, and sets from which S may take over if step k is aborted."""
 
-    way: AbortStep
+    step: AbortStep
     k: int
     sets: list[Zonotope]
-    handed: HandOver  # a box of all errors there
+    start: HandOver  # a box of all errors there
     before: arb  # bound on the velocity change until then [m/s]
 
 
@@ -116,12 +116,12 @@ class BranchMotion:
     def arrives(self, abort: Takeover) -> None:
         """Check that the orbit, if it is known, is reached when it is claimed to be."""
         if self.orbit is not None:
-            distance, context = self.distance(abort, abort.way.cell), f"abort in step {abort.k}"
+            distance, context = self.distance(abort, abort.step.cell), f"abort in step {abort.k}"
             require(CLAIM, self.branch.tolerance - distance, f"{context}: {plain(distance)} m off the orbit")
 
     def affords(self, abort: Takeover, budget: float | None, claims: FileClaims) -> None:
         """Check S's spending against the budget, the tank, and the stated figure."""
-        delta_v, claim = self.spent(abort, abort.way.cell), claims.aborts[abort.k] if claims.aborts else None
+        delta_v, claim = self.spent(abort, abort.step.cell), claims.aborts[abort.k] if claims.aborts else None
         limits = {"claimed": claim, "the budget of": budget, "the tank of": claims.tank}
         for limit, top in limits.items():
             if top is not None:
@@ -135,9 +135,7 @@ class BranchMotion:
         doc = self.flight.document
         if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        return Arrival(self.flight, (abort.handed,), arb(0)).distance(
-            *self._orbit, (cell - doc.steps) * doc.q
-        )
+        return Arrival(self.flight, (abort.start,), arb(0)).distance(*self._orbit, (cell - doc.steps) * doc.q)
 
     def spent(self, abort: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s].
@@ -148,7 +146,7 @@ class BranchMotion:
         plant, tightenings = tracker.craft.plant, tracker.tightenings("commands", tracker.commands)
         combined, by_faults = self._together(abort, cell), [arb(0)]
         periods = range(abort.k * doc.q, cell * doc.q)
-        total = sum((self.flight.spent(tightenings, (abort.handed,), i) for i in periods), arb(0))
+        total = sum((self.flight.spent(tightenings, (abort.start,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [
@@ -164,7 +162,7 @@ class BranchMotion:
         corrections, doc = self.corrections, self.flight.document
         if corrections.mean is None:
             return None
-        plant, first = corrections.tracker.craft.plant, min(abort.handed.first, abort.k * doc.q)
+        plant, first = corrections.tracker.craft.plant, min(abort.start.first, abort.k * doc.q)
         count, inputs = cell * doc.q - first, doc.inputs[first // doc.q : cell]
         parts = (
             count * corrections.mean,

@@ -114,7 +114,7 @@ def turn_of(schedule: Schedule) -> float:
 def _settled(tail: Tail, along: PathRows, nodes: int) -> Array:
     """Bound rows at all nodes after the tail, shape (r,)."""
     node = tail.T + max(nodes, tail.safety.tracking.settling + 3)
-    tightening = np.min([along.tightenings(each, node, node + 1)[0, 0] for each in tail.held], axis=0)
+    tightening = np.min([along.tightenings(each, node, node + 1)[0, 0] for each in tail.starts], axis=0)
     return np.asarray(tightening * (1 + slack_factor(tail.safety.tracking)))
 
 

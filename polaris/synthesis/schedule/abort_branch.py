@@ -29,7 +29,7 @@ class Takeover:
     first: int  # node of the grid; the sets follow one another
     sets: Zonotope
     intersample: Array  # elementwise between each and its neighbours, (sets, n)
-    spent: float  # velocity change until then at most, that of S in this step apart [m/s]
+    cost: float  # velocity change until then at most, that of S in this step apart [m/s]
 
     @classmethod
     def for_steps(
@@ -50,7 +50,7 @@ class Takeover:
         return tuple(takeovers)
 
     @property
-    def handed(self) -> HandOver:
+    def start(self) -> HandOver:
         """All loop states there, in one box."""
         size = self.sets.extent.max(axis=0) * (1 + ROUNDING)
         box = Zonotope(np.zeros(len(size)), np.diag(size))
@@ -105,10 +105,10 @@ class AbortBranch:
             text = f"S may need {directed(delta_v, '.4g', up=True)} m/s, the budget is {abort.budget:g} m/s"
             return AbortStep(None, why=text, short=delta_v - abort.budget, budget="abort.delta_v_max_m_s")
         tank = self.safety.problem.tank
-        if tank is not None and takeover.spent + delta_v > tank:
-            parts = (directed(x, ".4g", up=True) for x in (takeover.spent, delta_v))
+        if tank is not None and takeover.cost + delta_v > tank:
+            parts = (directed(x, ".4g", up=True) for x in (takeover.cost, delta_v))
             text = "up to {} m/s are used and S may need {} m/s, the tank holds {:g} m/s".format(*parts, tank)
-            return AbortStep(None, why=text, short=takeover.spent + delta_v - tank, budget="tank.delta_v_m_s")
+            return AbortStep(None, why=text, short=takeover.cost + delta_v - tank, budget="tank.delta_v_m_s")
         return AbortStep(place, cell, delta_v)
 
     def _reached(self, takeover: Takeover, within: float | None) -> tuple[int | None, float]:
@@ -118,7 +118,7 @@ class AbortBranch:
             last = min(last, takeover.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
         if last < K:
             return None, np.inf
-        bounds = self.goal.goal_rows.tightenings(takeover.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
+        bounds = self.goal.goal_rows.tightenings(takeover.start, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
         misses = self.goal.distance(self.safety.reference.chi[K : last + 1], bounds)
         indices = np.flatnonzero(misses <= self.goal.tolerance)
         return (K + int(indices[0]) if len(indices) else None), float(misses.min())
@@ -129,7 +129,7 @@ class AbortBranch:
         The lesser of the sum of its periods' bounds and of that of all periods at once.
         """
         system, q = self.safety.problem.system, self.safety.clearance.q
-        delta_v = tracked(self.goal.commands, [takeover.handed], takeover.k * q, end * q)
+        delta_v = tracked(self.goal.commands, [takeover.start], takeover.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         impulse = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
         delta_v = min(delta_v + impulse / system.mass, self._together(takeover, end))

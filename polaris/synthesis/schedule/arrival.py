@@ -71,7 +71,7 @@ class Upkeep:
     """Cost of flying on under S after T, once the error at the hand-over has decayed."""
 
     settled: float  # from when on [s]
-    spent: float  # velocity change until then, at most [m/s]
+    delta_v: float  # velocity change until then, at most [m/s]
     rate: float  # velocity change per second from then on, at most [m/s^2]
     per_orbit: float | None  # the same per orbit [m/s]; None outside Hill's frame
     tank: float | None  # velocity change that there is propellant for [m/s], if it is known
@@ -138,7 +138,7 @@ class Nearness:
 class Tail(Nearness):
     """S from T on, along the coasting tail."""
 
-    held: Sequence[HandOver] = ()  # sets that each hold all errors where S takes over for good, one at T last
+    starts: Sequence[HandOver] = ()  # sets that each hold all errors as S takes over for good, one at T last
     spells: list[Spell] = field(default_factory=list)  # steps that S has flown, as far as they are asked for
 
     @property
@@ -150,7 +150,7 @@ class Tail(Nearness):
         """Return the steps of at least so many periods."""
         s, clearance = self.safety.controller, self.safety.clearance
         while len(self.spells) * clearance.q < nodes:
-            before = self.spells[-1].tube.end if self.spells else clearance.after_jump(self.held[-1].states)
+            before = self.spells[-1].tube.end if self.spells else clearance.after_jump(self.starts[-1].states)
             k = self.safety.problem.K + len(self.spells)
             self.spells.append(Spell.from_tube(s, s.propagate(before, k), k))
         return self.spells
@@ -163,7 +163,7 @@ class Tail(Nearness):
         sets that S flies may tighten less than those of any hand-over, within the settling horizon.
         """
         tracking, rows = self.safety.tracking, along.rows
-        bounds = [along.tightenings(start, self.T, self.T + nodes)[0] for start in self.held]
+        bounds = [along.tightenings(start, self.T, self.T + nodes)[0] for start in self.starts]
         tightening: Array = np.min(bounds, axis=0)
         tightening = tightening + SPARE * np.abs(tightening) * (not tracking.system.ideal)
         near = min(nodes - 1, tracking.settling)
@@ -180,7 +180,7 @@ class Tail(Nearness):
         tracking, system = self.safety.tracking, self.safety.problem.system
         delta_v = FlightSpending(self.steps_until(nodes), nodes).apart(nodes) if nodes else 0.0
         delta_v *= tracking.flow.h / system.mass
-        return min(tracked(self.commands, self.held, self.T, self.T + nodes), delta_v) * (
+        return min(tracked(self.commands, self.starts, self.T, self.T + nodes), delta_v) * (
             1 + slack_factor(tracking)
         )
 
@@ -224,7 +224,7 @@ class Tail(Nearness):
         distances = self.distance(states, self.tightenings(self.goal_rows, len(states)))
         within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
         node = int(within[0]) if len(within) else int(np.argmin(distances))
-        middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
+        middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.starts[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
         return GoalDistance(
@@ -249,7 +249,7 @@ class Tail(Nearness):
         rows, cost = storage
         states = PathRows(clearance, np.vstack([rows, -rows]), self.faults)
         tightenings = [
-            states.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.held
+            states.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.starts
         ]
         size = np.min(tightenings, axis=0).reshape(2, -1).max(axis=0)
         mean = cost + float(np.sum(system.weights * system.on_time.bit))
@@ -263,14 +263,14 @@ class Tail(Nearness):
         if lag >= nodes:
             return u_max
         first = self.T + nodes - lag - 1
-        bound = commanded(self.commands, self.held, first, self.T + nodes).max(axis=(0, 1))
+        bound = commanded(self.commands, self.starts, first, self.T + nodes).max(axis=(0, 1))
         return np.asarray(np.minimum(bound, u_max))
 
     def estimate(self, nodes: int) -> Array:
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
         tracking, rows = self.safety.tracking, self.safety.tracking.estimate_error_rows
         both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.faults, between=False)
-        bounds = [both.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.held]
+        bounds = [both.tightenings(start, self.T + nodes - 1, self.T + nodes)[1, -1] for start in self.starts]
         return np.asarray(
             np.min(bounds, axis=0).reshape(2, -1).max(axis=0)
             + tracking.unremembered(self.commanded_before(nodes))
@@ -290,7 +290,7 @@ class Tail(Nearness):
         end = self.T + self.settling
         if self.safety.reference.cells * self.safety.clearance.q < end:
             return None
-        bound = commanded(self.commands, self.held, self.T, end)[1, -1]
+        bound = commanded(self.commands, self.starts, self.T, end)[1, -1]
         return bound if np.all(bound <= self.safety.problem.system.u_max) else None
 
     def upkeep(self, spending: Spending) -> Upkeep | None:

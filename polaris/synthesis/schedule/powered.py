@@ -50,7 +50,7 @@ TOLD = (
 class PoweredSafety:
     """Steps from which S reaches the orbit, aborting at any instant of them, and how it does."""
 
-    asked: PoweredAbort
+    abort: PoweredAbort
     delta: float  # step of the schedule [s]
     branches: tuple[AbortBranch, ...]
     ways: tuple[AbortStep, ...]
@@ -58,7 +58,7 @@ class PoweredSafety:
     def require(self) -> None:
         """Raise `SynthesisInfeasible`, or `NotCertified` for a budget, if a required abort is not proven."""
         unproven = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
-        if not (self.asked.required and unproven):
+        if not (self.abort.required and unproven):
             return
         k, way = max(unproven, key=lambda each: (not each[1].budget, each[1].short))
         message = f"the required powered abort is not proven in {len(unproven)} of {len(self.ways)} steps"
@@ -77,7 +77,7 @@ class PoweredSafety:
                 ends = until if np.isfinite(until := branch.safety.end.until) else None
                 values = branch.step * delta, way.cell * delta, way.delta_v, ends
             steps.append({"step": k, **dict(zip(TOLD, values, strict=True)), "why": way.why or None})
-        return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
+        return {"within_s": self.abort.within, "delta_v_max_m_s": self.abort.budget, "steps": steps}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class KnownBranches:
     inputs: Sequence[Array]  # until it coasts, (steps of the branch, m)
     facets: Sequence[NDArray[np.int_]]  # in every cell from the start of the flight on, (cells, n_o)
     serve: Sequence[int | None]  # each step, by their places; None of steps that none serves
-    why: Sequence[str]  # for these steps, none serves them; "" for others
+    reasons: Sequence[str]  # for these steps, none serves them; "" for others
 
 
 def powered(
@@ -112,7 +112,7 @@ def powered(
         rebuilt = tuple(search.branch(*part) for part in parts)
         replayed = (
             AbortStep(None, why=reason) if place is None else rebuilt[place].serve(each, abort, place)
-            for each, place, reason in zip(takeovers, known.serve, known.why, strict=True)
+            for each, place, reason in zip(takeovers, known.serve, known.reasons, strict=True)
         )
         return PoweredSafety(abort, delta, rebuilt, tuple(replayed))
     branches, ways = list[AbortBranch](), list[AbortStep]()
@@ -142,8 +142,8 @@ class BranchSearch:
     """Search for branches that serve steps from the sets which S may take over in them."""
 
     safety: Safety
-    asked: PoweredAbort
-    taken: Sequence[Takeover]
+    abort: PoweredAbort
+    takeovers: Sequence[Takeover]
     _tubes: dict[tuple[bytes, int], list[tuple[int, SetTightening]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -153,8 +153,8 @@ class BranchSearch:
 
     def branches(self, k: int) -> Iterator[AbortBranch | str]:
         """Yield branches for aborts from step k on, late ones first; or why there is none."""
-        assert self.asked.within is not None
-        time, steps = int(self.asked.within / self.safety.problem.delta * (1 + ROUNDING)), len(self.taken)
+        assert self.abort.within is not None
+        time, steps = int(self.abort.within / self.safety.problem.delta * (1 + ROUNDING)), len(self.takeovers)
         stride = max(1, round(LATEST * time))
         for b in dict.fromkeys(min(k + count, steps) for count in (stride, max(1, stride // 2), 1)):
             for arrives in dict.fromkeys(k + round(share * time) for share in ARRIVES):
@@ -170,7 +170,7 @@ class BranchSearch:
         unsafe = perceive_unsafe(problem, problem.K + tail)
         limit = min(problem.planner.max_linear_programs, PROGRAMS)
         try:
-            task = self._wanted(plan_problem(problem, tracking, unsafe), self.taken[k:b], tail)
+            task = self._task(plan_problem(problem, tracking, unsafe), self.takeovers[k:b], tail)
             planned = plan(task, replace(problem.planner, max_linear_programs=limit, progress=None))
         except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
             return f"no branch is found: {error}"
@@ -179,7 +179,7 @@ class BranchSearch:
 
     def _aborted(self, K: int) -> Problem:
         """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
-        problem, abort = self.safety.problem, self.asked
+        problem, abort = self.safety.problem, self.abort
         near, slow, goal = abort.tolerance, abort.velocity_tolerance, abort.goal or problem.goal
         aborted = replace(problem, K=K, abort=None, powered=None)
         return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
@@ -202,7 +202,7 @@ class BranchSearch:
         )
         return AbortBranch(b, proven, self.corrections)
 
-    def _wanted(self, task: PlanProblem, takeovers: Sequence[Takeover], tail: int) -> PlanProblem:
+    def _task(self, task: PlanProblem, takeovers: Sequence[Takeover], tail: int) -> PlanProblem:
         """Return the planning problem of a branch, with S's tightening wherever it may take over."""
         safety, tracking, system = self.safety, self.safety.tracking, task.system
         b, q = takeovers[-1].k + 1, tracking.feedback.nodes_per_cell

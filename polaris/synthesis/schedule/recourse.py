@@ -103,7 +103,7 @@ class ReferenceSearch:
         if self.renewed:
             settled = reached_sets([s] * min(SETTLED, problem.K), safety.start, s)[-1]
             reached += reached_sets([law.with_reference(law.own, tracking)] * problem.K, settled, s)
-        self.tables, self.caused = self.hand_overs.tables(reached), self.hand_overs.feedforward(law.own)
+        self.tables, self.feedforward = self.hand_overs.tables(reached), self.hand_overs.feedforward(law.own)
         self.fades = system.ideal
         # Coasting after T that is proven safe along the printed reference shall stay so.
         task = plan_problem(problem, tracking, sets)
@@ -114,7 +114,7 @@ class ReferenceSearch:
         self.followed = Followed.from_law(system, transition, law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
         self._ask(replace(task, objective="fuel", tail_cells=tail), problem.planner.deadline)
-        self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
+        self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.task.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
 
@@ -129,12 +129,12 @@ class ReferenceSearch:
 
     def _ask(self, task: PlanProblem, deadline: float) -> None:
         """Search paths of a planning problem from now on, until a deadline."""
-        self.asked, self.rows = task, PlanRows(task)
+        self.task, self.rows = task, PlanRows(task)
         self.lacking = [np.zeros((self.K, len(body.normals))) for body in task.unsafe]
         self.search = FollowingSearch(self.rows, deadline, self.followed)
         self.unit = float(self.rows.price.max())
         self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
-        self.known: dict[bytes, tuple[float, Candidate | None]] = {}
+        self.candidates: dict[bytes, tuple[float, Candidate | None]] = {}
 
     def _priced(self, prices: Array, mask: Mask | None = None) -> None:
         """Price departures from U's path, and tighten for its hand-overs beside S's windows, if any."""
@@ -144,30 +144,30 @@ class ReferenceSearch:
 
     def _book(self, mask: Mask) -> None:
         """Tighten by S's errors, beyond its own tube, after hand-overs in all steps outside the windows."""
-        row, cells = np.arange(self.K), np.minimum(np.arange(self.asked.cells), self.K - 1)
+        row, cells = np.arange(self.K), np.minimum(np.arange(self.task.cells), self.K - 1)
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)
-        for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
-            tightening = np.zeros_like(caused)
+        for i, (table, scheduled) in enumerate(zip(self.tables, self.feedforward, strict=True)):
+            tightening = np.zeros_like(scheduled)
             for k in () if self.fades else np.flatnonzero(~mask):
                 for at in (k, k + 1):  # S may take over at either end of the step
                     tightening[at:] = np.maximum(tightening[at:], table[row[k] + at - k, : self.K - at])
-            beyond = np.maximum(tightening + caused, self.lacking[i]) - self.asked.margins[i]
+            beyond = np.maximum(tightening + scheduled, self.lacking[i]) - self.task.margins[i]
             self.rows.booking[i][:] = np.maximum(beyond, 0.0)[cells]
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
         key = mask.tobytes()
-        if key not in self.known and not self.objective.allows(mask):
+        if key not in self.candidates and not self.objective.allows(mask):
             return np.inf, None
-        if key not in self.known:
+        if key not in self.candidates:
             self._priced(np.where(mask, 0.0, np.inf), mask)
             path, cost = self.search.best({}), np.inf
             if path is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
                 cost = -self.objective.value({0: s, self.mode: 1.0 - s}, path.fuel, switches)
-            self.known[key] = cost, path
-        return self.known[key]
+            self.candidates[key] = cost, path
+        return self.candidates[key]
 
     def starts(self) -> list[tuple[Mask, CheckedPath | None]]:
         """Return windows to begin with, of paths near U's own past every side of each obstacle."""
@@ -195,7 +195,7 @@ class ReferenceSearch:
                     continue
                 mask = (self.search.departures(path) > DEPARTS) & ~self.closing & ~self.limited
                 self.search.guide = self.search.look(path)
-                self.known = {}
+                self.candidates = {}
                 candidates.append((self.path(mask)[0], len(candidates), mask, self.search.guide))
                 self.search.guide = guide
         candidates.sort(key=lambda item: item[:2])
@@ -210,11 +210,11 @@ class ReferenceSearch:
         Where the flight turns out to need more, it is planned again with that much more; where S had to fly
         all the same, with those steps free to it.
         """
-        tried, first = set(), self.asked
+        tried, first = set(), self.task
         for mask, guide in self.starts():
             if not self.fades:  # the clearance that one start lacked serves the others
                 self._ask(first, self.search.deadline)
-            self.search.guide, self.known = guide, {}
+            self.search.guide, self.candidates = guide, {}
             mask = self._descend(mask)
             if mask.tobytes() in tried:
                 continue
@@ -231,7 +231,7 @@ class ReferenceSearch:
                     yield schedule
                 if not self._lacks(plan, intended, schedule):
                     break
-                self.known = {}
+                self.candidates = {}
                 if schedule is not None and attempt >= ATTEMPTS // 2:
                     mask = mask | (schedule.modes == 0)
 
@@ -267,7 +267,7 @@ class ReferenceSearch:
 
     def _short(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
         """Add the clearance that U lacked where meant to fly, near the limit; True if it lacked any."""
-        safety, reached, names = schedule.safety, schedule.safety.start, [u.name for u in self.asked.unsafe]
+        safety, reached, names = schedule.safety, schedule.safety.start, [u.name for u in self.task.unsafe]
         lacking = np.zeros((len(names), self.K, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
@@ -278,34 +278,34 @@ class ReferenceSearch:
                     more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]
                     np.maximum(more, SPARE * (margin.tightening - margin.clearance), out=more)
             reached = step.tube.end
-        for i, margins in enumerate(self.asked.margins):
+        for i, margins in enumerate(self.task.margins):
             more = np.where(lacking[i] > 0, margins + lacking[i], 0.0)
             self.lacking[i] = np.maximum(self.lacking[i], more)
         return bool(np.any(lacking > 0))
 
     def _inset(self, schedule: Schedule) -> bool:
         """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
-        approach, goal = schedule.approach, self.asked.goal
+        approach, goal = schedule.approach, self.task.goal
         arrives = approach.reached is True
         if schedule.share() < self.objective.share or arrives or not goal.conditions.inequalities:
             return False
         guide, lacking = self.search.guide, self.lacking
         deeper = inset(self.safety.problem, goal, approach.distance)
-        self._ask(replace(self.asked, goal=deeper), self.search.deadline)
+        self._ask(replace(self.task, goal=deeper), self.search.deadline)
         self.search.guide, self.lacking = guide, lacking
         return True
 
     def _descend(self, mask: Mask) -> Mask:
         cost = self.path(mask)[0]
         improved = True
-        while improved and len(self.known) < PROGRAMS:
+        while improved and len(self.candidates) < PROGRAMS:
             improved = False
             for other in neighbours(mask, APART if self.renewed else ()):
                 other_cost = self.path(other)[0]
                 if other_cost < cost - 1e-9:
                     cost, mask, improved = other_cost, other, True
                     break
-                if len(self.known) >= PROGRAMS:
+                if len(self.candidates) >= PROGRAMS:
                     break
         return mask
 
@@ -317,10 +317,10 @@ class ReferenceSearch:
     def _certified(self, path: Candidate | None) -> Plan | None:
         if path is None:
             return None
-        nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
-        targets = np.zeros((len(self.asked.unsafe), self.K))
+        nu = path.z.reshape(self.K, -1) * self.task.system.u_max
+        targets = np.zeros((len(self.task.unsafe), self.K))
         try:
-            return certified(self.asked, nu, targets, path.fuel, -np.inf, REPLAN)
+            return certified(self.task, nu, targets, path.fuel, -np.inf, REPLAN)
         except NotCertified:
             return None
 

@@ -174,7 +174,7 @@ class Schedule:
 
     def affords(self, rules: SwitchingRules) -> bool:
         """Return True if it keeps the budget; the tightest bound is computed only if it must be."""
-        return rules.delta_v_max is None or rules.affords(self._spent_apart) or rules.affords(self.spent)
+        return rules.delta_v_max is None or rules.affords(self._spent_by_period) or rules.affords(self.spent)
 
     @cached_property
     def _spells(self) -> list[Spell]:
@@ -202,7 +202,7 @@ class Schedule:
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         start = self.steps[last - 1].tube.end if last else self.safety.start
         T = len(self.steps) * q
-        return Tail(self.safety, held=(HandOver(start, last * q, last * q), HandOver(self.final, T, T)))
+        return Tail(self.safety, starts=(HandOver(start, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
     def approach(self) -> GoalDistance:
@@ -285,7 +285,7 @@ class Schedule:
         return self.spending.goal if self.approach.reached is True else until_end
 
     @property
-    def _spent_apart(self) -> float:
+    def _spent_by_period(self) -> float:
         """Bound `spent` by that of every period [m/s], which takes little time."""
         tail, spells = self.tail, self._spells
         scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass

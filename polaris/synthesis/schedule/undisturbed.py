@@ -53,15 +53,15 @@ class UndisturbedFlights:
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         powers = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
-        self.moved, self.push = powers[PARTS], np.hstack([part @ push for part in powers[:PARTS]])
+        self.phi, self.push = powers[PARTS], np.hstack([part @ push for part in powers[:PARTS]])
         self.rows = [unsafe.rows(system) for unsafe in sets]
         ends = [unsafe.offsets[:K] for unsafe in sets]
         # The set of both cells that meet at a node: less than either.
         self.offsets = [np.minimum(b[:, 1], np.vstack([b[1:, 0], b[-1:, 1]])) for b in ends]
         start = np.asarray(problem.initial_set.c)
         self._first = start, np.zeros((system.n, 0)), np.abs(start), np.zeros(system.n)
-        self._held: Held = ()
-        self._found: list[tuple[Array, Array, Array, Array]] = []
+        self._modes: Held = ()
+        self._states: list[tuple[Array, Array, Array, Array]] = []
         self.programs = 0
 
     def propagate(self, modes: Held) -> tuple[Array, Array, Array]:
@@ -70,13 +70,13 @@ class UndisturbedFlights:
         Only as many as round-off is covered by `ROUNDING` of the sizes: an unstable law makes it grow.
         """
         same = 0
-        while same < min(len(modes), len(self._held)) and modes[same] == self._held[same]:
+        while same < min(len(modes), len(self._modes)) and modes[same] == self._modes[same]:
             same += 1
-        states = self._found[:same]
+        states = self._states[:same]
         c, G, size, error = states[-1] if states else self._first
         for k in range(same, len(modes)):
             if modes[k] == FREE:
-                c, G, growth = self.moved @ c, np.hstack([self.moved @ G, self.push]), np.abs(self.moved)
+                c, G, growth = self.phi @ c, np.hstack([self.phi @ G, self.push]), np.abs(self.phi)
             else:
                 law = self.laws[modes[k] - 1]
                 xi_U = law.own.chi[k : k + 2]
@@ -85,7 +85,7 @@ class UndisturbedFlights:
             size = np.maximum(size, np.abs(c) + np.abs(G).sum(axis=1))
             error = growth @ error + REFERENCE * size
             states.append((c, G, size, error))
-        self._held, self._found = modes, states
+        self._modes, self._states = modes, states
         generators = np.zeros((len(modes), self.system.n, G.shape[1]))
         for k, (_, part, *_) in enumerate(states):
             generators[k, :, : part.shape[1]] = part

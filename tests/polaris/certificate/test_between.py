@@ -39,12 +39,12 @@ def derived(forger):
 
     def spent(self, taken, budget, stated):
         known["before"].append(float(taken.before.upper()))
-        known["abort"].append((taken.k, float(self.spent(taken, taken.way.cell).upper())))
+        known["abort"].append((taken.k, float(self.spent(taken, taken.step.cell).upper())))
         affords(self, taken, budget, stated)
 
     def off(self, taken, cell):
         away = distance(self, taken, cell)
-        known["off"].append((taken.way.branch, float(away.upper())))
+        known["off"].append((taken.step.branch, float(away.upper())))
         return away
 
     with (

@@ -194,7 +194,7 @@ def test_no_limit_is_left_out_however_late_it_is():
     demand, late = recovery.demand(np.zeros((system.n, 1))), 0
     errors = np.random.default_rng(0).normal(size=(40, system.n)) * np.geomspace(0.01, 1, 40)[:, None]
     size = np.linalg.norm(errors @ W.T, axis=1)
-    tightening = np.column_stack([errors, size]) @ recovery.matrix.T + recovery.booked
+    tightening = np.column_stack([errors, size]) @ recovery.matrix.T + recovery.tightening
     for node in range(0, recovery.grid.last, 20):
         limits = recovery.window(node)
         shares = np.where(

@@ -224,8 +224,8 @@ def test_the_tank_lasts_as_long_as_the_bounds_say():
         return synthesize(load_scenario(TINY).with_assignments([f"tank.delta_v_m_s={tank}"])).upkeep
 
     plenty, none = lasts(8.0), lasts(0.1)
-    scarce = lasts(0.99 * plenty.spent)  # enough until T, not until S has settled
-    assert plenty.lasts == pytest.approx(plenty.settled + (8 / (1 + CHECKED) - plenty.spent) / plenty.rate)
+    scarce = lasts(0.99 * plenty.delta_v)  # enough until T, not until S has settled
+    assert plenty.lasts == pytest.approx(plenty.settled + (8 / (1 + CHECKED) - plenty.delta_v) / plenty.rate)
     assert scarce.lasts == 12.0 and none.lasts == 0.0
 
 

@@ -123,7 +123,7 @@ def test_the_checker_derives_the_planner_s_rows(kind):
 def at_end(schedule, errors):
     """S along the tail of a schedule, from errors at its end and no sooner."""
     T = schedule.safety.problem.K * schedule.safety.clearance.q
-    return Tail(schedule.safety, held=(HandOver(errors, T, T),))
+    return Tail(schedule.safety, starts=(HandOver(errors, T, T),))
 
 
 def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
@@ -135,7 +135,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     system = safety.problem.system
-    bound = commanded(tail.commands, tail.held, tail.T, tail.T + 1)[:, 0]
+    bound = commanded(tail.commands, tail.starts, tail.T, tail.T + 1)[:, 0]
     ends = system.spent(np.minimum(bound, system.u_max)).sum(axis=1)
     once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends

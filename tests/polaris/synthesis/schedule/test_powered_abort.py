@@ -139,8 +139,8 @@ def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     taken = Takeover.for_steps(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )
-    assert [each.spent for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
-    assert [each.handed[1:] for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
+    assert [each.cost for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
+    assert [each.start[1:] for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
 
 
 def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
