@@ -60,11 +60,11 @@ class MeanCommands:
             enter.append(enters * diagonal(box.entries()))
             groups += [[place + i] for i in range(box.nrows())]
             place += box.nrows()
-        self.held, self.groups, self.m, self.plant = place, groups, m, plant
+        self.count, self.groups, self.m, self.plant = place, groups, m, plant
         thrust_maps = [enters * motion.gamma * plant.B for enters, motion in spans]
         self.enter, self.parts = beside(*enter, *thrust_maps, *thrust_maps), len(spans)
         width = self.enter.ncols() - noise.ncols()
-        self.own = beside(noise, arb_mat(self.m, width))
+        self.feed = beside(noise, arb_mat(self.m, width))
         self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held_map * K, -K)
 
     @cached_property
@@ -111,10 +111,10 @@ class MeanCommands:
         """Sizes of commands that answer to a sine, by input: to each group, then to errors of thrusters."""
         z, N = acb(cos(frequency), sin(frequency)), self.F.nrows()
         loop = acb_mat(N, N, [z if i == j else 0 for i in range(N) for j in range(N)]) - acb_mat(self.F)
-        answers = acb_mat(self.own) - acb_mat(self.K) * loop.mid().solve(acb_mat(self.enter).mid())
+        answers = acb_mat(self.feed) - acb_mat(self.K) * loop.mid().solve(acb_mat(self.enter).mid())
         rows = [[float(abs(x).mid()) for x in row] for row in answers.tolist()]
         return [
-            [*(sum(row[i] ** 2 for i in group) ** 0.5 for group in self.groups), *row[self.held :]]
+            [*(sum(row[i] ** 2 for i in group) ** 0.5 for group in self.groups), *row[self.count :]]
             for row in rows
         ]
 
@@ -123,7 +123,7 @@ class MeanCommands:
         r, b = self.sine
         for attempt in range(ATTEMPTS):
             factor = LOOSER**attempt
-            scaled_b = [x * factor if i < self.held else x for i, x in enumerate(b)]
+            scaled_b = [x * factor if i < self.count else x for i, x in enumerate(b)]
             period = WeightedPeriod(self, [x * factor for x in r], scaled_b)
             P = period.storage()
             if P is None or pivots(period.spare(P)) is None:
@@ -150,14 +150,14 @@ class TurnedCommands(MeanCommands):
         for place, (i, j, _) in enumerate(plant.matrix):
             deviation[i, place] = middle[j, 0]
             applied[i, place] = middle[j, 0] * (i == j or not plant.carried)
-        late, (enters, owns) = carried_across(craft), (_split(M, loop.held) for M in (loop.enter, loop.own))
-        self.loop, self.plant, self.m, self.held = loop, plant, m, loop.held + late.ncols()
-        self.groups = [*loop.groups, *([i] for i in range(loop.held, self.held))]
+        late, (enters, owns) = carried_across(craft), (_split(M, loop.count) for M in (loop.enter, loop.feed))
+        self.loop, self.plant, self.m, self.count = loop, plant, m, loop.count + late.ncols()
+        self.groups = [*loop.groups, *([i] for i in range(loop.count, self.count))]
         self.F = above(beside(loop.F, unknown_inputs(craft) * deviation), beside(arb_mat(q, N), identity(q)))
         self.K = above(beside(loop.K, -applied), beside(loop.K, arb_mat(m, q)))
         enter = beside(enters[0], late - loop.F * late, enters[1])
         direct = beside(owns[0], loop.K * late, owns[1])
-        self.enter, self.own = above(enter, arb_mat(q, enter.ncols())), above(direct, direct)
+        self.enter, self.feed = above(enter, arb_mat(q, enter.ncols())), above(direct, direct)
 
     @cached_property
     def spends(self) -> list[arb]:
@@ -200,14 +200,14 @@ class WeightedPeriod:
     def __init__(self, loop: MeanCommands, r: list[float], b: list[float]) -> None:
         steady, growing = (
             [sum(map(arb, part[a :: loop.m]), arb(0)) for a in range(loop.m)]
-            for part in (b[loop.held : (loop.held + len(b)) // 2], b[(loop.held + len(b)) // 2 :])
+            for part in (b[loop.count : (loop.count + len(b)) // 2], b[(loop.count + len(b)) // 2 :])
         )
         extra = (matrix([growing]) * loop.squares).entries()
         C = [s / x + y for s, x, y in zip(loop.spends, r, extra, strict=True)]
         self.F, self.enter, self.b, self.C = loop.F, loop.enter, diagonal(b), C
-        self.own, self.K = loop.own, loop.K
-        self.known, self.turned = loop.own.transpose() * scaled(C, loop.own), loop.K.transpose()
-        self.met = loop.own.transpose() * scaled(C, loop.K)
+        self.feed, self.K = loop.feed, loop.K
+        self.known, self.turned = loop.feed.transpose() * scaled(C, loop.feed), loop.K.transpose()
+        self.met = loop.feed.transpose() * scaled(C, loop.K)
         self.fed = self.turned * scaled(C, loop.K)
         bits = [x * arb(bit) ** 2 for x, bit in zip(steady, loop.plant.bits or [0.0] * loop.m, strict=True)]
         weights = [arb(b[group[0]]) for group in loop.groups]

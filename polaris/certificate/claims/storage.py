@@ -53,7 +53,7 @@ class Storage:
             raise Undecided("goal", "weights are too small to bound the delta-v")
         weighted = scaled(period.C, middle)
         crossed = period.enter.transpose() * self.P * period.F - period.met
-        entered = period.enter.transpose() * self.p + period.own.transpose() * weighted
+        entered = period.enter.transpose() * self.p + period.feed.transpose() * weighted
         solved = spare.solve(beside(crossed, entered))
         product = beside(crossed, entered).transpose() * solved
         P = period.F.transpose() * self.P * period.F + period.fed + _part(product, 0, N, 0, N)
@@ -123,7 +123,7 @@ def _periods(step: FlownStep, weights: Vector, count: int) -> list[tuple[Weighte
 
 def by_value(loop: MeanCommands, weights: Vector) -> list[float]:
     """Return the weight of every value from those of groups of values."""
-    n_errors = loop.enter.ncols() - loop.held
+    n_errors = loop.enter.ncols() - loop.count
     if len(weights) != len(loop.groups) + n_errors:
         raise Rejected(
             "goal", f"{len(weights)} weights are given for {len(loop.groups) + n_errors} inputs of the loop"

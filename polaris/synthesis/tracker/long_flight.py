@@ -46,12 +46,12 @@ class Inputs:
     ----------
     F, K : ndarray, shapes (N, N), (m, N)
         Transition of the loop state, and the command ``-K z`` beside its middle.
-    enter, own : ndarray, shapes (N, k), (m, k)
+    enter, feed : ndarray, shapes (N, k), (m, k)
         Maps from values to the next loop state and the command. Those of a `group` (k,) have a 2-norm up to
         one. The last ones are errors of thrusters [N], in the same order for each part of the period: first
         those that do not grow with the deviation of commands, then those that do.
-    held : int
-        Number of the values before those.
+    count : int
+        Number of the values before errors of thrusters.
     craft : Craft
         Source of the errors of thrusters and of the weights of the spending.
     matrix : bool
@@ -63,9 +63,9 @@ class Inputs:
     F: Array
     K: Array
     enter: Array
-    own: Array
+    feed: Array
     group: NDArray[np.intp]
-    held: int
+    count: int
     craft: Craft
     matrix: bool = False
 
@@ -120,12 +120,12 @@ class Inputs:
 
     def about(self, loop: Loop, middle: Array) -> "Inputs":
         """Return the inputs of a loop that holds the matrix of its craft, commands having a middle (m,)."""
-        (m, N), start, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
+        (m, N), start, (rows, columns) = self.K.shape, self.count, np.nonzero(self.craft.matrix)
         product = np.eye(m)[:, rows] * middle[columns]  # the matrix times the middle
         applied = product * (rows == columns) if self.craft.timing.carried_impulse else product
         carried, number = carried_across(loop, self.craft), self.group[start - 1] + 1
         enter = np.insert(self.enter, [start], carried - self.F @ carried, axis=1)
-        commands, added = np.insert(self.own, [start], self.K @ carried, axis=1), np.arange(carried.shape[1])
+        commands, added = np.insert(self.feed, [start], self.K @ carried, axis=1), np.arange(carried.shape[1])
         return Inputs(
             np.block([[self.F, loop.made @ product], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
             np.block([[self.K, -applied], [self.K, 0 * product]]),
@@ -170,15 +170,15 @@ class Inputs:
 
     def errors(self, b: Array) -> Array:
         """Return weights of errors of thrusters: of those that are known, and of those that grow, (2, m)."""
-        return np.asarray(b[self.held :].reshape(2, -1, self.craft.m).sum(axis=1))
+        return np.asarray(b[self.count :].reshape(2, -1, self.craft.m).sum(axis=1))
 
     @cached_property
     def worst(self) -> tuple[Array, Array]:
         """Weights of commands (m,) and values (k,) of the worst sine, which need not be the worst flight."""
         m, z = len(self.K), np.exp(1j * GRID)[:, None, None]
         sine = np.linalg.solve(z * np.eye(len(self.F)) - self.F, self.enter + 0j * z)
-        each = self.grouped(np.moveaxis(np.abs(-self.K @ sine + self.own), 2, 0))  # (groups, frequencies, m)
-        number = self.group[self.held - 1] + 1
+        each = self.grouped(np.moveaxis(np.abs(-self.K @ sine + self.feed), 2, 0))  # (groups, frequencies, m)
+        number = self.group[self.count - 1] + 1
         base, errors = each[:number].sum(axis=0), each[number:]
         size, r = np.array([self.bits, self.bits]), self.craft.u_max
         for _ in range(SINES):
@@ -188,18 +188,18 @@ class Inputs:
         b = np.einsum("ka,a->k", each[:, commanded.argmax(axis=0), np.arange(m)], self.spends)[self.group]
         b = np.maximum(b, FLOOR * b.max())
         typical = np.maximum(size, STEADY * size.max(axis=0)) + FLOOR * r
-        b[self.held :] /= np.repeat(typical, len(errors) // 2 // m, axis=0).ravel()
+        b[self.count :] /= np.repeat(typical, len(errors) // 2 // m, axis=0).ravel()
         return r, b
 
     @cached_property
     def first(self) -> NDArray[np.intp]:
         """Return the first value of each group but those of errors of thrusters."""
-        return np.asarray(np.unique(self.group[: self.held], return_index=True)[1])
+        return np.asarray(np.unique(self.group[: self.count], return_index=True)[1])
 
     @cached_property
     def moves(self) -> tuple[Array, Array]:
         """Return maps of loop state and values into the next loop state and into commands."""
-        return np.hstack([self.F, self.enter]), np.hstack([-self.K, self.own])
+        return np.hstack([self.F, self.enter]), np.hstack([-self.K, self.feed])
 
     def before(self, after: "Storage", r: Array, b: Array, middle: Array | None = None) -> "Storage | None":
         """Return the storage at the start of a period.
@@ -241,7 +241,7 @@ class Inputs:
         """Return rows whose sum of squares is twice a storage that lasts, and the cost of a period [N]."""
         r, b = self.worst
         for attempt in range(ATTEMPTS):
-            scale, P = np.where(np.arange(len(b)) < self.held, LOOSER**attempt, 1.0), np.zeros_like(self.F)
+            scale, P = np.where(np.arange(len(b)) < self.count, LOOSER**attempt, 1.0), np.zeros_like(self.F)
             for _ in range(PERIODS):
                 earlier = self.before(Storage.from_matrix(P), r * LOOSER**attempt, b * scale)
                 if earlier is None:

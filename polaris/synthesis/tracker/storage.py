@@ -152,7 +152,7 @@ class RelaxedFlight:
         """Return the commands (m, VECTOR) of every period [N]."""
         z, commands = self.G @ self.first, []
         for (_, inputs, middle), v in zip(self.periods, self.values, strict=True):
-            u = inputs.own @ v - inputs.K @ z
+            u = inputs.feed @ v - inputs.K @ z
             u[:, 0] += middle
             commands.append(u)
             z = inputs.F @ z + inputs.enter @ (v * self._errors(inputs, np.linalg.norm(u, axis=1))[:, None])
@@ -161,9 +161,9 @@ class RelaxedFlight:
     @staticmethod
     def _errors(inputs: Inputs, size: Array) -> Array:
         """Return the largest sizes of values (k,) under commands of some size (m,)."""
-        parts = (len(inputs.group) - inputs.held) // (2 * inputs.craft.m)
+        parts = (len(inputs.group) - inputs.count) // (2 * inputs.craft.m)
         growing = np.sqrt(inputs.squares @ size**2)
-        return np.concatenate([np.ones(inputs.held), np.tile(inputs.bits, parts), np.tile(growing, parts)])
+        return np.concatenate([np.ones(inputs.count), np.tile(inputs.bits, parts), np.tile(growing, parts)])
 
     def _turn(self, commands: list[Array], sizes: list[Array]) -> list[Weights]:
         """Turn all values towards where the flight spends more, and return the weights that this gives."""
@@ -178,10 +178,10 @@ class RelaxedFlight:
                 errors, FLOOR * np.resize(size[-m:], len(errors))
             )  # those of none cost nothing
             entered = inputs.enter.T @ later
-            shares = np.linalg.norm(entered[inputs.held :], axis=1) / errors[inputs.held :]
+            shares = np.linalg.norm(entered[inputs.count :], axis=1) / errors[inputs.count :]
             growing = shares[len(shares) // 2 :].reshape(-1, m).sum(axis=0)
             answer = (inputs.spends / size + growing @ inputs.squares)[:, None] * commands[i]
-            products = entered + inputs.own.T @ answer
+            products = entered + inputs.feed.T @ answer
             groups = np.asarray(np.bincount(inputs.group, (products**2).sum(axis=1)), dtype=float)
             self.values[i] = products / np.maximum(np.sqrt(groups)[inputs.group][:, None], 1e-300)
             first = np.unique(inputs.group, return_index=True)[1]
@@ -193,7 +193,7 @@ class RelaxedFlight:
         limits = [FLOOR * np.resize(x.inputs[0].craft.u_max, x.middle.shape[1]) for x in self.steps]
         values = [np.sqrt(products / size) for _, products, size in each]
         least, inputs = LEAST * np.mean(values, axis=0) + 1e-300, self.steps[0].inputs[0]
-        fixed = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
+        fixed = slice(inputs.group[inputs.count - 1] + 1)  # a checker's values need not be 0 where these are
         least[fixed] = np.maximum(least[fixed], FLOOR * np.mean(values, axis=0)[fixed].max(initial=0.0))
         return [
             Weights(np.maximum(r, limit), np.maximum(b, least))

@@ -146,10 +146,10 @@ def test_synthesis_and_checker_find_a_storage_that_costs_as_much(case):
     for values in flights:  # whatever enters, the storage pays: all values at their bounds, thrusters exact
         z, spent = np.zeros(len(inputs.F)), 0.0
         for each in np.sign(values):
-            each[inputs.held :] = 0
+            each[inputs.count :] = 0
             size = inputs.grouped(each)[inputs.group]
             each = np.divide(each, size, out=np.zeros_like(each), where=size > 0)
-            spent += inputs.spends @ np.abs(-inputs.K @ z + inputs.own @ each)
+            spent += inputs.spends @ np.abs(-inputs.K @ z + inputs.feed @ each)
             z = inputs.F @ z + inputs.enter @ each
         assert spent <= 300 * cost
 
