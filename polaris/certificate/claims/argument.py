@@ -63,7 +63,7 @@ class Argument:
         """Check everything; returns only if every claim holds."""
         path = self.reference()
         self.record.holds("end", check_end(self.document, path))
-        self.flights(path, Merging(ORDER, self.n, self.craft.ahead))
+        self.flights(path, Merging(ORDER, self.n, self.craft.merge_rows))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.sampled_bound:

@@ -119,7 +119,7 @@ class Arrival:
     def holding(self, tightenings: Tightening) -> arb:
         """Return S's tightening along rows for ever, without the jump into the tail, with a fault if any."""
         offsets = (magnitude(tightenings.rows) * column(self.document.at_nodes)).entries()
-        tightening = sums(tightenings.settled_tightening, offsets, *tightenings.upset[-1:])
+        tightening = sums(tightenings.settled_tightening, offsets, *tightenings.fault[-1:])
         return largest(
             sums(tightening, self.flight.from_thrust(tightenings, self._first + self._last))
             if self.flight.scheduled

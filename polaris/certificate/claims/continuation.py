@@ -29,7 +29,7 @@ class Tracker:
     craft: Craft
     settling: Settling
     upsets: Sequence[arb_mat]  # boxes, one of which holds what a fault adds until it is isolated
-    _known: dict[Any, Tightening] = field(default_factory=dict, repr=False)
+    _cache: dict[Any, Tightening] = field(default_factory=dict, repr=False)
 
     @classmethod
     def from_sets(
@@ -41,14 +41,14 @@ class Tracker:
 
     def tightenings(self, key: Any, rows: arb_mat) -> Tightening:
         """Return the tightening of rows by errors and a transient fault; `key` names the rows."""
-        if key not in self._known:
+        if key not in self._cache:
             doc, tightenings = self.document, Tightening(self.craft, self.settling, rows)
             if doc.transients:
                 tightenings = replace(
-                    tightenings, upset=transient_tightening(tightenings, [*self.upsets], self.outages)
+                    tightenings, fault=transient_tightening(tightenings, [*self.upsets], self.outages)
                 )
-            self._known[key] = tightenings
-        return self._known[key]
+            self._cache[key] = tightenings
+        return self._cache[key]
 
     @cached_property
     def outages(self) -> list[Differences]:
@@ -102,8 +102,8 @@ class Continuation:
     path: Path
     tracker: Tracker
     facets: Sequence[list[int]] = ()  # others of the same tracker, so that rows of limits are the same
-    _known: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
-    _caused: dict[tuple[Tightening, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
+    _cache: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
+    _responses: dict[tuple[Tightening, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
 
     def tightening(
         self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], node: int, around: bool = False
@@ -113,7 +113,7 @@ class Continuation:
         Each of the sets holds all errors that S may have taken over.
         """
         key = tightenings, hand_overs, node, around
-        if key not in self._known:
+        if key not in self._cache:
             last, bounds = tightenings.settling.periods + 1, []
             disturbance = tightenings.disturbed if around else tightenings.at_nodes
             for each in hand_overs:
@@ -127,19 +127,19 @@ class Continuation:
                 parts.append((magnitude(tightenings.rows) * column(self.document.at_nodes)).entries())
             if (since := node - self.document.steps * self.document.q) >= 0:
                 parts.append(self._jump.tightening(tightenings, min(since, last), around))
-            self._known[key] = sums(*parts)
-        return self._known[key]
+            self._cache[key] = sums(*parts)
+        return self._cache[key]
 
     def from_thrust(self, tightenings: Tightening, node: int, around: bool = False) -> list[arb]:
         """Bound errors by the time of the flight along rows: at a node; in the tail, from it on."""
-        if (key := (tightenings, around)) not in self._caused:
+        if (key := (tightenings, around)) not in self._responses:
             assert self.scheduled is not None
             cells, T = self.scheduled.response(tightenings, around), self.document.steps * self.document.q
             nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
             for at in range(len(nodes) - 2, T - 1, -1):
                 nodes[at] = maxima(nodes[at], nodes[at + 1])
-            self._caused[key] = nodes
-        return self._caused[key][min(node, len(self._caused[key]) - 1)]
+            self._responses[key] = nodes
+        return self._responses[key][min(node, len(self._responses[key]) - 1)]
 
     def commanded(self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], period: int) -> list[arb]:
         """Bound S's commands in a period [N]; `tightenings` are those of `Tracker.commands`."""

@@ -50,7 +50,7 @@ class Corrections:
         """Values that enter in every period of any step, under any commands."""
         doc, craft = self.tracker.document, self.tracker.craft
         steps = (craft.extra(doc, k) for k in range(doc.steps + 1))
-        errors = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
+        errors = sums(maxima(*steps), craft.lag_error(craft.plant.u_max))
         noise = craft.gain * craft.carry * diagonal(craft.missed(errors))
         return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), noise)
 

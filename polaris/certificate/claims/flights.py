@@ -95,7 +95,7 @@ class ControllerModel:
         def most(periods: int) -> Sequence[arb]:
             return maxima(*before[-periods:]) if periods <= len(before) else self.plant.u_max
 
-        return sums(self.craft.extra(self.document, k), self.craft.lagged_since(most))
+        return sums(self.craft.extra(self.document, k), self.craft.lag_error_since(most))
 
     def period(
         self, z: Zonotope, base: Arc, k: int, i: int, before: Sequence[list[arb]] = ()

@@ -84,7 +84,7 @@ class Recovery:
         A bound from the extents of the set comes first; only where it does not do, the exact support.
         """
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
-        first, which = self.tightenings.alike
+        first, which = self.tightenings.kinds
         pairs = zip(self.tightenings.carried, self.tightenings.curvature, strict=True)
         blocks = ((rows_of(rows, *first), rows_of(curvature, *first)) for rows, curvature in pairs)
         extents = (spans(rows, sizes) + curvature * sizes for rows, curvature in blocks)
@@ -159,7 +159,7 @@ class Recovery:
 
     def check_far(self) -> None:
         """Check the limits beyond the settling horizon for every set."""
-        tightening = sums(self.tightenings.forgotten, self.tightenings.disturbed[-1])
+        tightening = sums(self.tightenings.after_settling, self.tightenings.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, targets in enumerate(self.limits.targets[cell]):
                 for t in (*targets, *(self.levels[-1] if self.levels else ())):

@@ -67,7 +67,7 @@ def check_estimate(arrival: Arrival, claims: FileClaims, flights: Sequence[Flown
         tightenings = [arrival.flight.tightening(along, arrival.boxes, T + node) for node in nodes]
         checked.append(("once S has settled", claimed, maxima(*tightenings), arrival.tops_before(first)))
     for phase, bounds, tightening, most_before in checked:
-        extra = absolute(craft.carry) * column(craft.missed(sums(excess, craft.lagged(most_before))))
+        extra = absolute(craft.carry) * column(craft.missed(sums(excess, craft.lag_error(most_before))))
         error = sums(maxima(tightening[:n], tightening[n:]), extra.entries())
         errors = sums(map(smallest, zip(error, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
         for i, (bound, x) in enumerate(zip(bounds, errors, strict=True)):
@@ -82,7 +82,7 @@ def _mean(arrival: Arrival, nodes: range, tops: list[arb]) -> tuple[arb, arb] | 
     """
     doc, craft = arrival.document, arrival.flight.tracker.craft
     plant = craft.plant
-    errors = sums(craft.extra(doc, doc.steps), craft.lagged(arrival.tops_before(nodes.start)))
+    errors = sums(craft.extra(doc, doc.steps), craft.lag_error(arrival.tops_before(nodes.start)))
     noise = craft.gain * craft.carry * diagonal(craft.missed(errors))
     storage = MeanCommands(craft, plant.thruster_error(tops), noise).lasting()
     if storage is None:

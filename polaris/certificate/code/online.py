@@ -72,7 +72,7 @@ class DecisionBound:
         """
         craft = self.flight.tracker.craft
         n = craft.plant.A.nrows()
-        missed = craft.carry * diagonal(craft.missed(craft.lagged(craft.plant.u_max)))
+        missed = craft.carry * diagonal(craft.missed(craft.lag_error(craft.plant.u_max)))
         error = craft.lifted(missed)
         if craft.free.nrows() == n:
             return error
@@ -117,10 +117,10 @@ class DecisionBound:
         Of both intersample bounds, which are affine in the share, the one that is less at its end counts.
         """
         craft, tightenings = self.flight.tracker.craft, self.flight.recovery.tightenings
-        plant, count = craft.plant, tightenings.given.nrows() - 2 * craft.plant.B.ncols()
+        plant, count = craft.plant, tightenings.full_rows.nrows() - 2 * craft.plant.B.ncols()
         if not count:
             return [([], [])] * 2
-        rows = part(rows_of(tightenings.given, *range(count)), plant.A.nrows())
+        rows = part(rows_of(tightenings.full_rows, *range(count)), plant.A.nrows())
         along, whole = craft.intersample(Directions(rows))
         intersamples = []
         for share in (0, 1):
@@ -160,7 +160,7 @@ class DecisionBound:
     @cached_property
     def stored(self) -> list[tuple[int, int, arb_mat]]:
         """Stored row of every limit's row, the side on which it limits, and by how much it is off (1, n)."""
-        limit_rows, facets = self.flight.recovery.tightenings.given, len(self.within[0][0])
+        limit_rows, facets = self.flight.recovery.tightenings.full_rows, len(self.within[0][0])
         rows = [matrix([row]) for row in self.tables.rows]
         nearest = list[tuple[int, int, arb_mat]]()
         for i in range(limit_rows.nrows()):
@@ -276,14 +276,14 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     doc, tracker = copy(flight.document), flight.tracker
     craft, plant = tracker.craft, tracker.craft.plant
     extra = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
-    missed = craft.missed(sums(extra, craft.lagged(plant.u_max)))
+    missed = craft.missed(sums(extra, craft.lag_error(plant.u_max)))
     error = [nextafter(float(x.upper()), inf) for x in plant.thruster_error(plant.u_max)]
     doc.feedback_bound, doc.error_by_step = [], []
     plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
-    craft = replace(craft, plant=plant, off=missed, base=None, _along={})
+    craft = replace(craft, plant=plant, errors=missed, base=None, _along={})
     settling = replace(tracker.settling, feedback_bound=[], rates=[])
     tracker = Tracker(doc, craft, settling, tracker.upsets)
-    return replace(flight, document=doc, tracker=tracker, _known={}, _caused={})
+    return replace(flight, document=doc, tracker=tracker, _cache={}, _responses={})
 
 
 def _check_clearances(decision: DecisionBound) -> None:

@@ -322,22 +322,22 @@ class RowIntersample:
 
         The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
         """
-        return self.lesser_bow(rate.size(), rate.through(self.motion.plant.turning).size())
+        return self.least_bound(rate.size(), rate.through(self.motion.plant.turning).size())
 
-    def closer_intersample(self, rate: Zonotope) -> list[arb]:
+    def tight_intersample(self, rate: Zonotope) -> list[arb]:
         """Lesser of `intersample` and ``|row A rate| + h |row A e^{A s}| |A rate|``: both are bounds."""
         accel, h = rate.image(self.motion.A), self.motion.plant.h
         size, at_start = accel.size(), accel.image(self.rows).size() * (h**2 / 8)
         third = (at_start + self.curvatures[0] * size * h).entries()
-        return [a if a <= b else b for a, b in zip(self.lesser_bow(rate.size(), size), third, strict=True)]
+        return [a if a <= b else b for a, b in zip(self.least_bound(rate.size(), size), third, strict=True)]
 
-    def lesser_bow(self, rate: arb_mat, accel: arb_mat) -> list[arb]:
+    def least_bound(self, rate: arb_mat, accel: arb_mat) -> list[arb]:
         """Bound as `intersample` does, from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
         bounds = (self.curvatures[0] * rate).entries(), (self.curvatures[1] * accel).entries()
         return [a if a <= b else b for a, b in zip(*bounds, strict=True)]
 
     @cached_property
     def disturbance(self) -> tuple[list[arb], list[arb]]:
-        """`Motion.push_bend` and `Motion.push_gain` of all that pushes in every period."""
+        """`Motion.push_curvature` and `Motion.push_gain` of all that pushes in every period."""
         curvatures = [self.motion.push_curvature(self.rows, push) for push in self.pushes]
         return sums(*curvatures), self.motion.gains_over(self.rows, self.pushes, 1)[0]

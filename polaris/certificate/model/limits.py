@@ -143,7 +143,7 @@ class Limits:
 
 def levels_of(document: Document, tightenings: Tightening, path: Path) -> list[list[NodeLimit]]:
     """Return the feedback bound as limits on commands l periods after a hand-over, for any clearance."""
-    noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
+    noise = tightenings.craft.noise(tightenings.craft.lag_error(tightenings.craft.plant.u_max))
     first = tightenings.rows.nrows() - 2 * len(noise)
     jumps = tightenings.tightening_at_any_time(magnitude(path.jump))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]

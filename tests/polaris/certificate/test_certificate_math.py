@@ -86,7 +86,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
+    sets, flown = argument.tubes(path, Merging(12, 4, argument.craft.merge_rows))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -107,7 +107,7 @@ def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
     for size, kept in ((1e-9, True), (100.0, False)):
         argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
         with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
-            argument.tubes(argument.reference(), Merging(12, 4, argument.craft.ahead))
+            argument.tubes(argument.reference(), Merging(12, 4, argument.craft.merge_rows))
 
 
 def test_exponentials_over_an_interval_contain_all_of_them():
@@ -152,7 +152,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
             laws.clear()
         argument.document.unsafe.clear()
         path = argument.reference()
-        sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
+        sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.merge_rows))
         runs, q = simulate(schedule, 100, 3), argument.document.q
         for k, z in enumerate(sets):
             errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
@@ -173,7 +173,7 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow():
     along, rate = RowIntersample(plant.open, matrix(rows.tolist())), start.image(closed)
     boxed, bound = (
         np.array([float(x) for x in intersample(rate)])
-        for intersample in (along.intersample, along.closer_intersample)
+        for intersample in (along.intersample, along.tight_intersample)
     )
     assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
@@ -226,7 +226,7 @@ def test_both_periods_beside_a_node_count(start):
     tube = SetIntersample(tightenings, errors)
     bound = np.array(
         [
-            [float(x) for x in tightenings.intersample.closer_intersample(errors.image(rates))]
+            [float(x) for x in tightenings.intersample.tight_intersample(errors.image(rates))]
             for rates in tightenings.rates[0].carried[:9]
         ]
     )
@@ -547,7 +547,7 @@ def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_i
     spy = SimpleNamespace(
         check=lambda i, base, d, moved, end, intersample: seen.append((base, d, intersample))
     )
-    enclose_step(controller, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
+    enclose_step(controller, start, k, path, None, Merging(12, 4, argument.craft.merge_rows), spy)
     base, d, intersample = seen[0]
     own = controller.period(d, base, k, 0)[0].extra(controller.craft.intersample(controller.craft.unit)[0], d)
     below = [each[0] for each in base.intersamples(identity(4))]

@@ -90,7 +90,7 @@ class Flown:
 def loop(s):
     """Return what the checker makes of a tracker, its tightenings and the most of commands."""
     tightenings = checker_tightenings(s, None)
-    craft, off = tightenings.craft, tightenings.craft.lagged(tightenings.craft.plant.u_max)
+    craft, off = tightenings.craft, tightenings.craft.lag_error(tightenings.craft.plant.u_max)
     tops = [x.upper() for x in sums(tightenings.peak, craft.noise(off))]
     seen = craft.gain * craft.carry * diagonal(craft.missed(off))
     return MeanCommands(craft, craft.plant.thruster_error(tops), seen), tightenings, tops

@@ -122,7 +122,7 @@ def test_effects_of_a_fault_are_those_that_the_synthesis_bounds(name):
     assert np.max(stated, axis=0)[:4].min() > 0
     close(np.max(boxes, axis=0), np.max(stated, axis=0), 2e-8 if laws else 6e-3)
     stated = tracking.transient_tightening(np.eye(4))
-    derived = np.array([[float(x) for x in row] for row in tracker.tightenings("rows", identity(4)).upset])
+    derived = np.array([[float(x) for x in row] for row in tracker.tightenings("rows", identity(4)).fault])
     later = np.minimum(np.arange(len(derived)) + 2, len(stated) - 1)  # nodes that are next to a period
     assert np.all(derived <= stated[later] * (1 + 1e-9)) and np.all(derived >= stated[later] * 0.93)
 

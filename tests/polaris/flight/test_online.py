@@ -401,7 +401,7 @@ def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, mon
     monkeypatch.setattr(flint.ctx, "prec", PRECISION)
     craft, doc, rng = flight.tracker.craft, flight.document, np.random.default_rng(4)
     step, q, seen = OnlineStep(tables, precision), doc.q, np.zeros_like(lost)
-    given, signs = flight.recovery.tightenings.given, [(kind, side - 1.0) for kind, side, _ in kept[0].stored]
+    rows, signs = flight.recovery.tightenings.full_rows, [(i, side - 1.0) for i, side, _ in kept[0].stored]
     for draw in range(300):
         cell, part = divmod(int(rng.integers(0, doc.steps * q)), q)
         node = flight.path.arcs[cell].nodes[part]
@@ -411,7 +411,7 @@ def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, mon
         e, feed = node - column(x.tolist()), column(doc.inputs[cell])
         for lag in range(len(lost)):
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
-            exact = (given * e).entries()
+            exact = (rows * e).entries()
             off = [float(abs(y - s * values[k]).upper()) for y, (k, s) in zip(exact, signs, strict=True)]
             seen[lag] = np.maximum(seen[lag], off)
             last = (craft.free, tables.held) if lag == 0 else (craft.F, tables.loop)

@@ -44,7 +44,7 @@ class Craft:
     samples: list[Sample]
     box: list[arb]  # bounds on the states beside the error at the start of a flight, (N - n)
     carry: arb_mat  # from errors of estimates to what the law sees, shape (n, k)
-    off: list[arb]  # bounds on these errors, commands apart, (k)
+    errors: list[arb]  # bounds on these errors, commands apart, (k)
     base: list[arb] | None  # bounds on errors of estimates beyond which they count by the step of the flight
     _along: dict[Directions, tuple[RowIntersample, Directions]] = field(default_factory=dict, repr=False)
 
@@ -94,22 +94,22 @@ class Craft:
 
     def noise_in(self, document: Document, k: int) -> list[arb]:
         """`noise` in a step, after commands up to the thrusters' limits."""
-        return self.noise(sums(self.extra(document, k), self.lagged(self.plant.u_max)))
+        return self.noise(sums(self.extra(document, k), self.lag_error(self.plant.u_max)))
 
     def missed(self, more: list[arb]) -> list[arb]:
         """Bounds on errors of estimates with some `more`, which there are only where nothing carries them."""
-        return sums(self.off, more) if any(x > 0 for x in more) else self.off
+        return sums(self.errors, more) if any(x > 0 for x in more) else self.errors
 
     @property
     def lag(self) -> int:
         """Return for how many periods at most commands add to errors of estimates; 0 if they do not."""
         return max((periods for periods, _ in self.plant.unseen), default=0)
 
-    def lagged(self, commands: Sequence[arb]) -> list[arb]:
+    def lag_error(self, commands: Sequence[arb]) -> list[arb]:
         """Bounds on errors of estimates by commands up to some sizes, (n)."""
-        return self.lagged_since(lambda periods: commands)
+        return self.lag_error_since(lambda periods: commands)
 
-    def lagged_since(self, commands: Callable[[int], Sequence[arb]]) -> list[arb]:
+    def lag_error_since(self, commands: Callable[[int], Sequence[arb]]) -> list[arb]:
         """Bounds on errors of estimates by commands, given the largest of so many periods before, (n)."""
         errors = [arb(0)] * self.gain.ncols()
         for periods, gain in self.plant.unseen:
@@ -170,7 +170,7 @@ class Craft:
         return Directions(diagonal([1.0] * self.plant.A.nrows()))
 
     @cached_property
-    def ahead(self) -> arb_mat:
+    def merge_rows(self) -> arb_mat:
         """Rows of the error and of commands, now and some periods later under the law."""
         rows = above(self.whole(self.unit.M), self.commands)
         return above(*(rows * self.F**lag for lag in LAGS))
@@ -197,12 +197,6 @@ class Craft:
         return generators
 
     @cached_property
-    def turned(self) -> arb_mat:
-        """Map of constant errors of inputs, unknown on board, into the next loop state, shape (N, m)."""
-        each = [enters * motion.gamma * self.plant.B for enters, motion in self.spans]
-        return sum(each[1:], each[0])
-
-    @cached_property
     def uneven(self) -> arb_mat:
         """Bound on the effect of a unit of each input's error that varies within a period, shape (N, m).
 
@@ -219,14 +213,14 @@ class Craft:
         total = [arb(0)] * rows.nrows()
         for sample in self.samples:
             total = sums(total, (magnitude(rows * sample.adds) * column(sample.size)).entries())
-        return sums(total, self._pushed(rows, self.steady))
+        return sums(total, self._support(rows, self.steady))
 
     def supports(self, rows: arb_mat) -> list[arb]:
         """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""
-        noise = (magnitude(rows * self._seen * self.carry) * column(self.off)).entries()
-        return sums(self.disturbed(rows), noise, self._pushed(rows, self.bits))
+        noise = (magnitude(rows * self._noise_map * self.carry) * column(self.errors)).entries()
+        return sums(self.disturbed(rows), noise, self._support(rows, self.bits))
 
-    def _pushed(self, rows: arb_mat, pushes: list[InputSet]) -> list[arb]:
+    def _support(self, rows: arb_mat, pushes: list[InputSet]) -> list[arb]:
         gains = [motion.push_gain(rows * enters, push) for enters, motion in self.spans for push in pushes]
         return sums([arb(0)] * rows.nrows(), *gains)
 
@@ -237,13 +231,13 @@ class Craft:
 
     def noise_gains(self, rows: arb_mat) -> arb_mat:
         """Support along rows (r, N) of a unit error of each estimate over a period, shape (r, n)."""
-        return magnitude(rows * self._seen)
+        return magnitude(rows * self._noise_map)
 
     @cached_property
-    def _seen(self) -> arb_mat:
+    def _noise_map(self) -> arb_mat:
         return self.held_map * self.gain
 
-    def bent(
+    def off_chord(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], noise: list[arb], error: list[arb]
     ) -> list[arb]:
         """Intersample bound of rows of the error, beside the chord of their bounds at nodes.
@@ -252,20 +246,20 @@ class Craft:
         are not counted in them.
         """
         inputs = absolute(self.gain) * column(noise) if noise else arb_mat(self.gain.nrows(), 1)
-        return self._bent(rows, rates, inputs, self.plant.push(error))
+        return self._off_chord(rows, rates, inputs, self.plant.push(error))
 
-    def always_bent(self, rows: arb_mat, rates: tuple[arb_mat, arb_mat]) -> list[arb]:
+    def off_chord_always(self, rows: arb_mat, rates: tuple[arb_mat, arb_mat]) -> list[arb]:
         """Intersample bound under all that is sampled, and all that pushes at every instant."""
-        inputs = absolute(self.gain * self.carry) * column(self.off)
+        inputs = absolute(self.gain * self.carry) * column(self.errors)
         for sample in self.samples:
             inputs += absolute(sample.push) * column(sample.size)
-        return self._bent(rows, rates, inputs, [*self.steady, *self.bits])
+        return self._off_chord(rows, rates, inputs, [*self.steady, *self.bits])
 
-    def _bent(
+    def _off_chord(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], inputs: arb_mat, pushes: list[InputSet]
     ) -> list[arb]:
         """Intersample bound under more inputs up to `inputs` (m, 1), constant over the period, and pushes."""
         motion, B = self.motion, self.plant.B
         terms = absolute(B) * inputs, absolute(self.plant.A * B) * inputs
-        intersample = RowIntersample(motion, rows).lesser_bow(rates[0] + terms[0], rates[1] + terms[1])
+        intersample = RowIntersample(motion, rows).least_bound(rates[0] + terms[0], rates[1] + terms[1])
         return sums(intersample, *(motion.push_curvature(rows, push) for push in pushes))

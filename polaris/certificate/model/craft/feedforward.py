@@ -56,7 +56,7 @@ class Feedforward:
         parts = []
         if self.settling.feedback_bound:
             if self.craft.lag:
-                lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(errors))]
+                lagged = [self.craft.lag_error_since(partial(self._most, k)) for k in range(len(errors))]
                 errors = [sums(*pair) for pair in zip(errors, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(commands)) for commands in self.commanded]
             parts.append((tightenings.thrust, [[x.upper() for x in each] for each in thrust], False))

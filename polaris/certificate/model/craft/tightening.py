@@ -38,8 +38,8 @@ class Tightening:
 
     craft: Craft
     settling: Settling
-    given: arb_mat  # rows of the error, shape (r, n), or of the loop state
-    upset: list[list[arb]] = field(default_factory=list)
+    full_rows: arb_mat  # rows of the error, shape (r, n), or of the loop state
+    fault: list[list[arb]] = field(default_factory=list)
     """Need of a fault that is isolated late by the end of the period after node l, once in a flight."""
 
     @property
@@ -50,12 +50,12 @@ class Tightening:
     @cached_property
     def rows(self) -> arb_mat:
         """Rows of the error, shape (r, n)."""
-        return part(self.given, self.motion.A.nrows())
+        return part(self.full_rows, self.motion.A.nrows())
 
     @cached_property
     def carried(self) -> list[arb_mat]:
         """``row F^l`` for l = 0 ... N + 1, each of shape (r, states)."""
-        rows = self.craft.whole(self.given)
+        rows = self.craft.whole(self.full_rows)
         return [rows * power for power in self.settling.powers]
 
     @cached_property
@@ -66,20 +66,20 @@ class Tightening:
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
-    def alike(self) -> tuple[list[int], list[int]]:
+    def kinds(self) -> tuple[list[int], list[int]]:
         """One row of each kind, equal or opposite ones being of a kind, and the kind of every row."""
-        first, pairs = kinds(self.given)
+        first, pairs = kinds(self.full_rows)
         return first, [kind for kind, _ in pairs]
 
     @cached_property
     def _stacked(self) -> arb_mat:
-        rows = self.craft.whole(rows_of(self.given, *self.alike[0]))
+        rows = self.craft.whole(rows_of(self.full_rows, *self.kinds[0]))
         return above(*(rows * power for power in self.settling.powers[:-1]))
 
     @cached_property
     def _steady(self) -> list[list[arb]]:
         """Tightening at node L by errors that do not depend on commands, L = 0 ... N + 1."""
-        first, which = self.alike
+        first, which = self.kinds
         responses = [[arb(0)] * len(first)]
         for gains in self._split(self.craft.varying.supports(self._stacked)):
             responses.append([x.upper() for x in sums(responses[-1], gains)])
@@ -89,7 +89,7 @@ class Tightening:
 
     def _constant(self, constants: arb_mat) -> list[list[arb]]:
         """Largest response so far at node L to constants, which may cancel, by kind of row."""
-        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), constants.ncols())
+        first, total = [arb(0)] * len(self.kinds[0]), arb_mat(len(self.kinds[0]), constants.ncols())
         bounds, gains = [first], (self._stacked * constants).tolist()
         for at in range(0, len(gains), len(first)):
             total = total + matrix(gains[at : at + len(first)])
@@ -98,7 +98,7 @@ class Tightening:
 
     def _by_lag(self, gains: arb_mat) -> Gains:
         """Gains of rows and lags, one over the other."""
-        return Gains([self._split(each) for each in gains.transpose().tolist()], self.alike[1])
+        return Gains([self._split(each) for each in gains.transpose().tolist()], self.kinds[1])
 
     @cached_property
     def thrust(self) -> Gains:
@@ -125,12 +125,12 @@ class Tightening:
             def before(lag: int, periods: int) -> list[arb]:
                 return limits[min(max(lag - periods + 1, 0), last + 1)]
 
-            parts.append(self.noise.summed([craft.lagged_since(partial(before, i)) for i in range(count)]))
+            parts.append(self.noise.summed([craft.lag_error_since(partial(before, i)) for i in range(count)]))
         return [[x.upper() for x in sums(*each)] for each in zip(*parts, strict=True)]
 
     def _split(self, stacked: list[arb]) -> list[list[arb]]:
         """Numbers for one row of each kind, of one lag after the other, as a list per lag."""
-        count = len(self.alike[0])
+        count = len(self.kinds[0])
         return [stacked[at : at + count] for at in range(0, len(stacked), count)]
 
     def tail_bound(self, box: arb_mat) -> list[arb]:
@@ -151,7 +151,7 @@ class Tightening:
         box = column(craft.supports(one))
         if first:
             box += craft.thrust_gains(one) * column(craft.plant.thruster_part(first))
-            box += craft.noise_gains(one) * column(craft.lagged(craft.plant.u_max))
+            box += craft.noise_gains(one) * column(craft.lag_error(craft.plant.u_max))
         return [x.upper() for x in sums(self.responses[-1], self.tail_bound(box))]
 
     @property
@@ -172,17 +172,17 @@ class Tightening:
         """Tightening without the handed state at node l = 0 ... N, and ever after; chords hold between."""
         craft, plant, feedback_bound = self.craft, self.craft.plant, self.settling.feedback_bound
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
-        bound = craft.always_bent(self.rows, rates)
+        bound = craft.off_chord_always(self.rows, rates)
         if feedback_bound:
             none = arb_mat(len(self.rates[0].peak), 1)
-            noise, error = craft.lagged(plant.u_max), plant.thruster_part(feedback_bound[0])
-            bound = sums(bound, craft.bent(self.rows, (none, none), noise, error))
-        return self._upset([sums(each, bound) for each in (*self.responses[:-1], self.settled_tightening)])
+            noise, error = craft.lag_error(plant.u_max), plant.thruster_part(feedback_bound[0])
+            bound = sums(bound, craft.off_chord(self.rows, (none, none), noise, error))
+        return self._faulted([sums(each, bound) for each in (*self.responses[:-1], self.settled_tightening)])
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
         """Tightening without the handed state at node l alone, l = 0 ... N, then at every later one."""
-        return self._upset([*self.responses[:-1], self.settled_tightening])
+        return self._faulted([*self.responses[:-1], self.settled_tightening])
 
     def response(self, sizes: list[list[arb]], noisy: bool) -> tuple[list[arb], list[arb]]:
         """Response to sizes of a channel, period by period: to those older than N periods, and between nodes.
@@ -195,16 +195,16 @@ class Tightening:
         first, last = (
             magnitude(column(sums(rate.always(worst), each.tail_bound(box)))) for each, rate in rates
         )
-        bound = self.craft.bent(self.rows, (first, last), worst if noisy else [], [] if noisy else worst)
+        bound = self.craft.off_chord(self.rows, (first, last), worst if noisy else [], [] if noisy else worst)
         return self.tail_bound(box), bound
 
-    def _upset(self, tightenings: list[list[arb]]) -> list[list[arb]]:
+    def _faulted(self, tightenings: list[list[arb]]) -> list[list[arb]]:
         return (
-            [sums(*each) for each in zip(tightenings, self.upset, strict=True)] if self.upset else tightenings
+            [sums(*each) for each in zip(tightenings, self.fault, strict=True)] if self.fault else tightenings
         )
 
     @cached_property
-    def forgotten(self) -> list[arb]:
+    def after_settling(self) -> list[arb]:
         """Need of any undisturbed state within ``z`` at the start after N periods."""
         each = (self.boxed(self.settling.z, lag) for lag in range(self.settling.periods))
         return [tightening * self.settling.c for tightening in maxima(*each)]
@@ -229,14 +229,14 @@ class Tightening:
         )
 
     @cached_property
-    def _most(self) -> arb_mat:
+    def _largest(self) -> arb_mat:
         """Largest need of a unit of each state in the first N periods."""
         return reduce(_larger, self._sizes[: self.settling.periods])
 
     def tightening_after_settling(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size after N periods."""
         first, later = self.settling.decayed(self.craft.lifted(size))
-        return list((self._most * (first + later)).entries())
+        return list((self._largest * (first + later)).entries())
 
     def tightening_at_any_time(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size at any time."""
@@ -258,7 +258,7 @@ class SetIntersample:
 
     tightenings: Tightening
     start: Zonotope
-    _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
+    _cache: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _start(self) -> Zonotope:
@@ -270,10 +270,10 @@ class SetIntersample:
 
     def _within(self, lag: int) -> list[arb]:
         """Bounds within the period after node l."""
-        if lag not in self._known:
+        if lag not in self._cache:
             rate = self._start.image(self.tightenings.rates[0].carried[lag])
-            self._known[lag] = self.tightenings.intersample.closer_intersample(rate)
-        return self._known[lag]
+            self._cache[lag] = self.tightenings.intersample.tight_intersample(rate)
+        return self._cache[lag]
 
 
 def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:

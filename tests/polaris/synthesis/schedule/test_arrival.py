@@ -164,7 +164,7 @@ def derived(forger):
     document = read(forger.run / CERTIFICATE)
     argument = Argument(document, Record())
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.ahead))
+    sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.merge_rows))
     tracker = Tracker.from_sets(document, argument.craft, [], sets)
     taken = spent(flown, document.steps * document.q, document.weights[: document.steps]) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
@@ -175,7 +175,7 @@ def derived(forger):
         held,
         taken,
         argument.controllers[0],
-        Merging(80, argument.n, argument.craft.ahead),
+        Merging(80, argument.n, argument.craft.merge_rows),
         flown,
     )
     return arrival, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]

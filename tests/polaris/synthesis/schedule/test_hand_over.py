@@ -196,7 +196,7 @@ def checker_tightenings(s, rows):
 def checked(s, rows):
     """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands."""
     tightenings = checker_tightenings(s, rows)
-    noise = tightenings.craft.noise(tightenings.craft.lagged(tightenings.craft.plant.u_max))
+    noise = tightenings.craft.noise(tightenings.craft.lag_error(tightenings.craft.plant.u_max))
     box = column([*carried_away(tightenings.craft.plant), *tightenings.craft.box])
     nodes = [(magnitude(rows) * box).entries() for rows in tightenings.carried[: AFTER + 1]]
     handed = [nodes, [tightenings.boxed(box, lag) for lag in range(AFTER + 1)]]
