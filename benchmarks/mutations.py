@@ -143,8 +143,8 @@ certificate/claims/recovery.py
 + pass
 ! certificate/test_recovery.py::test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too
 certificate/claims/arrival.py
-- delta_v = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
-+ delta_v = self.spent
+- delta_v = self.delta_v_until(node) if reached else self.cost + self.correcting(node)
++ delta_v = self.cost
 ! synthesis/schedule/test_arrival.py::test_what_s_corrects_after_t_is_part_of_the_velocity_change
 """  # noqa: E501
 """Of each defect a file of the package, a text that occurs once in it, what stands there instead, a test."""

@@ -43,19 +43,19 @@ MOST = 300  # nodes at which a distance is looked for that is claimed of none in
 class Arrival:
     """S along the tail.
 
-    `held` are sets that each hold all errors, at the last hand-over to S and at T; `spent` bounds the
+    `starts` are sets that each hold all errors, at the last hand-over to S and at T; `cost` bounds the
     velocity change until T [m/s].
     """
 
     flight: Continuation
-    held: tuple[HandOver, ...]
-    spent: arb
+    starts: tuple[HandOver, ...]
+    cost: arb
     controller: ControllerModel | None = None  # S, where it is flown on
     merging: Merging | None = None  # of the sets that it flies
     before: Sequence[FlownStep] = ()  # steps until T
-    _flown: list[FlownStep] = field(default_factory=list, repr=False)
+    _steps: list[FlownStep] = field(default_factory=list, repr=False)
     _until: dict[int, arb] = field(default_factory=dict, repr=False)
-    _apart: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
+    _by_spell: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
 
     @cached_property
@@ -92,7 +92,7 @@ class Arrival:
                     margin = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
                     require("goal", margin, f"{plain(distance)} m off, more than is tolerated")
                 self._drift(claim["drift_m_per_orbit"], node)
-                delta_v = self.delta_v_until(node) if reached else self.spent + self.correcting(node)
+                delta_v = self.delta_v_until(node) if reached else self.cost + self.correcting(node)
                 self.require_bound("velocity change", claim["delta_v_max_m_s"], delta_v)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
@@ -106,7 +106,7 @@ class Arrival:
         if claim["reached"] is True:
             delta_v, event = self.delta_v_until(self.node_at(claim["by_s"])), "the goal"
         else:
-            delta_v, event = self.spent, "T: the goal is not claimed to be reached"
+            delta_v, event = self.cost, "T: the goal is not claimed to be reached"
         text = f"{plain(delta_v)} m/s until {event}; the scenario allows {budget:g} m/s"
         require("schedule", budget - delta_v, text)
         return f"at most {text}"
@@ -155,13 +155,13 @@ class Arrival:
     def _likely(self, rows: WeightedRows, tightenings: Tightening, claim: dict[str, Any]) -> list[int]:
         """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
         limit, horizon = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
-        while horizon < self._last and not self.spent + self.correcting(horizon) > limit:
+        while horizon < self._last and not self.cost + self.correcting(horizon) > limit:
             horizon *= 2
         nodes = range(min(horizon, self._last) + 1)
-        count = bisect_right(nodes, limit, key=lambda node: self.spent + self.correcting(node))
+        count = bisect_right(nodes, limit, key=lambda node: self.cost + self.correcting(node))
 
         def near(node: int) -> float:
-            tightening = self.flight.tightening(tightenings, self.held, self._first + node)
+            tightening = self.flight.tightening(tightenings, self.starts, self._first + node)
             return float(rows.distance(sums(rows.over(self.state(node)), tightening)).mid())
 
         return sorted(nodes[: max(count, 1)], key=near)[:MOST]
@@ -175,22 +175,22 @@ class Arrival:
         """S from T on, for at least so many periods."""
         doc = self.document
         jump = diagonal(self.flight.jump.entries())
-        reached = self.held[-1].errors.plus(self.flight.tracker.craft.lifted(jump))
+        reached = self.starts[-1].errors.plus(self.flight.tracker.craft.lifted(jump))
         assert self.controller is not None and self.merging is not None
-        while len(self._flown) * doc.q < nodes:
-            k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
-            self._flown.append(enclose_step(self.controller, start, k, self.flight.path, None, self.merging))
-        return self._flown
+        while len(self._steps) * doc.q < nodes:
+            k, start = doc.steps + len(self._steps), self._steps[-1].end if self._steps else reached
+            self._steps.append(enclose_step(self.controller, start, k, self.flight.path, None, self.merging))
+        return self._steps
 
     def error_bounds(self, tightenings: Tightening, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
-        bounds = self.flight.tightening(tightenings, self.held, self._first + node)
+        bounds = self.flight.tightening(tightenings, self.starts, self._first + node)
         if self.controller is None or not self.document.feedback_bound or node == self._last:
             return bounds
-        pairs = zip(bounds, self._flown_at(tightenings.rows, node), strict=True)
+        pairs = zip(bounds, self._set_bounds(tightenings.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
 
-    def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
+    def _set_bounds(self, rows: arb_mat, node: int) -> list[arb]:
         """Bound errors along rows at a node after T by the sets that S flies then."""
         cell, place = divmod(node, self.document.q)
         step = self.fly_tail(node + 1)[cell]
@@ -226,13 +226,13 @@ class Arrival:
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T, each for itself [m/s]."""
         for node in range(len(self._summed) - 1, nodes):
-            impulse = self.flight.spent(self._commands, self.held, self._first + node)
+            impulse = self.flight.spent(self._commands, self.starts, self._first + node)
             self._summed.append(self._summed[-1] + impulse)
         steps = self.fly_tail(nodes)
-        for node in range(len(self._apart) - 1, nodes):
+        for node in range(len(self._by_spell) - 1, nodes):
             step, place = divmod(node, self.document.q)
-            self._apart.append(self._apart[-1] + steps[step].spells[place].spent)
-        return smallest([self._summed[nodes], self._apart[nodes]]) / self.document.mass
+            self._by_spell.append(self._by_spell[-1] + steps[step].spells[place].impulse)
+        return smallest([self._summed[nodes], self._by_spell[nodes]]) / self.document.mass
 
     def delta_v_until(self, node: int) -> arb:
         """Bound on the velocity change until a node after T [m/s]."""
@@ -242,14 +242,14 @@ class Arrival:
                 self.flight.tracker.craft.lifted(self.flight.jump),
             )
             arguments = self._first + node, self.document.weights, (self.document.steps, jump)
-            summed = self.spent + self.correcting(node)
+            summed = self.cost + self.correcting(node)
             combined = spent(steps, *arguments) / self.document.mass if self.document.weights else summed
             self._until[node] = smallest([summed, combined])
         return self._until[node]
 
     def max_commands(self, node: int) -> list[arb]:
         """Bound S's commands in the period after a node [N]."""
-        return self.flight.commanded(self._commands, self.held, self._first + node)
+        return self.flight.commanded(self._commands, self.starts, self._first + node)
 
     def tops_before(self, node: int) -> list[arb]:
         """Bound S's commands from a node long after T on, and those before that errors remember [N]."""
@@ -269,7 +269,7 @@ class Arrival:
     @cached_property
     def boxes(self) -> tuple[HandOver, ...]:
         """Boxes of states handed to S, at the last hand-over and at T."""
-        return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
+        return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.starts)
 
     @cached_property
     def _commands(self) -> Tightening:

@@ -57,7 +57,7 @@ class Corrections:
     @cached_property
     def mean(self) -> arb | None:
         """Bound on the thrust that answers to them on average [N], None if there is no bound."""
-        plant, storage = self.tracker.craft.plant, self._loop.lasting()
+        plant, storage = self.tracker.craft.plant, self._loop.storage()
         if storage is None or self._amplified is None:
             return None
         return storage.cost + plant.weighted(

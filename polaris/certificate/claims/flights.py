@@ -138,7 +138,7 @@ class ControllerModel:
         if kind == "neural":
             read, G = self.policy.reference_input(base, k, i)
             command = self.policy.command(z.image(craft.sees), read, beside(G, self.policy.reads * spread))
-            bounds = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
+            bounds = [smallest(pair) for pair in zip(tops, command.size, strict=True)]
             inputs = [InputSet.in_zonotope(plant.B, command.V)]
             return PeriodCommand(command.K * craft.sees, command.c - u, inputs, bounds)
         fit = self.document.fits[k] if kind == "black_box" else None
@@ -214,7 +214,7 @@ def enclose_step(
         spells.append(spell)
         end = period.ends(z)
         if departures is not None:
-            change = z.image(whole.M * period.F - whole.M).translate(whole.M * period.moved)
+            change = z.image(whole.M * period.F - whole.M).translate(whole.M * period.shift)
             extra = zip(*period.extra(unit, z, held=False), intersamples, strict=True)
             held_inputs = [whole.M * each for each in period.held]
             ends = z.through(whole), change.plus(*held_inputs), end.through(whole).plus(*held_inputs)

@@ -42,7 +42,7 @@ class _Check:
         return Tightening(tracker.craft, tracker.settling, above(one, -one))
 
     @cached_property
-    def off(self) -> list[arb]:
+    def errors(self) -> list[arb]:
         """Bounds on estimate errors at a node after T, twice, as the rows are."""
         doc = self.arrival.document
         errors = doc.known_to(doc.steps) or [0.0] * len(doc.A)
@@ -53,7 +53,7 @@ class _Check:
         n, spec = len(self.joint.center), self.joint
         along = (self.tightenings.rows * self.arrival.state(node)).entries()
         if spec.assured:
-            tightening = sums(tightening, [2 * x for x in self.off])
+            tightening = sums(tightening, [2 * x for x in self.errors])
         for i, (at, needed) in enumerate(zip(along, tightening, strict=True)):
             sign = 1 if i < n else -1
             clearance = sign * arb(spec.center[i % n]) + spec.half_widths[i % n] - at
@@ -66,7 +66,7 @@ class _Check:
 
     def run(self) -> str:
         doc, spec, flight = self.arrival.document, self.joint, self.arrival.flight
-        for half, go, off in zip(spec.half_widths, spec.go, self.off, strict=False):
+        for half, go, off in zip(spec.half_widths, spec.go, self.errors, strict=False):
             require("joint", arb(half) - off - go, "the GO box and errors of estimates exceed the start set")
             if not go > 0:
                 raise Rejected("joint", "the next leg's start set is too small for the estimate errors")
@@ -82,7 +82,7 @@ class _Check:
             if doc.horizon != "infinite":
                 raise Rejected("joint", "GO in later revolutions needs safety for all time")
             begin = doc.steps * doc.q + max(self.last, flight.tracker.settling.periods + 2) + 1
-            settled = sums(flight.tightening(self.tightenings, self.arrival.held, begin), self.bent * 2)
+            settled = sums(flight.tightening(self.tightenings, self.arrival.starts, begin), self.between * 2)
             for first, final in spec.later:
                 for node in range(first, final + 1):
                     self.inside(node, settled, f"in later turns, {node} periods after one begins")
@@ -92,7 +92,7 @@ class _Check:
         )
 
     @cached_property
-    def bent(self) -> list[arb]:
+    def between(self) -> list[arb]:
         """Bound how far the reference may leave its chord within a period of the tail, by state."""
         plant = self.arrival.flight.tracker.craft.plant
         A, n = plant.A, len(self.joint.center)

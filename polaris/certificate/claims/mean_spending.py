@@ -118,7 +118,7 @@ class MeanCommands:
             for row in rows
         ]
 
-    def lasting(self) -> LastingStorage | None:
+    def storage(self) -> LastingStorage | None:
         """Return a storage that lasts, if one is there."""
         r, b = self.sine
         for attempt in range(ATTEMPTS):
@@ -206,9 +206,9 @@ class WeightedPeriod:
         C = [s / x + y for s, x, y in zip(loop.spends, r, extra, strict=True)]
         self.F, self.enter, self.b, self.C = loop.F, loop.enter, diagonal(b), C
         self.feed, self.K = loop.feed, loop.K
-        self.known, self.turned = loop.feed.transpose() * scaled(C, loop.feed), loop.K.transpose()
-        self.met = loop.feed.transpose() * scaled(C, loop.K)
-        self.fed = self.turned * scaled(C, loop.K)
+        self.feed_cost, self.K_t = loop.feed.transpose() * scaled(C, loop.feed), loop.K.transpose()
+        self.cross_cost = loop.feed.transpose() * scaled(C, loop.K)
+        self.state_cost = self.K_t * scaled(C, loop.K)
         bits = [x * arb(bit) ** 2 for x, bit in zip(steady, loop.plant.bits or [0.0] * loop.m, strict=True)]
         weights = [arb(b[group[0]]) for group in loop.groups]
         costs = [s * x for s, x in zip(loop.spends, r, strict=True)]
@@ -216,13 +216,13 @@ class WeightedPeriod:
 
     def spare(self, P: arb_mat) -> arb_mat:
         """Return the matrix of weights of values, less the matrix by which values raise storage and cost."""
-        S = self.b - self.enter.transpose() * P * self.enter - self.known
+        S = self.b - self.enter.transpose() * P * self.enter - self.feed_cost
         return (S + S.transpose()) * 0.5
 
     def before(self, P: arb_mat) -> arb_mat:
         """Return the storage before the period."""
-        crossed = self.enter.transpose() * P * self.F - self.met
-        stored = self.F.transpose() * P * self.F + self.fed
+        crossed = self.enter.transpose() * P * self.F - self.cross_cost
+        stored = self.F.transpose() * P * self.F + self.state_cost
         return stored + crossed.transpose() * self.spare(P).solve(crossed)
 
     def storage(self) -> arb_mat | None:

@@ -41,7 +41,7 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], steps: list[FlownStep],
     takeovers, since = list[Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *steps[k].nodes, sets[k + 1]] if mode else [sets[since]]
-        step = sum((spell.spent for spell in steps[k].spells), arb(0)) / document.mass
+        step = sum((spell.impulse for spell in steps[k].spells), arb(0)) / document.mass
         if mode or k == since:  # in later steps S has taken over already
             hand_over = HandOver.within(widest(reached), k * document.q, k * document.q + len(reached) - 1)
         if way is not None:

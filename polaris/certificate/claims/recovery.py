@@ -93,7 +93,7 @@ class Recovery:
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[NodeLimit]] = {}
             for lag in range(self.lags(k) + 1):
-                fraction, needed, extra = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
+                fraction, needed, extra = self._share(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, clearance, whole = target.least
                     if not needed[which[row]][place] + extra[row] <= clearance - fraction * whole:
@@ -112,7 +112,7 @@ class Recovery:
         levels = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
         return self.limits.at_node(node + lag, first=lag == 0) + levels
 
-    def _of(self, share: float, node: int, lag: int) -> float:
+    def _share(self, share: float, node: int, lag: int) -> float:
         """Return the share claimed of limits some periods after a node: none of those flown on to."""
         return share if node + lag <= self.document.cells * self.document.q else 0.0
 
@@ -141,7 +141,7 @@ class Recovery:
         support = z.support(above(*(rows_of(tightenings.carried[lag], row) for lag, row in close)))
         bounds = above(*(rows_of(tightenings.curvature[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), reach, extra in zip(close.items(), support, bounds.entries(), strict=True):
-            disturbance, fraction = tightenings.disturbed[lag][row], self._of(share, k, lag)
+            disturbance, fraction = tightenings.disturbed[lag][row], self._share(share, k, lag)
             for target in targets:
                 tightening, clearance = reach + extra + disturbance, target.clearance
                 if not clearance - tightening >= fraction * target.whole:  # all of it can be had more exactly

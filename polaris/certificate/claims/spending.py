@@ -29,7 +29,7 @@ def spent(
         run = list(group)
         count = max(periods - run[0] * len(flights[0].spells), 0)
         spells = [spell for k in run for spell in flights[k].spells][:count]
-        bound = sum((spell.spent for spell in spells), arb(0))
+        bound = sum((spell.impulse for spell in spells), arb(0))
         if joint and spells:
             run_weights = [each for k in run if (each := padded[k]) is not None]
             run_jump = None if jump is None else (jump[0] - run[0], jump[1])

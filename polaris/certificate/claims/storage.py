@@ -52,12 +52,12 @@ class Storage:
         if pivots(spare) is None:
             raise Undecided("goal", "weights are too small to bound the delta-v")
         weighted = scaled(period.C, middle)
-        crossed = period.enter.transpose() * self.P * period.F - period.met
+        crossed = period.enter.transpose() * self.P * period.F - period.cross_cost
         entered = period.enter.transpose() * self.p + period.feed.transpose() * weighted
         solved = spare.solve(beside(crossed, entered))
         product = beside(crossed, entered).transpose() * solved
-        P = period.F.transpose() * self.P * period.F + period.fed + _part(product, 0, N, 0, N)
-        p = period.F.transpose() * self.p - period.turned * weighted + _part(product, 0, N, N, N + 1)
+        P = period.F.transpose() * self.P * period.F + period.state_cost + _part(product, 0, N, 0, N)
+        p = period.F.transpose() * self.p - period.K_t * weighted + _part(product, 0, N, N, N + 1)
         added = (middle.transpose() * weighted)[0, 0] + product[N, N]
         return _rounded(P, p, self.cost + period.cost + added / 2)
 

@@ -84,7 +84,7 @@ def _mean(arrival: Arrival, nodes: range, tops: list[arb]) -> tuple[arb, arb] | 
     plant = craft.plant
     errors = sums(craft.extra(doc, doc.steps), craft.lag_error(arrival.tops_before(nodes.start)))
     noise = craft.gain * craft.carry * diagonal(craft.missed(errors))
-    storage = MeanCommands(craft, plant.thruster_error(tops), noise).lasting()
+    storage = MeanCommands(craft, plant.thruster_error(tops), noise).storage()
     if storage is None:
         return None
     tightenings = Tightening(craft, arrival.flight.tracker.settling, storage.rows)
@@ -126,7 +126,7 @@ def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rat
     end = math.inf if lasts is None else lasts
     if T < end < claim["settled_s"]:
         raise Rejected("upkeep", f"the tank is claimed to last until {end:.6g} s, before S has settled")
-    delta_v = arrival.spent if end <= T else until
+    delta_v = arrival.cost if end <= T else until
     if lasts is None:
         require("upkeep", -rate, "the tank is claimed to last for ever")
     elif lasts > T:

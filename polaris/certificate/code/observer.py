@@ -52,20 +52,20 @@ class OnBoard:
         return arb(self.document.timing.get("delay", 0.0))
 
     @cached_property
-    def seen(self) -> arb_mat:
+    def output_map(self) -> arb_mat:
         """Return the map from the state predicted for now to the measured values."""
         assert self.document.observer is not None
         return matrix(self.document.observer["measures"]) * exponential(self.plant.A, -self.delay)[0]
 
     @cached_property
     def later(self) -> list[arb_mat]:
-        """Return the unmeasured effect, mapped by `seen`, of commands 1, 2, ... periods before."""
+        """Return the unmeasured effect, mapped by `output_map`, of commands 1, 2, ... periods before."""
         h, parts = self.plant.h, list[arb_mat]()
         count = ceil(float((self.delay / h).mid()) * (1 - WHOLE))
         for age in range(max(count, 1)):
             duration = self.delay - age * h  # may exceed the last period, by a share of `WHOLE`
             gain = exponential(self.plant.A, h if duration > h else duration)[1] * self.plant.B
-            parts.append(self.seen * exponential(self.plant.A, age * h)[0] * gain)
+            parts.append(self.output_map * exponential(self.plant.A, age * h)[0] * gain)
         return parts
 
     @cached_property
@@ -82,7 +82,7 @@ class OnBoard:
         if self.tables.rows or any(not fault.get("pushes") for fault in self.document.transients):
             raise Rejected("code", "an observer flies without a monitor and where navigation is not lost")
         transition, integral = exponential(self.plant.A, self.plant.h)
-        tables = {"held": [transition], "force": [integral * self.plant.B], "seen": [self.seen]}
+        tables = {"held": [transition], "force": [integral * self.plant.B], "seen": [self.output_map]}
         return tables | {"later": self.later, "updates": self.updates}
 
     def heard(self, reach: list[float]) -> list[float]:
@@ -91,7 +91,7 @@ class OnBoard:
         return [fsum(abs(x) * y for x, y in zip(row, reach, strict=True)) for row in rows]
 
     @cached_property
-    def _rounded(self) -> tuple[arb_mat, list[arb_mat]]:
+    def _rounding(self) -> tuple[arb_mat, list[arb_mat]]:
         """Bounds on the rounding of a prediction (n, 1), and of an update, by its kind."""
         tables, precision = self.tables, self.precision
         reach, limit, measured = (column(x) for x in (tables.range, tables.limit, tables.heard))
@@ -102,7 +102,7 @@ class OnBoard:
         wrong = magnitude(transition - exact) * reach + magnitude(force - integral * self.plant.B) * limit
         predicted = wrong + _lost(size, 0, precision, tables.held, tables.force) + least(n, n + m, precision)
         size = size + predicted
-        total, wrong = measured + magnitude(output_map) * size, magnitude(output_map - self.seen) * size
+        total, wrong = measured + magnitude(output_map) * size, magnitude(output_map - self.output_map) * size
         for stored, true in zip(map(matrix, tables.later), self.later, strict=True):
             total += magnitude(stored) * limit
             wrong += magnitude(stored - true) * limit
@@ -130,7 +130,7 @@ class OnBoard:
         loop = beside(state_map, above(arb_mat(n + m, count), identity(count)), arb_mat(n + sent * m, m))
         updates = []
         for update in self.updates:
-            rows = beside(identity(n) - update * self.seen, *(update * part for part in self.later))
+            rows = beside(identity(n) - update * self.output_map, *(update * part for part in self.later))
             updates.append(above(rows, beside(arb_mat(sent * m, n), identity(sent * m))))
         return loop, force, updates
 
@@ -143,7 +143,7 @@ class OnBoard:
         n, (loop, force, updates) = len(self.tables.range), self._maps
         differing = column([(arb(self.tables.rounding) + other_error) * (1 - CENTRE)] * force.ncols())
         state = above(identity(n), arb_mat(loop.nrows() - n, n))
-        (predicted, updated), ways = self._rounded, beside(state, force)
+        (predicted, updated), ways = self._rounding, beside(state, force)
         steps, sizes = [loop**age for age in range(len(updates) + 1)], above(predicted, differing)
         added, loops = list[tuple[arb_mat, arb_mat]](), list[arb_mat]()
         for kind, (Q, error) in enumerate(zip(updates, updated, strict=True), 1):

@@ -59,13 +59,13 @@ class DecisionBound:
         return row_maxima([column(u) for u in [*self.flight.document.inputs[:K], *self.tables.feed]])
 
     @cached_property
-    def off(self) -> arb_mat:
+    def rounding(self) -> arb_mat:
         """Bound on the change of the estimate error by rounding, (n, 1)."""
         flight = self.flight
         return gap_error(flight.document, self.tables, self.precision, flight.path)
 
     @cached_property
-    def hidden(self) -> arb_mat:
+    def unmeasured(self) -> arb_mat:
         """Generators of the loop state that the estimate hides: its error, and states the loop remembers.
 
         Shape (N, k). The states beside the error move by themselves, whatever flies, within `remembered`.
@@ -81,11 +81,11 @@ class DecisionBound:
 
     def start(self, share: int) -> arb_mat:
         """Size of the loop state where a decision may be for U, a share of the largest on board, (N, 1)."""
-        lifted = self.flight.tracker.craft.lifted(self.apart * share + self.off)
-        return magnitude(lifted + column(widths(self.hidden)))
+        lifted = self.flight.tracker.craft.lifted(self.error * share + self.rounding)
+        return magnitude(lifted + column(widths(self.unmeasured)))
 
     @property
-    def apart(self) -> arb_mat:
+    def error(self) -> arb_mat:
         """Largest computed error for which U may fly: its share of the table's is rounded, (n, 1)."""
         return column(self.tables.apart) * (1 + 4 * arb(UNIT[self.precision]))
 
@@ -137,7 +137,7 @@ class DecisionBound:
         for push in self.pushes:
             curvature = sums(curvature, along.motion.push_curvature(rows, push))
             last = sums(last, along.motion.push_gain(rows, push))
-        hidden = [widths(each * self.hidden) for each in (whole.M, whole.M * craft.free)]
+        hidden = [widths(each * self.unmeasured) for each in (whole.M, whole.M * craft.free)]
         firsts = [sums([both[i][row] for row, i in enumerate(which)], curvature) for both in intersamples]
         return [(sums(first, hidden[0]), sums(first, last, hidden[1])) for first in firsts]
 
@@ -148,7 +148,7 @@ class DecisionBound:
             return self.within[share][0]
         carried = tightenings.carried[lag - 1]
         terms = (
-            widths(carried * craft.free * self.hidden),
+            widths(carried * craft.free * self.unmeasured),
             (tightenings.curvature[lag - 1] * self.end(share)).entries(),
         )
         total = sums(row_sums(carried * self.added), *terms, tightenings.disturbed[lag - 1])
@@ -183,12 +183,12 @@ class DecisionBound:
         transition, force, loop = matrix(tables.held), matrix(tables.force), matrix(tables.loop)
         free, push, F = (rows_of(M, *range(n)) for M in (craft.free, craft.held_map, craft.F))
         free, F = part(free, n), part(F, n)
-        reach, feed = self.apart, row_maxima([column(u) for u in tables.feed])
+        reach, feed = self.error, row_maxima([column(u) for u in tables.feed])
         inputs = zip(tables.feed, self.flight.document.inputs, strict=False)
         wrong = row_maxima([column(u) - column(v) for u, v in inputs])
         first = magnitude(transition) * reach + magnitude(force) * feed
         rounded = first * rounding_factor(n + m, precision) + least(n, n + m, precision)
-        next_error = magnitude(free) * self.off + magnitude(transition - free) * reach
+        next_error = magnitude(free) * self.rounding + magnitude(transition - free) * reach
         next_error += magnitude(force - push) * feed + magnitude(push) * wrong + rounded
         loop_powers = tightenings.settling.powers[: len(tables.booked)]
         powers = [magnitude(part(rows_of(power, *range(n)), n)) for power in loop_powers]
@@ -200,7 +200,7 @@ class DecisionBound:
         )
         along += above(*(off_row for *_, off_row in self.stored))
         underflow = least(len(stored), n, precision)
-        losses, added = [spread[0] * self.off + along * reach + underflow], list[arb_mat]()
+        losses, added = [spread[0] * self.rounding + along * reach + underflow], list[arb_mat]()
         for lag in range(len(tables.booked) - 1):
             size, total = powers[lag] * (first + rounded), spread[lag] * next_error + underflow
             for age, error in enumerate(reversed(added)):  # rounded so many periods before

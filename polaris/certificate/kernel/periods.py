@@ -11,14 +11,14 @@ from .zonotopes import Directions, Zonotope
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion of a loop state z over one period: ``z+ = F z + moved``, and ``e' = rates z + g`` at its start.
+    """Motion of a loop state z over one period: ``z+ = F z + shift``, and ``e' = rates z + g`` at its start.
 
     Generators enclose what uncertain inputs that are `held`, and others, have `added` by its end; within it
     they push the error.
     """
 
     F: arb_mat
-    moved: arb_mat
+    shift: arb_mat
     rates: Directions
     g: arb_mat
     held: list[arb_mat]
@@ -34,7 +34,7 @@ class Period:
 
     def ends(self, z: Zonotope) -> Zonotope:
         """Return the set at the end of the period without uncertain inputs."""
-        return z.image(self.F).translate(self.moved)
+        return z.image(self.F).translate(self.shift)
 
     def next_set(self, end: Zonotope) -> Zonotope:
         """Return the set at the next node, from `ends`: the support of one along rows serves the other."""
@@ -60,7 +60,7 @@ class Period:
 class Spell:
     """The thrust in one period of a controller."""
 
-    spent: arb  # bound on its integral over the period, in the 1-norm
+    impulse: arb  # bound on its integral over the period, in the 1-norm
     middle: arb_mat  # commanded in the middle of the set, (m, 1)
     bounds: list[arb]  # on the commands
     K: arb_mat  # the command is ``middle + K y + v`` at a loop state y from the middle of the set

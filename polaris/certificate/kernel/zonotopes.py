@@ -89,17 +89,17 @@ class Zonotope:
     """A zonotope."""
 
     c: arb_mat  # centre, shape (n, 1)
-    of: arb_mat | Generators  # one per column, shape (n, g)
+    generators: arb_mat | Generators  # one per column, shape (n, g)
 
     @property
     def G(self) -> arb_mat:
         """Return the generators, shape (n, g)."""
-        return self._made.G
+        return self._generators.G
 
     @property
     def parts(self) -> list[arb_mat]:
         """Return the generators as they are kept, matrices side by side."""
-        return self._made.matrices
+        return self._generators.matrices
 
     @property
     def count(self) -> int:
@@ -108,23 +108,23 @@ class Zonotope:
 
     def image(self, M: arb_mat) -> Zonotope:
         """Return the set mapped by a matrix."""
-        return Zonotope(M * self.c, self._made.mapped(M))
+        return Zonotope(M * self.c, self._generators.mapped(M))
 
     def through(self, rows: Directions) -> Zonotope:
         """Return the set mapped by rows; the image is kept for this set, moved or grown."""
-        return Zonotope(rows.M * self.c, self._made.image(rows))
+        return Zonotope(rows.M * self.c, self._generators.image(rows))
 
     @cached_property
-    def _made(self) -> Generators:
-        return self.of if isinstance(self.of, Generators) else Generators(self.of)
+    def _generators(self) -> Generators:
+        return self.generators if isinstance(self.generators, Generators) else Generators(self.generators)
 
     def translate(self, v: arb_mat) -> Zonotope:
         """Return the set moved by a vector (n, 1)."""
-        return Zonotope(self.c + v, self._made)
+        return Zonotope(self.c + v, self._generators)
 
     def plus(self, *generators: arb_mat) -> Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
-        return Zonotope(self.c, Generators(self._made, *generators))
+        return Zonotope(self.c, Generators(self._generators, *generators))
 
     def spread(self, rows: arb_mat) -> list[arb]:
         """Bound how far ``row x`` may be from its value at the centre."""
@@ -132,12 +132,12 @@ class Zonotope:
 
     def support(self, rows: arb_mat) -> list[arb]:
         """``max row x`` over the set, for every row, from above."""
-        return sums((rows * self.c).entries(), self._made.mapped(rows).widths)
+        return sums((rows * self.c).entries(), self._generators.mapped(rows).widths)
 
     @property
     def widths(self) -> list[arb]:
         """Return the largest distance of every coordinate from the centre's."""
-        return self._made.widths
+        return self._generators.widths
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""

@@ -46,7 +46,7 @@ class CommandBound:
     K: arb_mat
     c: arb_mat
     V: arb_mat
-    most: list[arb]
+    size: list[arb]
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Corrections:
     @cached_property
     def mean(self) -> float | None:
         """Bound on the thrust that answers to them on average [N], None if there is no bound."""
-        storage, system = self._inputs.lasting(), self.tracking.system
+        storage, system = self._inputs.storage(), self.tracking.system
         if storage is None or self._amplified is None:
             return None
         return storage[1] + float(np.sum(system.weights * system.on_time.bit))

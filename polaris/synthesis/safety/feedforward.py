@@ -35,8 +35,8 @@ class Feedforward:
     def __init__(self, tracking: Tracking, reference: Reference, planned: int) -> None:
         self.tracking, self.planned = tracking, planned
         self.constant = planned + (reference.cells - planned) // 2  # cell from which bounds do not change
-        self.off = errors_by_cell(tracking.step_errors, reference.cells, planned)
-        self.nu = np.abs(reference.nu) + self.off @ np.abs(tracking.gain).T
+        self.excess = errors_by_cell(tracking.step_errors, reference.cells, planned)
+        self.nu = np.abs(reference.nu) + self.excess @ np.abs(tracking.gain).T
 
     @cached_property
     def commanded(self) -> Array:
@@ -65,7 +65,7 @@ class Feedforward:
 
     def _effects(self, rows: Array) -> Effects:
         tracking, n = self.tracking, self.tracking.system.n
-        channels = [Channel("steps", np.zeros(n), noise=np.eye(n))] * bool(np.any(self.off))
+        channels = [Channel("steps", np.zeros(n), noise=np.eye(n))] * bool(np.any(self.excess))
         if tracking.feedback_bound is not None:
             channels += [channel for channel in tracking.tightening.closed.loop.channels if channel.share]
         return [(channel, tracking.response(channel, rows)) for channel in channels]
@@ -89,7 +89,7 @@ class Feedforward:
     def _sizes(self, channel: Channel, commanded: Array) -> Array:
         """Sizes of a channel in every cell, under commands of as many periods as it remembers."""
         if channel.share is None:
-            return self.off
+            return self.excess
         before = commanded.copy()
         for i in range(1, -(-channel.lag // self.tracking.feedback.nodes_per_cell) + 1):
             before[i:] = np.maximum(before[i:], commanded[:-i])

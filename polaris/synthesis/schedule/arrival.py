@@ -243,7 +243,7 @@ class Tail(Nearness):
         alone, rounding = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
         limits = most, self.commanded_before(nodes)
         closed = tracking.tightening.closed
-        storage = Inputs.from_loop(closed, system, limits, tracking.step_errors[-1], rounding).lasting()
+        storage = Inputs.from_loop(closed, system, limits, tracking.step_errors[-1], rounding).storage()
         if storage is None:
             return alone, 0.0
         rows, cost = storage

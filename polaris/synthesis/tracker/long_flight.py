@@ -237,7 +237,7 @@ class Inputs:
             return None
         return Storage((P + P.T) / 2, h[:N] + both[:N, N], after.cost + float(cost + both[N, N]) / 2)
 
-    def lasting(self) -> tuple[Array, float] | None:
+    def storage(self) -> tuple[Array, float] | None:
         """Return rows whose sum of squares is twice a storage that lasts, and the cost of a period [N]."""
         r, b = self.worst
         for attempt in range(ATTEMPTS):

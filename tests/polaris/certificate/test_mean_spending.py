@@ -102,7 +102,7 @@ def bounds(s):
     one = identity(commands.F.nrows())
     both = Tightening(tightenings.craft, tightenings.settling, above(one, -one)).peak
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
-    lasting = commands.lasting()
+    lasting = commands.storage()
     once = sum((x * x for x in (magnitude(lasting.rows) * box).entries()), arb(0)) / 2
     weights, limits = (np.array([float(x) for x in each]) for each in (commands.spends, tops))
     return float(lasting.cost), float(once), weights, limits
@@ -139,9 +139,9 @@ def test_synthesis_and_checker_find_a_storage_that_costs_as_much(case):
     limits = np.array([float(x) for x in tops])
     within, rounding = (limits, s.system.u_max), np.zeros(s.system.n)
     inputs = Inputs.from_loop(s.tightening.closed, s.system, within, s.step_errors[-1], rounding)
-    _, cost = inputs.lasting()
-    assert 0.97 * cost < float(commands.lasting().cost) <= cost
-    assert replace(inputs, F=1.05 * np.eye(len(inputs.F))).lasting() is None, "it would run away"
+    _, cost = inputs.storage()
+    assert 0.97 * cost < float(commands.storage().cost) <= cost
+    assert replace(inputs, F=1.05 * np.eye(len(inputs.F))).storage() is None, "it would run away"
     flights = np.random.default_rng(0).uniform(-1, 1, (4, 300, len(inputs.group)))
     for values in flights:  # whatever enters, the storage pays: all values at their bounds, thrusters exact
         z, spent = np.zeros(len(inputs.F)), 0.0

@@ -231,7 +231,7 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, name, precisi
             missing = unseen < len(tables.updates) - 1 and rng.random() < 0.3
             if node:
                 z = held * z + force * sent[0]
-                off = column(y.tolist()) - exact.seen * z
+                off = column(y.tolist()) - exact.output_map * z
                 off = off + sum((M * u for M, u in zip(exact.later, sent, strict=True)), 0 * off)
                 z, unseen = (z, unseen + 1) if missing else (z + exact.updates[unseen] * off, 0)
                 z = column([one.mid() for one in z.entries()])  # balls would grow

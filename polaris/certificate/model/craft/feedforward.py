@@ -30,9 +30,9 @@ class Feedforward:
     def __init__(self, document: Document, craft: Craft, settling: Settling, path: Path) -> None:
         self.craft, self.settling, self.planned = craft, settling, min(path.planned, len(path.arcs))
         self.constant = self.planned + (len(path.arcs) - self.planned) // 2  # bounds do not change from it on
-        self.off = [craft.extra(document, k) for k in range(len(path.arcs))]
+        self.excess = [craft.extra(document, k) for k in range(len(path.arcs))]
         gain, plant = absolute(craft.gain), craft.plant
-        noise = [(gain * column(errors)).entries() for errors in self.off]
+        noise = [(gain * column(errors)).entries() for errors in self.excess]
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
         self.commanded, tightenings = nu, Tightening(craft, settling, craft.commands)
@@ -52,11 +52,11 @@ class Feedforward:
 
     def response(self, tightenings: Tightening, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
-        plant, q, errors = self.craft.plant, self.craft.plant.q, self.off
+        plant, q, errors = self.craft.plant, self.craft.plant.q, self.excess
         parts = []
         if self.settling.feedback_bound:
             if self.craft.lag:
-                lagged = [self.craft.lag_error_since(partial(self._most, k)) for k in range(len(errors))]
+                lagged = [self.craft.lag_error_since(partial(self._largest, k)) for k in range(len(errors))]
                 errors = [sums(*pair) for pair in zip(errors, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(commands)) for commands in self.commanded]
             parts.append((tightenings.thrust, [[x.upper() for x in each] for each in thrust], False))
@@ -82,7 +82,7 @@ class Feedforward:
         ends = [part[i : i + q + 1] for part in (by_node[: T + 1], tail) for i in range(0, len(part) - 1, q)]
         return [[sums(each, total) for each in nodes] for nodes in ends]
 
-    def _most(self, k: int, periods: int) -> list[arb]:
+    def _largest(self, k: int, periods: int) -> list[arb]:
         """Bound commands in a step, and in so many periods before it."""
         return self._clipped(maxima(*self.commanded[max(k - ceil(periods / self.craft.plant.q), 0) : k + 1]))
 

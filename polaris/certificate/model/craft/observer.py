@@ -57,8 +57,8 @@ class ObserverErrors:
     part: Motion  # of a part of a period
     pushes: list[InputSet]
     powers: list[arb_mat] = field(default_factory=list)
-    turned: list[list[arb_mat]] = field(default_factory=list)  # by age and kind, of an error before
-    come: list[list[list[Bounds]]] = field(default_factory=list)  # by age, kind and source
+    older: list[list[arb_mat]] = field(default_factory=list)  # by age and kind, of an error before
+    added: list[list[list[Bounds]]] = field(default_factory=list)  # by age, kind and source
 
     @classmethod
     def from_document(cls, document: Document, plant: Plant) -> "ObserverErrors":
@@ -93,23 +93,23 @@ class ObserverErrors:
             self.powers.append(self.powers[-1] * self.loop)
         return self.powers[age]
 
-    def _known(self, age: int) -> None:
+    def _extend(self, age: int) -> None:
         """Compute the errors that updates up to so many periods ago add."""
-        for at in range(len(self.come), age + 1):
+        for at in range(len(self.added), age + 1):
             power, errors = self.error_map(at), list[list[Bounds]]()
-            self.turned.append([magnitude(power * update.other) for update in self.updates])
+            self.older.append([magnitude(power * update.other) for update in self.updates])
             for update in self.updates:
                 rows, count = power * update.rest, PARTS * update.periods
                 disturbed, _ = self.part.gains_over(rows, self.pushes, count)
                 fixed = sums((magnitude(power * update.gain) * self.noisy).entries(), disturbed)
                 units = self.part.unit_gains(rows, count).transpose().tolist()
                 errors.append([[x.upper() for x in each] for each in (fixed, *units)])
-            self.come.append(errors)
+            self.added.append(errors)
 
     def adds(self, age: int, kind: int, source: int | None) -> Bounds:
         """Bound the error that an update adds so many periods later."""
-        self._known(age)
-        return [arb(0)] * self.loop.nrows() if source is None else self.come[age][kind][source]
+        self._extend(age)
+        return [arb(0)] * self.loop.nrows() if source is None else self.added[age][kind][source]
 
     def require(self, bounds: Bounds, source: int) -> None:
         """Check that errors by a source stay within bounds, by every pattern of updates.
@@ -129,7 +129,7 @@ class ObserverErrors:
                 require("system", x, f"error of the observer's state {i}: {bounds[i]}")
             for kind, update in enumerate(self.updates):
                 to, adds = age + update.periods, self.adds(age, kind, source)
-                carried = (self.turned[age][kind] * box).entries()
+                carried = (self.older[age][kind] * box).entries()
                 errors[to] = maxima(errors[to], [x.upper() for x in sums(errors[age], adds, carried)])
             older = (magnitude(self.error_map(age + 1)) * box).entries()
             slacks = spare(age + 1, older)
@@ -144,15 +144,15 @@ class ObserverErrors:
     def bounds_after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
         """Bounds so many periods after errors were within `first`, just after an update, by every pattern."""
         n, bounds = len(first), [column(first)]
-        self._known(periods)
+        self._extend(periods)
         for age in range(1, periods + 1):
             errors = [arb_mat(n, 1)] * (age + 1)
             for at in range(age):
                 for kind, update in enumerate(self.updates[: age - at]):
                     to = at + update.periods
-                    total = errors[at] + self.turned[at][kind] * bounds[age - to] if kind else errors[at]
+                    total = errors[at] + self.older[at][kind] * bounds[age - to] if kind else errors[at]
                     if source is not None:
-                        total = total + column(self.come[at][kind][source])
+                        total = total + column(self.added[at][kind][source])
                     errors[to] = total if at == 0 else column(maxima(errors[to].entries(), total.entries()))
             initial = magnitude(self.error_map(age)) * bounds[0]
             bounds.append(column([x.upper() for x in (errors[age] + initial).entries()]))
@@ -177,7 +177,7 @@ class ObserverErrors:
         full = column(plant.thruster_part(plant.u_max)[: plant.B.ncols()])
         if "by_age" not in observer:
             pushes = plant.disturbances(plant.thruster_error(plant.u_max))
-            replace(self, pushes=pushes, come=[], turned=[]).require(settled, 0)
+            replace(self, pushes=pushes, added=[], older=[]).require(settled, 0)
             return settled
         ages, by_age = observer["ages"], [matrix(each) for each in observer["by_age"]]
         valid = all(b - a >= 1 + self.late * (a == 0) for a, b in pairwise(ages))

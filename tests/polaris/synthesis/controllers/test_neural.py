@@ -197,7 +197,7 @@ def test_the_checker_encloses_what_a_network_commands(error):
             for i in range(2):
                 clearance = sum((abs(v) for v in enclosed.V.tolist()[i]), arb(0))
                 assert abs(u[i] - left[i, 0]) <= clearance + 1e-12
-                assert abs(u[i]) <= enclosed.most[i] + 1e-12
+                assert abs(u[i]) <= enclosed.size[i] + 1e-12
 
 
 def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():

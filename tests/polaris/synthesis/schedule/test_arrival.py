@@ -149,7 +149,7 @@ def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     arrival, _, _ = derived(forgers("reached"))
     document = arrival.document
     nodes = 2 * document.q
-    arrival._apart.extend([arb(1e9)] * nodes)  # S's sets are flown once, about the path as it was
+    arrival._by_spell.extend([arb(1e9)] * nodes)  # S's sets are flown once, about the path as it was
     coasting = float(arrival.correcting(nodes).mid())
     assert document.cells >= document.steps + 2
     document.inputs[document.steps] = [0.05, 0.0]
@@ -231,7 +231,7 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
 def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
     arrival, goal, spec = judged("reached")
     later = {"by_s": goal["by_s"] + arrival.document.delta, "distance_m": goal["tolerance_m"]}
-    exact = arrival.spent, arrival.delta_v_until(arrival.node_at(later["by_s"]))
+    exact = arrival.cost, arrival.delta_v_until(arrival.node_at(later["by_s"]))
     without, until = (float(x.upper()) * (1 + 1e-5) / (1 + TOLD_SLACK) for x in exact)
     arrival.check(goal | later | {"delta_v_max_m_s": until}, spec)
     with pytest.raises(Rejected, match="velocity change"):
