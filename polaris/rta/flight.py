@@ -201,14 +201,14 @@ class Engine(Integrator):
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
             self.rows = chosen = flying == mode
-            remainder, self.left = self.left, None if self.left is None else self.left[chosen]
+            remainder, self.rest = self.rest, None if self.rest is None else self.rest[chosen]
             if (faults := self.faults) is not None:
                 self.faults = replace(faults.pick(chosen), gap=faults.gap[chosen])
             parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
             for target, part in zip(out, parts, strict=True):
                 target[chosen] = part
             if remainder is not None:
-                remainder[chosen], self.left = self.left, remainder
+                remainder[chosen], self.rest = self.rest, remainder
             if faults is not None and self.faults is not None:
                 faults.gap[chosen], self.faults = self.faults.gap, faults
         self.rows = slice(None)

@@ -141,15 +141,15 @@ class TrainingFlights:
         u = np.where(finite[:, None], u, 0.0)
         distance, impulse = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         rows, offsets, _ = grid.facets
-        self.engine.left = self._owed[chosen] if grid.system.timing.carried_impulse else None
+        self.engine.rest = self._owed[chosen] if grid.system.timing.carried_impulse else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
             impulse += thrust * self.engine.dt
             clearance = x @ rows.T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(clearance))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
-        if self.engine.left is not None:
-            self._owed[chosen] = self.engine.left
+        if self.engine.rest is not None:
+            self._owed[chosen] = self.engine.rest
         offset = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
         near = 1 / (1 + np.linalg.norm(offset, axis=1) / self._length)
         value = near - self.effort * impulse / (grid.period * grid.system.u_max.sum())

@@ -27,7 +27,7 @@ class Predicting(Integrator):
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
     late: Array | None  # by how many steps a command comes late, (nodes, R), where that is drawn
-    off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
+    error_share: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
     filtered: Array  # an observer's estimates, (R, n), since how many periods without a measurement, (R,)
     since: NDArray[np.int_]
     measured: int  # and of which step they are
@@ -48,7 +48,7 @@ class Predicting(Integrator):
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
         system, timing, self.thrusters = self.system, self.system.timing, self.system.on_time
         nodes = len(self.modes) * self.q
-        self.lag, self.off = round(timing.delay / self.dt), np.zeros(system.n)
+        self.lag, self.error_share = round(timing.delay / self.dt), np.zeros(system.n)
         self.drawn, each = rng is not None, np.arange(nodes)[:, None] % (timing.missed + 1)
         lost = each > 0 if rng is None else rng.random((nodes, runs)) < 0.5
         self.ages = np.zeros((nodes, runs))
@@ -56,12 +56,12 @@ class Predicting(Integrator):
             older = self.ages[node - 1] + 1
             self.ages[node] = np.where(lost[node] & (older <= timing.missed), older, 0)
         # Every instant's measurement, and what is commanded from then on.
-        self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
+        self.readings, self.sent = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
         self.late = None if rng is None else rng.choice([0.0, timing.jitter / self.dt], (nodes, runs))
         self.noise = self._noise() / np.maximum(self.estimate_bounds, 1e-300)
         self.measured = -1
 
-    def known_to(self, system: Craft) -> Array:
+    def error_bounds(self, system: Craft) -> Array:
         """Bounds on the errors of predictions in a step under any earlier commands, shape (n,)."""
         return system.navigation
 
@@ -80,7 +80,7 @@ class Predicting(Integrator):
             noise = np.minimum(noise, slack[used])
         return np.asarray(noise)
 
-    def _begun(self, step: int, since: int) -> Array | float:
+    def _start_error(self, step: int, since: int) -> Array | float:
         """Error of an observer's estimate in a step, (R, n), carried from `since` to the start if earlier."""
         observer, A, h = self.system.observer, self.system.A, self.dt * self.substeps
         if self.eta is None or observer is None:
@@ -97,8 +97,8 @@ class Predicting(Integrator):
         """Return an observer's estimates of the start, in a step whose measurement was made before it."""
         observer, carried = self.system.observer, expm(self.system.A * start * self.dt)
         assert observer is not None
-        self.heard = self.seen[0] @ (observer.measures @ carried).T
-        return np.asarray(self.seen[0] + self._begun(step, start))
+        self.sample = self.readings[0] @ (observer.measures @ carried).T
+        return np.asarray(self.readings[0] + self._start_error(step, start))
 
     def _observed(self, step: int, start: int) -> Array:
         """Return an observer's estimates (R, n) in a step from all it has measured up to `start`."""
@@ -106,14 +106,14 @@ class Predicting(Integrator):
         assert observer is not None
         if self.measured < 0:
             before = self.substeps if step else 0
-            self.filtered = self.seen[0] + self._begun(step - before, start - before)
-            self.measured, self.since = start - before, np.zeros(len(self.seen[0]), dtype=int)
+            self.filtered = self.readings[0] + self._start_error(step - before, start - before)
+            self.measured, self.since = start - before, np.zeros(len(self.readings[0]), dtype=int)
         gains = np.array([observer.gain, *observer.after])
         while self.measured < start:
             for at in range(max(self.measured, 0), self.measured + self.substeps):
-                self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
+                self.filtered = self.filtered @ Ad.T + self.sent[at] @ Bd.T
             self.measured += self.substeps
-            innovation = (self.seen[self.measured] - self.filtered) @ observer.measures.T
+            innovation = (self.readings[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None and self.measured > 0:  # exact before, see `_begun`
                 used = min(self.measured + self.lag, self.steps - 1)
                 signs, first = (np.sign(self.eta[at] @ observer.measures.T) for at in (used, 0))
@@ -121,11 +121,11 @@ class Predicting(Integrator):
                 if (sights := self.system.sights) is not None:  # which turn, whatever is constant of the rest
                     box[:3] = sights[min(at // self.steps_per_cell, len(sights) - 1), 2:]
                 innovation = innovation + observer.errors(signs, first) - box * signs
-                innovation = innovation + self.turned(at, self.seen[self.measured], box * signs, box)
+                innovation = innovation + self.sensed(at, self.readings[self.measured], box * signs, box)
             missing = (self.ages[(self.measured + self.lag) // self.substeps] > 0) & (self.measured > 0)
             if self.faults is not None:
                 missing |= self.faults.missing(np.full(len(missing), self.measured))
-            self.heard = np.where(missing[:, None], np.nan, innovation + self.filtered @ observer.measures.T)
+            self.sample = np.where(missing[:, None], np.nan, innovation + self.filtered @ observer.measures.T)
             gain = gains[np.minimum(self.since, len(gains) - 1)]
             update = np.einsum("rnm,rm->rn", gain, innovation)
             self.filtered = self.filtered + np.where(missing[:, None], 0.0, update)
@@ -134,7 +134,7 @@ class Predicting(Integrator):
 
     def estimate(self, step: int, x: Array) -> Array:
         """Return the state as it is predicted from the last measurement under the commands since."""
-        self.seen[step] = x
+        self.readings[step] = x
         predicted, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.estimate_bounds[step, 0] + self.system.state_offset_at_nodes, 1e-300)
         Ad, Bd, _ = self.discrete
@@ -151,20 +151,20 @@ class Predicting(Integrator):
             elif start < 0:
                 continue
             else:
-                y = self.seen[start, runs]
+                y = self.readings[start, runs]
                 if self.eta is not None:
                     miss = self.noise[start] * self.eta[start, runs]
-                    y = y + self.turned(start, y, miss, self.noise[start, 0] * self.estimate_bounds[start, 0])
+                    y = y + self.sensed(start, y, miss, self.noise[start, 0] * self.estimate_bounds[start, 0])
             for at in range(max(start, 0), step):
-                y = y @ Ad.T + self.told[at, runs] @ Bd.T
+                y = y @ Ad.T + self.sent[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound
-            self.off = np.maximum(self.off, np.max(within, axis=0, initial=0.0))
+            self.error_share = np.maximum(self.error_share, np.max(within, axis=0, initial=0.0))
             predicted[runs] = y
         return np.asarray(predicted)
 
     def applied(self, raw: Array, step: int) -> Array:
         """Return the inputs made of commands, which are noted for predictions, too."""
-        self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
+        self.sent[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 
     def lateness(self, step: int) -> Array:
@@ -175,7 +175,7 @@ class Predicting(Integrator):
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States a step later, with the measurement at its start noted."""
         at = k * self.steps_per_cell + step
-        self.seen[at] = x[:, : self.system.n]
+        self.readings[at] = x[:, : self.system.n]
         return super().move(k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:

@@ -213,7 +213,7 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
         fit = getattr(flight.schedule.steps[k].tube, "fit", None)
         return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2]), x[:, :0]
     assert isinstance(law, NeuralController)
-    reference = flight.own.get(number, flight.safe)[k, place - place % flight.substeps]
+    reference = flight.paths.get(number, flight.safe)[k, place - place % flight.substeps]
     passed = place // flight.substeps * law.tracking.flow.h
     free = np.abs(law.command(k, reference, reference, x, passed)) < flight.system.u_max
     back = law.pullback(k, reference, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)

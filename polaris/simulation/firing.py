@@ -29,7 +29,7 @@ class Firing:
     of commands are constant in a flight those of the first step follow (`Thrusters.matrices`). Of N thrusters
     that push along the rows of `ways` (N, m), those of a layout or else one both ways along every input,
     pulses have the thrust `fired` (N,); without any, what is commanded is held. From `begin` on, the rest of
-    an impulse is `left` (R, N) [N s] if it is carried. Faults are `faults`.
+    an impulse is `rest` (R, N) [N s] if it is carried. Faults are `faults`.
 
     With jitter and pulses `parts` are (forces (R, .), inputs that a unit of each makes (., m), begin and end
     as shares of the period (R, .)). Forces that are held add to the inputs, pulses are all that is made. A
@@ -38,13 +38,13 @@ class Firing:
 
     system: Craft
     thrusters: Thrusters
-    asked: Array  # of each thruster without errors, (R, N)
+    forces: Array  # of each thruster without errors, (R, N)
     dt: float
     substeps: int
     thrust: Array | None = None
     faults: FaultTimes | None = None
-    left: Array | None = None
-    made: Array  # inputs, what fails apart, (R, m)
+    rest: Array | None = None
+    inputs: Array  # inputs, what fails apart, (R, m)
     before: Array  # those of the last period
     parts: list[tuple[Array, Array, Array, Array]]
 
@@ -64,7 +64,7 @@ class Firing:
 
     def begin(self, runs: int) -> None:
         """Leave nothing of impulses."""
-        self.left = np.zeros((runs, len(self.ways))) if self.system.timing.carried_impulse else None
+        self.rest = np.zeros((runs, len(self.ways))) if self.system.timing.carried_impulse else None
         self.parts, self.before = [], np.zeros((runs, self.system.m))
 
     def applied(self, raw: Array, step: int) -> Array:
@@ -72,19 +72,19 @@ class Firing:
         commanded = np.clip(raw, -self.system.u_max, self.system.u_max)
         layout, timing, full = self.system.nozzles, self.system.timing, self.system.u_max
         f = commanded if layout is None else thrusts_of(layout.allocation, commanded)
-        if self.left is not None:
+        if self.rest is not None:
             bit, full = (
                 (timing.carried_impulse, full) if layout is None else (layout.bit, layout.allocation.limits)
             )
             h = self.dt * self.substeps
-            due = f * h + self.left
+            due = f * h + self.rest
             impulse = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
             impulse = np.where(impulse > 0, np.abs(due), 0.0) if timing.fine else impulse
             f = np.sign(due) * np.minimum(impulse / h, full)
-            self.left = due - f * h
-        self.asked, ideal = f, f @ self.ways
-        self.made = ideal if self.thrust is None else ideal + self._wrong(self.thrust, step, commanded, ideal)
-        return self.made if self.faults is None else self.made + self.faults.added(ideal, step)
+            self.rest = due - f * h
+        self.forces, base = f, f @ self.ways
+        self.inputs = base if self.thrust is None else base + self._wrong(self.thrust, step, commanded, base)
+        return self.inputs if self.faults is None else self.inputs + self.faults.added(base, step)
 
     def _wrong(self, thrust: Array, step: int, commanded: Array, inputs: Array) -> Array:
         """Return the errors of thrust in a step, by the commanded and the made thrust, (R, m)."""
@@ -103,23 +103,23 @@ class Firing:
         if (layout := self.system.nozzles) is None:
             return np.asarray(np.abs(u).sum(axis=1))
         return np.asarray(
-            np.abs(self.asked) @ layout.allocation.lengths + np.abs(u - self.asked @ self.ways).sum(axis=1)
+            np.abs(self.forces) @ layout.allocation.lengths + np.abs(u - self.forces @ self.ways).sum(axis=1)
         )
 
     def start(self, step: int) -> None:
         """Note when thrust made in the period that begins with a step, and before, is in force."""
-        late, last = np.zeros((len(self.made), 1)), self.parts
+        late, last = np.zeros((len(self.inputs), 1)), self.parts
         if self.jitter > 0:
-            late, previous, self.before = self.lateness(step), self.before, self.made
-            self.parts = [(previous - self.made, np.eye(self.system.m), 0 * late, late)]
+            late, previous, self.before = self.lateness(step), self.before, self.inputs
+            self.parts = [(previous - self.inputs, np.eye(self.system.m), 0 * late, late)]
         if not len(self.fired):
             return
-        duration, overlap = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
+        duration, overlap = np.abs(self.forces) / self.fired, int(self.jitter + self.edges[-1] > 0)
         begin = begins(duration, self.system.timing.pulse_place) + late
         last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:overlap]]
         for *_, over in last:  # what is not over yet
             begin = np.maximum(begin, over)
-        self.parts = [(np.sign(self.asked) * self.fired, self.ways, begin, begin + duration), *last]
+        self.parts = [(np.sign(self.forces) * self.fired, self.ways, begin, begin + duration), *last]
 
     @cached_property
     def edges(self) -> Array:
@@ -137,7 +137,7 @@ class Firing:
 
         Late is what the last inputs do more for along `thrust`, and nothing in the first period.
         """
-        increase = self.before - self.made
+        increase = self.before - self.inputs
         increase = increase * (0.0 if self.thrust is None else self.thrust[step][:, : increase.shape[1]])
         return np.where(increase.sum(axis=1, keepdims=True) > 0, self.jitter * (step > 0), 0.0)
 
@@ -147,14 +147,14 @@ class Firing:
         Of each instant counts the time until then to a power, integrated; start, end and time are shares.
         """
         power += 1
-        moment = -self.asked @ self.ways * (end - start) ** power if len(self.fired) else 0.0
+        moment = -self.forces @ self.ways * (end - start) ** power if len(self.fired) else 0.0
         for force, ways, begin, over in self.parts:
             for edge in self.edges if len(self.fired) else (0.0,):
                 rise, fall = (end - np.clip(each + edge, start, end) for each in (begin, over))
                 moment = moment + force * (rise**power - fall**power) @ ways / len(self.edges)
         return np.asarray(moment)
 
-    def pulsed(self, start: Array | float, end: Array | float) -> Array:
+    def excess(self, start: Array | float, end: Array | float) -> Array:
         """Mean of inputs from one share of a period to another, less those that are held, (R, m)."""
         return self._beyond(0, start, end) / np.maximum(end - start, 1e-300)
 

@@ -36,12 +36,12 @@ class Integrator(Firing):
     Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
     is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of satellites at
     the nodes, by name (R, N+1, n), it is the truth. Pulses and jitter are flown exactly. Flight
-    `code`, if any, decides and commands; `rows` are the flights of it that a call is about, and `heard` the
+    `code`, if any, decides and commands; `rows` are the flights of it that a call is about, and `sample` the
     measurements that its observer takes in, (R, o).
     """
 
     code: FlightCode | None = None
-    heard: Array | None = None
+    sample: Array | None = None
     rows: slice | NDArray[np.bool_] = slice(None)
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -57,7 +57,7 @@ class Integrator(Firing):
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
         self.safe = safety.reference.fine(self.steps_per_cell)
-        self.own = {}
+        self.paths = {}
         laws = [law for law in schedule.controllers if isinstance(law, NeuralController)]
         self.columns = columns(
             self.system, max((law.obstacle_motion[0].shape[-1] for law in laws), default=0)
@@ -69,7 +69,7 @@ class Integrator(Firing):
                 isinstance(controller, (AffineController, NeuralController))
                 and controller.own is not safety.reference
             ):
-                self.own[number] = controller.own.fine(self.steps_per_cell)
+                self.paths[number] = controller.own.fine(self.steps_per_cell)
 
     def split(self, w: Array, first: Array) -> list[Array]:
         """Split disturbances into their `columns`; the constant, of the `first` step, is added to w."""
@@ -86,10 +86,10 @@ class Integrator(Firing):
     @cached_property
     def estimate_bounds(self) -> Array:
         """Bounds on errors of estimates in every step, (steps, 1, n), under any earlier commands."""
-        cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
+        cells = [self.error_bounds(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
 
-    def known_to(self, system: Craft) -> Array:
+    def error_bounds(self, system: Craft) -> Array:
         """Return bounds on errors of estimates in a step, shape (n,), by the craft as it is in it."""
         return system.estimate_off(0 * system.u_max)
 
@@ -118,7 +118,7 @@ class Integrator(Firing):
         estimate = self.estimate(step, x[:, : self.system.n])
         relieved = np.zeros(len(x), dtype=bool) if self.faults is None else self.faults.by_s(step)
         active = np.where(relieved, 0, number)
-        return self.code.step(step // self.substeps, estimate, active, u, self.rows, self.heard)
+        return self.code.step(step // self.substeps, estimate, active, u, self.rows, self.sample)
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """Command before clipping, shape (R, m), at the start of step `at` of cell k."""
@@ -131,7 +131,7 @@ class Integrator(Firing):
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, at]
-        reference = self.own[number][k, at] if number in self.own else xi
+        reference = self.paths[number][k, at] if number in self.paths else xi
         passed = at * self.dt
         if isinstance(controller, NeuralController):
             bodies = self._obstacle_motion(controller, k, passed, step, len(x))
@@ -146,13 +146,13 @@ class Integrator(Firing):
         """Return a network's readings of bodies some seconds after the start of cell k, (R, ...)."""
         if self.bodies:
             bodies = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
-            return law.senses.seen(k * law.reference.delta + passed, bodies, runs)
+            return law.senses.body_motion(k * law.reference.delta + passed, bodies, runs)
         if self.shares is None:
             return None
         middle, half = (part[k, law.node(passed)] for part in law.obstacle_motion)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
-    def turned(self, step: int, x: Array, error: Array, bound: Array) -> Array:
+    def sensed(self, step: int, x: Array, error: Array, bound: Array) -> Array:
         """Return errors (R, n) of measured states x in a step, those of range and bearing turned with it.
 
         Drawn errors, within a bound (n,), say which way: along the true line of sight, and across it.
@@ -174,9 +174,9 @@ class Integrator(Firing):
     def estimate(self, step: int, x: Array) -> Array:
         """Return the estimates of states in a step, which controllers act on."""
         estimate = (
-            x if self.eta is None else x + self.turned(step, x, self.eta[step], self.estimate_bounds[step, 0])
+            x if self.eta is None else x + self.sensed(step, x, self.eta[step], self.estimate_bounds[step, 0])
         )
-        if self.eta is not None and self.left is not None:
+        if self.eta is not None and self.rest is not None:
             share = self.system.state_offset_at_nodes / np.maximum(
                 self.estimate_bounds[step], 1e-300
             )  # not as errors
@@ -265,11 +265,11 @@ class Integrator(Firing):
         is what `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        parts = self.code, self.thrust, self.left, self.faults, self.system.nozzles, self.system.sights
+        parts = self.code, self.thrust, self.rest, self.faults, self.system.nozzles, self.system.sights
         inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None
-        reference = self.own.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start
+        reference = self.paths.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]
         w = w if self.eta is None else np.concatenate([w, eta], axis=2)
         Ad, Bd, Dd = self.discrete

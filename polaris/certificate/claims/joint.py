@@ -45,7 +45,7 @@ class _Check:
     def errors(self) -> list[arb]:
         """Bounds on estimate errors at a node after T, twice, as the rows are."""
         doc = self.arrival.document
-        errors = doc.known_to(doc.steps) or [0.0] * len(doc.A)
+        errors = doc.errors_in(doc.steps) or [0.0] * len(doc.A)
         return [arb(x) + y for x, y in zip(errors, doc.at_nodes, strict=True)] * 2
 
     def inside(self, node: int, tightening: list[arb], context: str) -> None:

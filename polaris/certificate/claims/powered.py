@@ -185,7 +185,7 @@ def branched(document: Document, branch: AbortBranch) -> Document:
     doc.drift = doc.powered = None
     if document.error_by_step:  # in the tail the largest of all that are met from then on
         later = document.error_by_step[min(doc.steps, document.steps) :]
-        errors = [document.known_to(k) for k in range(doc.steps)]
+        errors = [document.errors_in(k) for k in range(doc.steps)]
         doc.calmest = calmest
         doc.error_by_step = [*errors, [max(each) for each in zip(*later, strict=True)]]
     return doc

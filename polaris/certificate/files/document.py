@@ -167,7 +167,7 @@ class Document:
         """Last instant of the claim [s]; None if it is for ever."""
         return last_instant(self.horizon, self.steps, self.cells, self.delta)
 
-    def known_to(self, k: int) -> Vector:
+    def errors_in(self, k: int) -> Vector:
         """Errors of estimates in step k, or after the last one."""
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
 

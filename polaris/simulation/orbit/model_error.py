@@ -84,7 +84,7 @@ class ModelError:
             **sampled,
             "parts_m_s2": {name: float(value[at]) for name, value in self.residual.parts.items()},
             "worst": {
-                "controller": self.region.what[at],
+                "controller": self.region.names[at],
                 "time_s": float(self.region.start[at]),
                 "radial_m": float(radial[at]),
                 "distance_m": float(distance[at]),

@@ -21,7 +21,7 @@ from ...synthesis.tracker.intersample import at_nodes
 class Region:
     """Boxes (N, 6) [m, m/s] of states in Hill's frame, who is there, and since when [s], for N stretches."""
 
-    what: tuple[str, ...]
+    names: tuple[str, ...]
     start: Array
     lower: Array
     upper: Array
@@ -30,7 +30,7 @@ class Region:
     def join(cls, parts: Sequence["Region"]) -> "Region":
         """All boxes of several regions."""
         return cls(
-            tuple(name for part in parts for name in part.what),
+            tuple(name for part in parts for name in part.names),
             np.concatenate([part.start for part in parts]),
             np.concatenate([part.lower for part in parts]),
             np.concatenate([part.upper for part in parts]),

@@ -169,25 +169,25 @@ class _TrueMotion(Integrator):
         if errors.exact:
             return u
         built, layout = slice(len(u) - len(self.axis), None), self.system.nozzles
-        thrusts, bit = self.asked[built], errors.rounding(self.system.m)
+        thrusts, bit = self.forces[built], errors.rounding(self.system.m)
         if layout is not None:
             bit = layout.bit / (self.dt * self.substeps)
-        if bit > 0 and self.left is None:
+        if bit > 0 and self.rest is None:
             near = np.round(thrusts / bit) * bit
             thrusts = np.where(np.abs(thrusts) >= bit, thrusts, near) if self.system.timing.fine else near
         if len(self.fired):  # no pulse is longer than a period
-            self.asked = self.asked.copy()
+            self.forces = self.forces.copy()
             limits = self.fired if layout is not None else np.minimum(self.fired, self.system.u_max)
-            self.asked[built] = thrusts = np.clip(thrusts, -limits, limits)
+            self.forces[built] = thrusts = np.clip(thrusts, -limits, limits)
         shares = errors if layout is None else layout
         inputs = (thrusts * (1 + shares.along * self.strength)) @ self.ways
         inputs += shares.across * np.cross(self.axis, thrusts @ self.ways)
         if layout is not None:
             inputs = inputs / (1 + layout.mass * self.strength[:, :1])
-        self.made = u.copy()
-        self.made[built] = inputs
+        self.inputs = u.copy()
+        self.inputs[built] = inputs
         if self.faults is not None:
-            inputs = inputs + self.faults.added(self.asked @ self.ways, step)[built]
+            inputs = inputs + self.faults.added(self.forces @ self.ways, step)[built]
         u[built] = inputs
         return u
 
@@ -211,14 +211,14 @@ class _TrueMotion(Integrator):
             return runge_kutta(under(u), x, self.dt, first)
         for begin, end in pairwise(self._switches(step % self.substeps)):
             if np.any(begin < end):
-                inputs, dt = u + self.pulsed(begin, end), (end - begin) * self.dt * self.substeps
+                inputs, dt = u + self.excess(begin, end), (end - begin) * self.dt * self.substeps
                 x = runge_kutta(under(inputs), x, dt, rates(inputs, x)[0])
         return x
 
     def _switches(self, sub: int) -> Array:
         """Shares of a period, over one of its steps, between which nothing switches, (., R, 1)."""
         start, end = (np.arange(2) + sub) / self.substeps
-        ends = np.broadcast_to([start, end], (len(self.asked), 2))
+        ends = np.broadcast_to([start, end], (len(self.forces), 2))
         parts = (each + edge for _, _, *part in self.parts for each in part for edge in self.edges)
         switches = np.hstack([ends, *parts])
         return np.sort(np.clip(switches, start, end), axis=1).T[:, :, None]

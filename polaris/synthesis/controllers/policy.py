@@ -63,7 +63,7 @@ class Senses:
         empty = np.zeros((count, 0))
         return np.hstack([empty, *(c for c, _ in boxes)]), np.hstack([empty, *(half for _, half in boxes)])
 
-    def seen(self, t: float, states: Mapping[str, Array], runs: int) -> Array:
+    def body_motion(self, t: float, states: Mapping[str, Array], runs: int) -> Array:
         """Return the motion of bodies; states (R, n) of satellites are given by name; (R, 2d per body)."""
         parts = [part for b in self.bodies for part in b.motion(t, self.system, states.get(b.name))]
         return np.hstack([np.broadcast_to(part, (runs, self.system.d)) for part in parts])

@@ -33,14 +33,14 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A place with its account: `spent` switches, the return to S included."""
+    """A place with its account: `total` switches, the return to S included."""
 
     place: _Place
     objective: float = 0.0
     switches: int = 0
 
     @property
-    def spent(self) -> int:
+    def total(self) -> int:
         return self.switches + (self.place.mode != SAFETY)
 
 
@@ -70,17 +70,17 @@ class LookAhead:
         for d in sorted({dwell, *tried, *range(dwell, min(EACH, self.K) + 1)}, reverse=True):
             uncapped = self._greedy(root, d, self.K)
             paths = [uncapped]
-            if uncapped.spent > highest or len(self.objective) > 2:
+            if uncapped.total > highest or len(self.objective) > 2:
                 # With one controller a lower cap cuts the end off; with several it may change the beginning.
                 least = 0 if len(self.objective) > 2 else highest
-                paths += [self._greedy(root, d, c) for c in range(least, min(highest, uncapped.spent) + 1)]
-            best = max([best, *(path for path in paths if path.spent <= highest)], key=_merit)
+                paths += [self._greedy(root, d, c) for c in range(least, min(highest, uncapped.total) + 1)]
+            best = max([best, *(path for path in paths if path.total <= highest)], key=_merit)
             if d in tried or d <= EACH:
                 _raise(bars, [uncapped])
             if d not in tried:
                 continue
             for k, added in enumerate(self._search(root, d, highest, bars)):
-                best = max([best, *(path for path in added if path.spent <= highest)], key=_merit)
+                best = max([best, *(path for path in added if path.total <= highest)], key=_merit)
                 step = (searched * self.K + k + 1) // len(tried)
                 if progress and step > done:
                     progress(step, self.K)
@@ -104,7 +104,7 @@ class LookAhead:
                 stays = following == mode
                 if stays or age >= dwell:
                     longer = self._go(path, following, 1 if stays else dwell)
-                    if longer is not None and (stays or longer.spent <= cap):
+                    if longer is not None and (stays or longer.total <= cap):
                         break
             else:
                 longer = self._go(path, SAFETY, 1)
@@ -127,7 +127,7 @@ class LookAhead:
             added = []
             potential = (self.K - k) * highest
             groups = {
-                key: [path for path in paths if path.objective + potential > bars[path.spent]]
+                key: [path for path in paths if path.objective + potential > bars[path.total]]
                 for key, paths in waiting[k].items()
             }
             for path in self._kept(groups):
@@ -139,7 +139,7 @@ class LookAhead:
                         continue
                     longer = self._go(path, mode, 1 if stays else dwell)
                     if longer is not None:
-                        key = min(longer.spent, APART), longer.place.mode
+                        key = min(longer.total, APART), longer.place.mode
                         waiting[longer.place.k].setdefault(key, []).append(longer)
                         added.append(longer)
             waiting[k] = {}
@@ -200,7 +200,7 @@ def _merit(path: _Path) -> tuple[float, int]:
 def _raise(bars: list[float], paths: list[_Path]) -> None:
     """Note the objectives of paths; S alone may follow each of them to the end."""
     for path in paths:
-        for s in range(path.spent, len(bars)):
+        for s in range(path.total, len(bars)):
             if bars[s] >= path.objective:
                 break
             bars[s] = path.objective

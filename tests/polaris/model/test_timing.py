@@ -56,7 +56,7 @@ def fly_delayed(schedule, n, seed, substeps=4):
     flight = Predicting(schedule, flown_modes(schedule, False), substeps)
     flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, "mixed")
-    return flight.run(x0, disturbances(flight, n, rng, "mixed")[0]), flight.off
+    return flight.run(x0, disturbances(flight, n, rng, "mixed")[0]), flight.error_share
 
 
 def systems():

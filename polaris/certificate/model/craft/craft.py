@@ -120,7 +120,7 @@ class Craft:
         """Bounds on the excess of estimate errors in a step over those in the loop, shape (n)."""
         if self.base is None or not document.error_by_step:
             return [arb(0)] * self.gain.ncols()
-        pairs = zip(document.known_to(k), self.base, strict=True)
+        pairs = zip(document.errors_in(k), self.base, strict=True)
         excess = ((x * arb(1 + ROUNDED) - y).upper() for x, y in pairs)
         return [x if x > 0 else arb(0) for x in excess]
 

@@ -224,7 +224,7 @@ def test_flights_read_the_truth_and_are_judged_by_it(schedule):
     k = schedule.modes.tolist().index(1)
     truth, h = runs.bodies["visitor"], law.tracking.flow.h
     for i in range(q):
-        readings = law.senses.seen(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
+        readings = law.senses.body_motion(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
         assert readings[:, :4] == pytest.approx(truth[:, k * q + i])
         assert np.all(np.abs(readings - law.obstacle_motion[0][k, i]) <= law.obstacle_motion[1][k, i])
         own, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]

@@ -290,10 +290,10 @@ def along(s, nu, planned, by_step=(), between=True):
     own = Feedforward(s, SimpleNamespace(nu=nu, cells=cells), planned)
     tightenings, commanded = own.response(rows, between), [own.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
-    document.known_to = lambda k: document.estimate
+    document.errors_in = lambda k: document.estimate
     if len(by_step):
         document.calmest = np.min(by_step, axis=0).tolist()
-        document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
+        document.errors_in = lambda k: document.error_by_step[min(k, document.steps)]
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     feedback_bound = [[arb(x) for x in level] for level in document.feedback_bound]
     settling = Settling.for_craft(craft, column([arb(1)] * s.system.n), 1, feedback_bound)

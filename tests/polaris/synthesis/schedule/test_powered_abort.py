@@ -224,12 +224,12 @@ def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all
     sooner = 0
     for branch, along in zip(schedule.powered.branches, document.powered.branches, strict=True):
         doc, clearance = branched(document, along), branch.safety.clearance
-        known = [doc.known_to(k) for k in range(doc.cells)]
+        known = [doc.errors_in(k) for k in range(doc.cells)]
         booked = command_errors(clearance.tracking.system, gain, doc.cells, doc.steps)
         assert booked == pytest.approx(np.array(known) @ np.abs(gain).T) and doc.calmest == document.calmest
-        assert known[: doc.steps] == [document.known_to(k) for k in range(doc.steps)]
-        assert known[-1] == document.known_to(12) and doc.cells > doc.steps
-        sooner += document.known_to(doc.steps) != known[-1]
+        assert known[: doc.steps] == [document.errors_in(k) for k in range(doc.steps)]
+        assert known[-1] == document.errors_in(12) and doc.cells > doc.steps
+        sooner += document.errors_in(doc.steps) != known[-1]
     assert sooner
 
 

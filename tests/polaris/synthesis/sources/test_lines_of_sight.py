@@ -35,8 +35,8 @@ def scene(*assignments):
     return load_scenario(APPROACH).with_assignments(list(assignments))
 
 
-def sighted(name, *assignments):
-    return kept(f"sighted-{name}", lambda: synthesize(scene(*assignments)))
+def sensed(name, *assignments):
+    return kept(f"sensed-{name}", lambda: synthesize(scene(*assignments)))
 
 
 def seen_from(p, off, turn, way):
@@ -61,12 +61,12 @@ def test_boxes_hold_errors_of_every_line_of_sight(angle):
 
 
 def test_flights_measure_along_their_true_line_of_sight():
-    schedule, rng = sighted("ranged", RANGED), np.random.default_rng(1)
+    schedule, rng = sensed("ranged", RANGED), np.random.default_rng(1)
     flight = Integrator(schedule, schedule.modes, 1)
     for step, off, angle in ((3, 0.05, 0.2), (60, 0.02, 0.2)):
         bound = flight.estimate_bounds[step, 0]
         x = schedule.safety.reference.chi[step // 5] + rng.uniform(-1, 1, (2000, 6)) * [5, 5, 5, 0, 0, 0]
-        error = flight.turned(step, x, bound * rng.uniform(-1, 1, (2000, 6)), bound)
+        error = flight.sensed(step, x, bound * rng.uniform(-1, 1, (2000, 6)), bound)
         p, seen = x[:, :3], x[:, :3] + error[:, :3]
         sizes = np.linalg.norm(p, axis=1), np.linalg.norm(seen, axis=1)
         turned = np.arccos(np.clip(np.sum(p * seen, axis=1) / sizes[0] / sizes[1], -1, 1))
@@ -89,7 +89,7 @@ OUTAGE = "timing.missed_periods=1", 'faults=[{kind="navigation_lost", lasts_s=8.
     ],
 )
 def test_schedules_are_proven_verified_and_not_refuted(name, more):
-    schedule = sighted(name, *more)
+    schedule = sensed(name, *more)
     assert schedule.share() > 0.3
     assert verify_document(certificate(schedule, "approach")).outcome == "VERIFIED"
     assert falsify(schedule, 40, 1).failure is None
@@ -97,7 +97,7 @@ def test_schedules_are_proven_verified_and_not_refuted(name, more):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_adversaries_that_turn_measurements_violate_nothing(seed):
-    schedule, rng, R = sighted("ranged", RANGED), np.random.default_rng(seed), 300
+    schedule, rng, R = sensed("ranged", RANGED), np.random.default_rng(seed), 300
     safety = schedule.safety
     system, h, q = safety.problem.system, 4.0, 5
     A, B, D = system.A, system.B, system.D

@@ -123,7 +123,7 @@ def test_an_observer_is_attacked_by_its_noise():
     w, _, _ = adjoint_worst_case(flight, rows, targets)
     x0 = np.repeat(schedule.safety.problem.initial_set.c[None], runs, axis=0)
     flown = flight.run(x0, w)
-    assert np.all(flight.off <= 1 + 1e-9) and flight.off.max() > 0.5
+    assert np.all(flight.error_share <= 1 + 1e-9) and flight.error_share.max() > 0.5
     for _ in range(3):
         other = w.copy()
         noise = other[..., flight.columns[1]]

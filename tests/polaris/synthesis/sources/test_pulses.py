@@ -125,8 +125,8 @@ def test_flights_that_fire_keep_what_is_proven(name):
     if name == "carried":
         flight = Integrator(schedule, flown_modes(schedule, False), 1)
         flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
-        made = flight.asked * 0.25 / 0.02
-        assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
+        made = flight.forces * 0.25 / 0.02
+        assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.rest).max() <= 0.02
 
 
 @pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
@@ -140,17 +140,17 @@ def test_pulses_are_followed_within_a_period(placed):
         1,
         np.array(system.timing.pulse_thrust),
     )
-    firing.asked = firing.made = rng.uniform(-1, 1, (6, 3)) * system.u_max
+    firing.forces = firing.inputs = rng.uniform(-1, 1, (6, 3)) * system.u_max
     firing.parts = []
     firing.start(0)
     other = held = before = rng.normal(size=(6, 6))
     s, apart = ((np.arange(steps) + 0.5) / steps)[:, None, None], []
     carry, push = (part.T for part in discretize(system.A, system.B, h / steps))
-    on = np.abs(firing.asked) / firing.fired
+    on = np.abs(firing.forces) / firing.fired
     begin = {"centred": (1 - on) / 2, "start": 0 * on, "staggered": np.cumsum(on, axis=1) - on}[placed]
     for now in (s > begin) & (s < begin + on):
-        other = other @ carry + now * np.sign(firing.asked) * firing.fired @ push
-        held = held @ carry + firing.asked @ push
+        other = other @ carry + now * np.sign(firing.forces) * firing.fired @ push
+        held = held @ carry + firing.forces @ push
         apart.append(other)
     ends, places = held + firing.intersample(0), np.arange(1, 8) / 8
     assert np.allclose(ends, other, atol=2e-3 if placed == "centred" else 1e-2)
@@ -181,15 +181,15 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     flight.system, flight.env, flight.ballistic = load_scenario("static").system(), env, np.zeros(3)
     flight.fired, flight.q, flight.substeps = flight.system.u_max, 1, substeps
     flight.dt, flight.residual = h / substeps, np.zeros((1, 3))
-    flight.asked = np.array([[0.1, 0.02, 0.0], [-0.2, 0.19, -0.05], [1e-4, 0.0, 0.2]])
+    flight.forces = np.array([[0.1, 0.02, 0.0], [-0.2, 0.19, -0.05], [1e-4, 0.0, 0.2]])
     start = np.random.default_rng(0).normal(size=(3, 6)) * ([100] * 3 + [0.1] * 3)
     x = y = np.concatenate([start, near_circular(env, np.arange(3.0), np.zeros(3))], axis=1)
-    thrust, fine, push = 1.03 * flight.asked, 400, np.full((3, 3), 1e-6)  # errors stay as they are
-    flight.made, flight.parts = flight.asked, []
+    thrust, fine, push = 1.03 * flight.forces, 400, np.full((3, 3), 1e-6)  # errors stay as they are
+    flight.inputs, flight.parts = flight.forces, []
     flight.start(0)
     for step in range(substeps):
         x = flight.move(0, step, x, thrust, push)
-    on = np.abs(flight.asked) / flight.fired
+    on = np.abs(flight.forces) / flight.fired
 
     def rate(u):
         own, target, _ = relative_rate(env, y[:, 6:], y[:, :6], 0.0)
@@ -199,7 +199,7 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
 
     for step in range(fine):
         gone = [np.clip(2 * i / fine - 1, -on, on) / 2 for i in (step, step + 1)]  # of each pulse
-        u = np.sign(flight.asked) * flight.fired * (gone[1] - gone[0]) * fine + thrust - flight.asked
+        u = np.sign(flight.forces) * flight.fired * (gone[1] - gone[0]) * fine + thrust - flight.forces
         first = rate(u)
         y, before = y + h / fine * first, y
         y = before + h / fine / 2 * (first + rate(u))
