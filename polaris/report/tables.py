@@ -63,9 +63,9 @@ class Cell:
 
     text: str
     sort: float | str | None = None
-    bad: bool = False
+    alarm: bool = False
     words: bool = False
-    why: str = ""
+    reason: str = ""
     lines: tuple[str, ...] = ()
     badge: str = ""
 
@@ -90,7 +90,7 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
     suffix = f" {unit}".replace("^2", "²") if unit else ""
     if value is None:
         text, reason = ABSENT.get(key, ("none", "no value"))
-        return Cell(text, why=reason)
+        return Cell(text, reason=reason)
     if isinstance(value, (list, tuple, Mapping)):
         pairs = value.items() if isinstance(value, Mapping) else (("", each) for each in value)
         parts = [f"{str(name).replace('_', ' ')} {value_cell(each, key).text}" for name, each in pairs]
@@ -100,7 +100,7 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
     if not isinstance(value, (int, float)):
         return Cell(str(value))
     if np.isnan(value):
-        return Cell("none", why="no value")
+        return Cell("none", reason="no value")
     if np.isinf(value):
         return Cell("∞" if value > 0 else "−∞", value, why="infinite" if value > 0 else "minus infinite")
     return Cell(number(value) + suffix, value)
@@ -185,7 +185,7 @@ class Measure:
     def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
         """Return a value, or a mean with its bounds, as a cell, marked if it tells of a collision."""
         if not isinstance(value, Mapping):
-            return replace(self._cell(value, unit), bad=not difference and self._bad(value))
+            return replace(self._cell(value, unit), alarm=not difference and self._alarm(value))
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
         least, largest = possible(self.key, difference)  # folders of older versions know no limits
         low, high = (None if v is None else min(max(v, least), largest) for v in (low, high))
@@ -194,10 +194,10 @@ class Measure:
             lines.append(f"{self.text(low, False)} to {self.text(high, False)}")
         if worst is not None and self.key != "violations":  # a count over all runs: there is no worst one
             lines.append(f"worst {self.text(worst, False)}")
-        is_bad = not difference and self._bad(mean if worst is None else worst)
-        return replace(self._cell(mean, False), bad=is_bad, lines=tuple(lines))
+        is_bad = not difference and self._alarm(mean if worst is None else worst)
+        return replace(self._cell(mean, False), alarm=is_bad, lines=tuple(lines))
 
-    def _bad(self, value: Any) -> bool:
+    def _alarm(self, value: Any) -> bool:
         if self.key not in BAD or value is None:
             return False
         return bool(value < 0) if self.key.endswith("_m") else bool(value > 0)
@@ -224,10 +224,10 @@ def constraints(summary: Mapping[str, Any]) -> Table:
         [
             Cell(str(row["constraint"])),
             words(MEANING.get(row["constraint"], (row["meaning"], ""))[0]),
-            replace(value_cell(row["least"], unit=row["unit"]), bad=(row["least"] or 0) < 0),
+            replace(value_cell(row["least"], unit=row["unit"]), alarm=(row["least"] or 0) < 0),
             value_cell(row["time_s"], unit="s"),
             words(", ".join(map(str, row["deputies"]))),
-            replace(_share(row["violated_share"]), bad=bool(row["violated_share"])),
+            replace(_share(row["violated_share"]), alarm=bool(row["violated_share"])),
         ]
         for row in summary["constraints"]
     ]
@@ -244,7 +244,7 @@ def studies(summary: Mapping[str, Any]) -> Table:
         shares = (study[key] for key in ("success_share", "success_share_lower_95", "interventions_share"))
         delta_v = value_cell(study["delta_v_mean_m_s"], unit="m/s")
         row = [Cell(str(study["name"])), value_cell(study["successes"]), *map(_share, shares), delta_v]
-        rows.append([*row, *(Cell(str(count), count, bad=count > 0) for count in counts)])
+        rows.append([*row, *(Cell(str(count), count, alarm=count > 0) for count in counts)])
     heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "delta-v", *kinds]
     return Table(f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s", heads, rows, True)
 

@@ -63,7 +63,7 @@ class _Path:
     frame: str
     time_system: str
     lasts: float
-    told: str
+    note: str
 
 
 def with_sources(
@@ -96,7 +96,7 @@ class _Resolved:
 
     def __init__(self, document: dict[str, Any], folder: Path, sources: _Sources, origin: str | None) -> None:
         self.document, self.folder, self.source = document, folder, sources.orbit
-        self.start, self.where = sources.initial_set, origin
+        self.start, self.origin = sources.initial_set, origin
         self.orbit: dict[str, Any] = document.setdefault("orbit", {})
         for key in OrbitSource.model_fields:
             self.orbit.pop(key, None)
@@ -176,7 +176,7 @@ class _Resolved:
     def _environment(self, motion: float | None) -> tuple[Environment, Orbit]:
         """Return the table as an environment: missing values are 0."""
         filled = {"radius_deviation_max_m": 0.0, "radial_rate_max_m_s": 0.0, "rate_deviation_max": 0.0}
-        table = validate(_Orbit, {"orbit": {**filled, **self.orbit}}, self.where).orbit
+        table = validate(_Orbit, {"orbit": {**filled, **self.orbit}}, self.origin).orbit
         environment: Environment = table.make("orbit", mean_motion=motion or 1e-3)
         return environment, table
 
@@ -187,14 +187,14 @@ class _Resolved:
         period = 2 * math.pi * math.sqrt(a**3 / MU)
         if not a * (1 - e) > EARTH_RADIUS_M or not a < FAR_M:
             rule = f"must be an orbit of the Earth, above its surface and within {FAR_M:g} m"
-            raise ScenarioError("orbit", f"{path.told}: a = {a:g} m, e = {e:g}", rule)
+            raise ScenarioError("orbit", f"{path.note}: a = {a:g} m, e = {e:g}", rule)
         required = min(max(2 * self.duration, REVOLUTIONS * period), MOST_REVOLUTIONS * period)
         end = min(path.lasts, required)
         if path.lasts < self.duration:
             rule = (
                 f"must cover the scenario's {self.duration:g} s from its time 0 on; it ends after {end:g} s"
             )
-            raise ScenarioError("orbit", path.told, rule)
+            raise ScenarioError("orbit", path.note, rule)
         states = path.states(np.linspace(0.0, end, max(2, math.ceil(end / period * SAMPLES))))
         span = f"{end:.0f} s"
         if end < required:
@@ -230,7 +230,7 @@ class _Resolved:
             },
         )
         self.notes.append(
-            f"from {path.told}, over {span}: mean motion {motion:.8g} rad/s, eccentricity up to"
+            f"from {path.note}, over {span}: mean motion {motion:.8g} rad/s, eccentricity up to"
             f" {orbit['eccentricity_max']:g}, rate off by up to {orbit['rate_deviation_max']:g} of it,"
             f" inclination up to {orbit['inclination_max_deg']:g} deg"
         )

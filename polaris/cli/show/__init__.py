@@ -59,7 +59,7 @@ def show_cells(cells: Cells, width: int = 0) -> None:
     for column, cell in zip(grid.columns[1:], cells.rows[0][1:], strict=True):
         column.justify = "left" if cell.words else "right"
     for row in cells.rows:
-        grid.add_row(*(warning_text(cell.text, cell.bad) for cell in row))
+        grid.add_row(*(warning_text(cell.text, cell.alarm) for cell in row))
     show_table(grid, width)
 
 

@@ -43,7 +43,7 @@ def name(ax: Any, text: str, points: Any, colour: Any, beside: bool = False) -> 
     drawn = ax.text(*centre, text, color=colour, transform=ax.transAxes, **look)
     drawn.set_in_layout(False)
     drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-    labels.known.append((drawn, np.atleast_2d(np.asarray(points, dtype=float)), beside))
+    labels.texts.append((drawn, np.atleast_2d(np.asarray(points, dtype=float)), beside))
 
 
 @dataclass(eq=False)
@@ -86,14 +86,14 @@ class Labels(Artist):
     def __init__(self, **look: Any) -> None:
         super().__init__()
         self.set(**look)
-        self.known: list[tuple[Any, Array, bool]] = []  # texts, points (N, 2) that they name, if beside them
+        self.texts: list[tuple[Any, Array, bool]] = []  # texts, points (N, 2) that they name, if beside them
         self._placed: Any = None
         self._leaders: list[tuple[Array, Any]] = []
 
     def draw(self, renderer: Any) -> None:
         """Place the names and draw the lines that lead to those that stand apart."""
         ax: Any = self.axes
-        texts = [text.get_text() for text, *_ in self.known]
+        texts = [text.get_text() for text, *_ in self.texts]
         size = np.round(ax.bbox.size / ax.figure.dpi, 4).tolist()
         key = (size, ax.get_xlim(), ax.get_ylim(), texts)  # the same places in each format
         if key != self._placed:
@@ -112,11 +112,11 @@ class Labels(Artist):
         drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
         inside = np.all((drawn >= low) & (drawn < high), axis=1)
         free_space = _Map(low, high, cell, drawn[inside], _filled(ax, low, high, cell))
-        names = {text for text, *_ in self.known}
+        names = {text for text, *_ in self.texts}
         others = [text for text in ax.texts if text not in names and text.get_visible() and text.get_text()]
         free_space.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
         leaders = []
-        for text, coords, beside in self.known:
+        for text, coords, beside in self.texts:
             points = _display(ax, coords)
             inside = np.all((points >= low) & (points <= high), axis=1) if len(points) > 1 else [True]
             text.set_visible(bool(np.isfinite(points).all() and len(points)))

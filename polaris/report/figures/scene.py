@@ -70,7 +70,7 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
     slices = scene.picture.printed_slices() if not scene.over_time else ()
     for one in sorted(slices, key=lambda one: np.prod(np.ptp(one.outline, axis=0))):  # least space first
         colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
-        if len(scene.seen(one.outline)):
+        if len(scene.visible(one.outline)):
             label(ax, scene, taking_over(one.time, one.mode), one.outline, colour)
     system = scene.picture.system
     if system.mean_motion is not None:
@@ -110,7 +110,7 @@ def _slices(ax: Any, scene: Scene) -> list[Any]:
     else:
         outlines = [one.outline for one in printed]
         ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
-        in_view = any(len(scene.seen(outline)) for outline in outlines)
+        in_view = any(len(scene.visible(outline)) for outline in outlines)
     for one in printed:
         rim, instant = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
         outline = one.outline
@@ -165,7 +165,7 @@ def _goal(ax: Any, scene: Scene) -> list[Any]:
             ax.plot(*points[0], **star, **order | {"zorder": 5.5}, ms=12, mec="white", mew=0.4)
         else:
             ax.plot(*points.T, **line, **order)
-        if not handles and (inside or len(scene.seen(points))):
+        if not handles and (inside or len(scene.visible(points))):
             look = star | {"ms": 6} if shape.kind == "points" else line
             legend = "goal ring" if len(shapes) == 2 else LOOKS["goal"].legend
             handles.append(Line2D([], [], label=legend, **look))
@@ -230,7 +230,7 @@ def _unsafe(ax: Any, scene: Scene, item: Item, lettered: bool, named: bool) -> b
     for mark in item.marks:
         first, outline = mark is item.marks[0], mark.shape.points
         around = np.all((outline.min(axis=0) < scene.low) & (outline.max(axis=0) > scene.high))
-        if not len(scene.seen(outline)) and (aside or not around):
+        if not len(scene.visible(outline)) and (aside or not around):
             continue  # out of view; or passed out of the plane, and all of the view
         edge = tint(RED, 1.0 if first else 0.5)
         if aside:
@@ -240,17 +240,17 @@ def _unsafe(ax: Any, scene: Scene, item: Item, lettered: bool, named: bool) -> b
             _outline(ax, outline, 0.6, "-", edge, 1.6)
         if mark.cover is not None:
             _outline(ax, mark.cover, 0.7, "-", DULL_RED, 1.6)
-            covered |= len(scene.seen(mark.cover)) > 1
-        parts = [shortened(item.name, 1.5), mark.told]
+            covered |= len(scene.visible(mark.cover)) > 1
+        parts = [shortened(item.name, 1.5), mark.caption]
         if named:
             label(ax, scene, ", ".join(filter(None, parts)) + (note if first else ""), outline, RED)
-    if item.way is not None:
-        ax.plot(*item.way.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)
+    if item.path is not None:
+        ax.plot(*item.path.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)
     for mark in item.marks:
         if mark.place is not None and scene.contains(mark.place):
             ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
             if named:
-                label(ax, scene, f"chaser, {mark.told}", mark.place[None], RED)
+                label(ax, scene, f"chaser, {mark.caption}", mark.place[None], RED)
     return covered
 
 
@@ -259,7 +259,7 @@ def _keep_in(ax: Any, scene: Scene, item: Item, named: bool) -> None:
     if item.shape is not None:
         ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
     title, _, inside = item.name.rpartition(" (")
-    text = f"{shortened(title, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
-    points = item.marks[0].shape.points if item.marks else scene.seen(item.points[:-1])
+    text = f"{shortened(title, 1.5)} ({inside}" + "".join(mark.caption for mark in item.marks)
+    points = item.marks[0].shape.points if item.marks else scene.visible(item.points[:-1])
     if named and len(points):
         label(ax, scene, text, points, RED, beside=True)

@@ -76,7 +76,7 @@ def _tradeoffs(methods: Methods) -> Markup:
 
 def _claim(method: Mapping[str, Any], reason: str = "") -> Cell:
     kind = str(method["guarantee"])
-    return Cell(kind, kind, words=True, why=reason, badge=kind)
+    return Cell(kind, kind, words=True, reason=reason, badge=kind)
 
 
 def _methods(methods: Methods) -> Markup:

@@ -24,10 +24,10 @@ from .space import Space
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """The true set at an instant that print shows, its text, a cover's outline, the chaser's place."""
+    """The true set at an instant that print shows, its caption, a cover's outline, the chaser's place."""
 
     shape: DrawnShape
-    told: str = ""
+    caption: str = ""
     cover: Array | None = None
     place: Array | None = None
 
@@ -38,7 +38,7 @@ class Item:
 
     There is one shape, or one for each of the times (T,) [s], shown from then on (None where nothing is
     there). `shift` (T, dim) [m] says how far the shape is carried by each time, evenly in between; `modes`
-    (T,) who flies from each time on. Marks are in order of importance; `way` (N, dim) is the path of the
+    (T,) who flies from each time on. Marks are in order of importance; `path` (N, dim) is the path of the
     centre of a moving set; `passages` say which close-ups of the scene show how it is passed, if the plane
     does not; `cut` says that it goes on beyond the scene.
     """
@@ -50,7 +50,7 @@ class Item:
     shift: Array | None = None
     modes: NDArray[np.int_] | None = None
     marks: tuple[Mark, ...] = ()
-    way: Array | None = None
+    path: Array | None = None
     passages: tuple[int, ...] = ()
     cut: bool = False
 
@@ -92,7 +92,7 @@ class View:
         """Return True for each point (..., dim) that is within."""
         return np.all((points > self.low) & (points < self.high), axis=-1)
 
-    def seen(self, outline: Array) -> Array:
+    def visible(self, outline: Array) -> Array:
         """Points along a closed outline that are within, shape (N, dim)."""
         s = np.linspace(0, 1, 200)[:, None, None]
         edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, outline.shape[1])

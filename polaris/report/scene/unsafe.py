@@ -56,7 +56,7 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], closeups: Sequence[
         frames = [_at(obstacle, view, axes, float(t)) for t in (times if cut else times[:1])]
         shapes = tuple(one and one.translated(-offset) for one, offset in zip(frames, shift, strict=False))
         way = obstacle.centre(np.linspace(0, end, 201), system)[:, axes]
-        motion = {"times": times, "shift": shift, "way": way}
+        motion = {"times": times, "shift": shift, "path": way}
     item = Item("unsafe", shapes, obstacle.name, marks=marks, passages=passages, cut=cut, **motion)
     return [item] if item.shape else []
 

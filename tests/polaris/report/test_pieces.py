@@ -64,16 +64,17 @@ def test_values_in_words(value, key, told):
     cell = value_cell(value, key)
     assert told in cell.text
     assert not any(raw in cell.text.lower() for raw in ("nan", "null", "inf"))
-    assert bool(cell.why) == (told in ("none", "∞", "−∞"))
+    assert bool(cell.reason) == (told in ("none", "∞", "−∞"))
 
 
 def test_means_have_their_bounds_and_collisions_stand_out():
     distance = Measure.from_key("min_distance_m")
     cell = distance.cell({"mean": 1.0, "low": 0.5, "high": 1.5, "worst": -0.25}, unit=False)
-    assert cell.sort == 1.0 and cell.bad and cell.lines == ("0.5 to 1.5", "worst -0.25")
-    assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, difference=True).bad
-    assert not distance.cell(None).bad and distance.cell(None).sort is None
-    assert Measure.from_key("collided").cell(True).bad and not Measure.from_key("collided_runs").cell(0).bad
+    assert cell.sort == 1.0 and cell.alarm and cell.lines == ("0.5 to 1.5", "worst -0.25")
+    assert not distance.cell({"mean": -1.0, "low": -2.0, "high": 0.0}, difference=True).alarm
+    assert not distance.cell(None).alarm and distance.cell(None).sort is None
+    assert Measure.from_key("collided").cell(True).alarm
+    assert not Measure.from_key("collided_runs").cell(0).alarm
 
 
 @pytest.mark.parametrize(
