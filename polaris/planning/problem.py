@@ -200,7 +200,7 @@ class Plan:
         Smallest clearance [m] in position beyond `margins`, over all planned cells and continuous time.
     extra : ndarray, shape (n_o, K)
         Clearance [m] beyond `margins` per unsafe set and cell.
-    wanted : ndarray, shape (n_o, K)
+    desired : ndarray, shape (n_o, K)
         Extra clearance [m] asked for per unsafe set and cell: `extra_margin`, or less where the start
         and the goal do not allow it.
     delta_v : float
@@ -229,7 +229,7 @@ class Plan:
     tail_facets: np.ndarray
     margin: float
     extra: Array
-    wanted: Array
+    desired: Array
     delta_v: float
     status: str
     objective: float

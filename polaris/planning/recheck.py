@@ -109,7 +109,7 @@ def certified(
         tail_facets=facets[:, K:],
         margin=float(np.min(extra[[not body.of_state for body in problem.unsafe]], initial=np.inf)),
         extra=extra,
-        wanted=targets,
+        desired=targets,
         delta_v=float(np.sum(np.abs(nu)) * problem.delta / problem.system.mass),
         status=status,
         objective=float(value),

@@ -49,7 +49,7 @@ class Delay:
                 transition = np.zeros((n, loop.N + n))
                 if age:
                     transition[:, loop.N - n : loop.N] = period_map
-                loop = loop.with_states(transition, known=-np.eye(n))
+                loop = loop.with_states(transition, sensed=-np.eye(n))
                 if age == 0:
                     change = partial(_part, instant=h - late, early=early, n=n)
                     loop = loop.entering(slice(first, first + n), change)

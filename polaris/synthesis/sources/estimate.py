@@ -17,13 +17,13 @@ from .source import remembers
 class Estimate:
     """Error of every estimate within `error` (n,) of the state measured, however the difference changes.
 
-    Errors of thrusters, which grow with commands as `grown` says, (..., m) to (..., k), add `unseen` (n, k)
+    Errors of thrusters, a `share` of commands (..., m) to (..., k), add `unmeasured` (n, k)
     times their size of so many periods before, by their number.
     """
 
     error: Array
-    grown: Share | None = None
-    unseen: Mapping[int, Array] = field(default_factory=dict)
+    share: Share | None = None
+    unmeasured: Mapping[int, Array] = field(default_factory=dict)
 
     @classmethod
     def from_system(cls, system: Craft, h: float) -> "Estimate | None":
@@ -45,15 +45,15 @@ class Estimate:
         """Add one channel of noise, carried over the delay, and one for each number of periods."""
         offset = loop.offset_measured
         channels = [Channel("estimate", self.error + offset, noise=loop.carry)]
-        for lag, added in self.unseen.items():
+        for lag, added in self.unmeasured.items():
             share = partial(self._share, added=added)
             channels.append(Channel("estimate", 0 * self.error, noise=loop.carry, share=share, lag=lag))
         return replace(loop.with_channels(*channels), navigated=offset)
 
     def _share(self, u: Array, added: Array) -> Array:
         """Return the part of estimate errors that grows with commands u (..., m), shape (..., n)."""
-        assert self.grown is not None
-        return np.asarray(self.grown(u) @ added.T)
+        assert self.share is not None
+        return np.asarray(self.share(u) @ added.T)
 
 
 def state_offset(system: Craft, h: float) -> Array:

@@ -70,7 +70,7 @@ def _added(
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
     if steep is not None and fault.networks is not None:
         steep = np.maximum(steep, fault.networks)
-    rows = np.vstack([np.eye(N), loop.known]) @ powers(
+    rows = np.vstack([np.eye(N), loop.sensed]) @ powers(
         loop.close(np.zeros((loop.m, n))).open_transition, len(spans)
     )
     enter = {length: _entering(loop, rows, length, loop.B) for length in {h, *spans}}

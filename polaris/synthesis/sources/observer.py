@@ -36,7 +36,7 @@ class Filter:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""
         n, first, rest, measures = loop.n, loop.N, self.observer.rest, np.abs(self.observer.measures)
         loop = loop.with_states(
-            np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)]), known=loop.carry
+            np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)]), sensed=loop.carry
         )
         shown_now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
         loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ shown_now[a, b])

@@ -127,7 +127,7 @@ class Inputs:
         enter = np.insert(self.enter, [start], carried - self.F @ carried, axis=1)
         commands, added = np.insert(self.feed, [start], self.K @ carried, axis=1), np.arange(carried.shape[1])
         return Inputs(
-            np.block([[self.F, loop.made @ product], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
+            np.block([[self.F, loop.error_map @ product], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
             np.block([[self.K, -applied], [self.K, 0 * product]]),
             np.vstack([enter, np.zeros((len(rows), enter.shape[1]))]),
             np.vstack([commands, commands]),
@@ -258,7 +258,7 @@ class Inputs:
 def carried_across(loop: Loop, craft: Craft) -> Array:
     """Return the largest loop-state change by shares of carried impulses in other inputs, shape (N, k)."""
     moves = craft.timing.carried_impulse > 0 and np.any(craft.on_time.bit)
-    return loop.made * craft.on_time.bit if moves else loop.made[:, :0]
+    return loop.error_map * craft.on_time.bit if moves else loop.error_map[:, :0]
 
 
 def _place(channel: Channel) -> int:

@@ -7,7 +7,7 @@ From node to node, under a command ``u`` that is held for a period h,
 
     z+ = free z + held u + sum over channels of their additions in the period.
 
-A law with gain Lambda commands ``u = -Lambda (known z + noise)`` beside the input of its reference.
+A law with gain Lambda commands ``u = -Lambda (sensed z + noise)`` beside the input of its reference.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ class Loop:
     applied : ndarray, shape (m, N)
         Map from the loop state to the thrust beside the command. The flight computer does not know
         of it.
-    known : ndarray, shape (n, N)
+    sensed : ndarray, shape (n, N)
         The error that the law sees.
     enter : tuple of (float, float, ndarray)
         Parts of a period (start and end [s]) and how additions to the plant in them, carried to the end
@@ -67,7 +67,7 @@ class Loop:
     free: Array
     held: Array
     applied: Array
-    known: Array
+    sensed: Array
     enter: tuple[tuple[float, float, Array], ...]
     carry: Array
     shown: Array
@@ -90,7 +90,7 @@ class Loop:
             free=free,
             held=held,
             applied=np.zeros((m, n)),
-            known=unit,
+            sensed=unit,
             enter=((0.0, h, unit),),
             carry=unit,
             shown=0 * unit,
@@ -116,7 +116,7 @@ class Loop:
         return len(self.free)
 
     @cached_property
-    def made(self) -> Array:
+    def error_map(self) -> Array:
         """Map into the next loop state of inputs that the flight computer does not know of, shape (N, m)."""
         each = (
             E @ expm(self.A * (self.h - b)) @ discretize(self.A, self.B, b - a)[1] for a, b, E in self.enter
@@ -155,14 +155,14 @@ class Loop:
         """Return the loop with further channels."""
         return replace(self, channels=(*self.channels, *channels))
 
-    def with_states(self, F_q: Array, *, known: Array | None = None, applied: Array | None = None) -> "Loop":
+    def with_states(self, F_q: Array, *, sensed: Array | None = None, applied: Array | None = None) -> "Loop":
         """Return the loop with further states q.
 
         Parameters
         ----------
         F_q : ndarray, shape (s, N + s)
             Transition of q from the loop state and q.
-        known : ndarray, shape (n, s), optional
+        sensed : ndarray, shape (n, s), optional
             Map from q to the error that the law sees.
         applied : ndarray, shape (m, s), optional
             Map from q to the thrust.
@@ -170,7 +170,7 @@ class Loop:
         s = len(F_q)
         free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), F_q])
         extra = np.zeros((self.m, s)) if applied is None else applied
-        perceived = np.zeros((self.n, s)) if known is None else known
+        perceived = np.zeros((self.n, s)) if sensed is None else sensed
 
         def padded(rows: Array) -> Array:
             return np.vstack([rows, np.zeros((s, rows.shape[1]))])
@@ -180,7 +180,7 @@ class Loop:
             free=free,
             held=padded(self.held),
             applied=np.hstack([self.applied, extra]),
-            known=np.hstack([self.known, perceived]),
+            sensed=np.hstack([self.sensed, perceived]),
             shown=np.hstack([self.shown, 0 * perceived]),
             enter=tuple((a, b, padded(E)) for a, b, E in self.enter),
             channels=tuple(
@@ -219,7 +219,7 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Loop under ``u = -gain (known z + noise)``: ``z+ = F z + ...``, command rows K, ``u = -K z - ...``."""
+    """Loop under ``u = -gain (sensed z + noise)``: ``z+ = F z + ...``, command rows K, ``u = -K z - ...``."""
 
     loop: Loop
     gain: Array
@@ -227,12 +227,12 @@ class ClosedLoop:
     @cached_property
     def K(self) -> Array:
         """Rows of the commands, shape (m, N); a command is ``-K z`` less the noise."""
-        return np.asarray(self.gain @ self.loop.known)
+        return np.asarray(self.gain @ self.loop.sensed)
 
     @cached_property
     def open_transition(self) -> Array:
         """Transition without commands but with the thrust beside them, shape (N, N)."""
-        return np.asarray(self.loop.free + self.loop.made @ self.loop.applied)
+        return np.asarray(self.loop.free + self.loop.error_map @ self.loop.applied)
 
     @cached_property
     def F(self) -> Array:
@@ -259,7 +259,7 @@ class ClosedLoop:
         if channel.noise is not None:
             effect = effect - self.loop.held @ self.gain @ channel.noise
         if channel.push is not None:
-            effect = effect + self.loop.made @ channel.push
+            effect = effect + self.loop.error_map @ channel.push
         return np.asarray(effect)
 
     def gains(self, channel: Channel, rows: Array) -> Array:

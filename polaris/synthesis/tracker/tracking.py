@@ -59,7 +59,7 @@ class Tracking(Contraction):
     @property
     def estimate_error_rows(self) -> Array:
         """Rows of the loop state that are errors of the estimate a law acts on, shape (n, N)."""
-        return np.asarray(self.loop.known - self.whole(np.eye(self.system.n)))
+        return np.asarray(self.loop.sensed - self.whole(np.eye(self.system.n)))
 
     def unremembered(self, most: Array) -> Array:
         """Bound estimate errors that no loop state holds, under commands within a bound (m,), shape (n,)."""

@@ -26,7 +26,7 @@ class States:
     plant: Plant
     sizes: list[int] = field(default_factory=list)
     moves: dict[tuple[int, int], arb_mat] = field(default_factory=dict)  # without commands
-    known: Blocks = field(default_factory=dict)  # the error that the law sees
+    sensed: Blocks = field(default_factory=dict)  # the error that the law sees
     parts: list[tuple[arb, arb, Blocks]] = field(default_factory=list)  # how additions of a period enter
     shown: Blocks = field(default_factory=dict)  # additions that the next measurement shows first
     shown_now: list[arb_mat] = field(default_factory=list)  # the same of the parts of the period
@@ -77,7 +77,7 @@ class States:
                 )
                 disturbed = part.gains_over(carried, pushes, 1)[0]
                 block = self.add([x.upper() for x in sums(disturbed, remainder.entries())])
-                self.known[block] = -one
+                self.sensed[block] = -one
                 if age:
                     self.moves[block, block - 1] = plant.open.phi
                 else:
@@ -119,7 +119,7 @@ class States:
         """Add estimates from measurements, with an error that lasts; of their noise a part is constant."""
         rest, block = identity(gain.nrows()) - gain * measures, self.add(settled)
         self.moves[block, block] = rest * self.plant.open.phi
-        self.known[block] = carry
+        self.sensed[block] = carry
         for i, each in self.shown.items():
             self.moves[block, i] = -rest * each
         for (_, _, enters), visible in zip(self.parts, self.shown_now, strict=True):
@@ -142,7 +142,7 @@ class States:
             Sample(self.laid_out(adds, len(size)), push, size, constant)
             for adds, push, size, constant in self.samples
         ]
-        sees, sources = self.beside(self.known, n), (steady, samples, self.box, *noise)
+        sees, sources = self.beside(self.sensed, n), (steady, samples, self.box, *noise)
         return Craft(plant, gain, above(*rows), sees, drifts, parts, *sources, base)
 
 
