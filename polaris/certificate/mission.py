@@ -130,7 +130,7 @@ def _legs(mission: Mapping[str, Any], claims: Mapping[str, Any], folder: Path) -
         heading = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
         scenario = {**shared, **heading, **spec}
         stay = _number(scenario.pop("stay_s", 0.0))
-        _same(scenario, _toml(run_folder / SCENARIO), start, leg_claim["name"])
+        _check_run(scenario, _toml(run_folder / SCENARIO), start, leg_claim["name"])
         claim = strict_json(contents(run_folder / "schedule.json"))["guarantee"]
         legs.append(CheckedLeg(leg_claim["name"], run_folder, document, scenario, start, stay, claim))
         start += legs[-1].T + stay
@@ -143,7 +143,7 @@ def _number(x: Any) -> Fraction:
     return Fraction(x)
 
 
-def _same(planned: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
+def _check_run(planned: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
     """Refuse a run of another scenario; sets that move are where they are when the leg starts."""
     other_keys = [{key: x for key, x in each.items() if key not in SETS} for each in (planned, run)]
     sets = [[each.get(key, []) for key in SETS] for each in (planned, run)]
@@ -227,7 +227,7 @@ def _same_craft(one: Document, two: Document, context: str) -> None:
             raise Rejected("joint", f"{context}: {key} of the system differs")
 
 
-def _spent(leg: CheckedLeg, leaves: float) -> arb | None:
+def _delta_v(leg: CheckedLeg, leaves: float) -> arb | None:
     """Bound the velocity change of a leg until it is left, from its run's claims [m/s]."""
     goal, upkeep = leg.claim["goal"], leg.claim["upkeep"]
     if goal["reached"] is True and leaves <= goal["by_s"]:
@@ -250,7 +250,7 @@ def _sums(legs: list[CheckedLeg], certificate: Mapping[str, Any]) -> str:
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, which is no node from GO on")
         if i < len(certificate["joints"]) and not _within(certificate["joints"][i], round(node), leg):
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, but GO is not given then")
-        delta_v = _spent(leg, leaves)
+        delta_v = _delta_v(leg, leaves)
         if delta_v is not None and i:  # impulses that the leg before leaves behind
             delta_v += carried_impulse(plant_of(doc)) / doc.mass
         _no_less(f"velocity change of leg {leg.name}", leg_claim["delta_v_max_m_s"], delta_v)

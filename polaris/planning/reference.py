@@ -14,7 +14,7 @@ from ..model.tolerances import REFERENCE
 
 
 @lru_cache(maxsize=256)
-def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
+def _step_maps(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
     """Return maps of states and held inputs over j of q parts of a step, (q+1, n, n) and (q+1, n, m)."""
     Ad, Bd = zip(*(discretize(system.A, system.B, delta * j / q) for j in range(q + 1)), strict=True)
     return np.array(Ad), np.array(Bd)
@@ -45,7 +45,7 @@ class Reference:
     @classmethod
     def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> "Reference":
         """Build from an initial state and inputs by exact zero-order-hold discretization (eq. 13)."""
-        Ad, Bd = (part[1] for part in _held(system, delta, 1))
+        Ad, Bd = (part[1] for part in _step_maps(system, delta, 1))
         chi = [*accumulate((Bd @ u for u in nu), lambda x, v: Ad @ x + v, initial=np.asarray(x0, float))]
         return cls(system, delta, np.array(chi), np.array(nu, dtype=float))
 
@@ -57,7 +57,7 @@ class Reference:
     @cached_property
     def rounding(self) -> Array:
         """Bound on the round-off of the states within every step, elementwise, shape (K, n)."""
-        Ad, Bd = (np.abs(part[1]) for part in _held(self.system, self.delta, 1))
+        Ad, Bd = (np.abs(part[1]) for part in _step_maps(self.system, self.delta, 1))
         size = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
         return np.asarray(REFERENCE * (size + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
 
@@ -67,7 +67,7 @@ class Reference:
         The last point of a cell is recomputed from its first, not copied from the next, so the
         array shows every cell as one exact arc.
         """
-        Ad, Bd = _held(self.system, self.delta, q)
+        Ad, Bd = _step_maps(self.system, self.delta, q)
         arcs = np.einsum("qij,kj->kqi", Ad, self.chi[:-1])
         return np.asarray(arcs + np.einsum("qij,kj->kqi", Bd, self.nu))
 

@@ -126,7 +126,7 @@ class PlanRows:
         Control points that no input moves are known exactly: only a re-check tightens them.
         """
         tightening = self.booking[i][cells][:, None]
-        movable = self._moved[i] | (np.asarray(cells)[:, None, None] > 0)
+        movable = self._moving_points[i] | (np.asarray(cells)[:, None, None] > 0)
         return np.asarray(tightening + np.where(movable, self._modelled[i], 0.0))
 
     def surplus(self, path: Reference) -> tuple[Array, ...]:
@@ -174,7 +174,7 @@ class PlanRows:
         return [SOLVER_BOOK_M + np.abs(normals) @ remainder for normals in self._normals]
 
     @cached_property
-    def _moved(self) -> list[Any]:
+    def _moving_points(self) -> list[Any]:
         """Mask of the control points that an input moves along the facets of each unsafe set, (R, F)."""
         Q = self.control_points[1]
         return [np.any(np.einsum("fi,rim->rfm", normals, Q) != 0, axis=2) for normals in self._normals]

@@ -116,19 +116,19 @@ def compare_methods(
     options |= {key: {"code": code} for key in CODED if code is not None}
     for key, extra in cases:
         start = time.perf_counter()
-        method = _made(key, grid, options.get(key, {}) | extra)
+        method = _build_method(key, grid, options.get(key, {}) | extra)
         if isinstance(method, str):
             refused[key] = method
             continue
         built = _synthesis(grid, key) + time.perf_counter() - start
         report = partial(progress, key) if progress else None
-        results[method.key], envelopes[method.key], decisions[method.key] = _flown(
+        results[method.key], envelopes[method.key], decisions[method.key] = _fly_method(
             grid, method, parts, built, report
         )
     return Comparison(grid, runs, seed, results, envelopes, decisions, refused)
 
 
-def _made(key: str, grid: DecisionGrid, options: Mapping[str, Any]) -> Method | str:
+def _build_method(key: str, grid: DecisionGrid, options: Mapping[str, Any]) -> Method | str:
     """A method on the grid, or why it does not admit it; an option of its own that is wrong is raised."""
     try:
         return METHODS[key].on(grid, **options)
@@ -161,7 +161,7 @@ def selected(
     return keys, out
 
 
-def _flown(
+def _fly_method(
     grid: DecisionGrid,
     method: Method,
     parts: Sequence[Conditions],

@@ -20,7 +20,7 @@ def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> Syn
     """Return the error with the values to which each declared bound, or all together, must be lowered."""
     data = scenario.to_dict()
     bounds = {key: value for table in TABLES for key, value in _bounds(table, data.get(table))}
-    if not bounds or not _found(scenario, bounds, SHARES[-1]):
+    if not bounds or not _solved(scenario, bounds, SHARES[-1]):
         return error
     options = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
     texts = [option for option in options if option] or [_lowered(scenario, bounds)]
@@ -52,7 +52,7 @@ def _less(value: Any, share: float) -> Any:
     return float(f"{math.floor(value * share / unit) * unit:.2g}")
 
 
-def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
+def _solved(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
     """Return True if a safe reference is found with a share of some bounds."""
     lowered = {key: _less(value, share) for key, value in bounds.items()}
     try:
@@ -64,8 +64,8 @@ def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
 
 def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
     """Describe the largest share of some bounds with which a safe reference is found; "" if with none."""
-    if not _found(scenario, bounds, SHARES[-1]):
+    if not _solved(scenario, bounds, SHARES[-1]):
         return ""
     last = len(SHARES) - 1
-    largest = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
+    largest = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _solved(scenario, bounds, share))]
     return " and ".join(f"{key} = {_less(value, largest)} (not {value})" for key, value in bounds.items())

@@ -74,7 +74,7 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     document = certificate_of(run.path)
     try:
         with readable(run.path):
-            schedule = _proven(run, document, _asks(run.scenario, black_boxes))
+            schedule = _proven(run, document, _ask_functions(run.scenario, black_boxes))
     except (SynthesisInfeasible, NotCertified) as error:
         rule = f"holds a schedule that this version cannot prove ({error}); run the scenario again"
         raise ScenarioError("run folder", str(run.path), rule) from error
@@ -114,7 +114,7 @@ def certificate_of(folder: Path) -> Document:
     return document
 
 
-def _asks(scenario: ScheduleScenario, black_boxes: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
+def _ask_functions(scenario: ScheduleScenario, black_boxes: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
     """Return the command functions of black boxes; one that is not given is refused once it flies."""
     if black_boxes:
         return black_boxes

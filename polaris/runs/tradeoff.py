@@ -85,7 +85,7 @@ def tradeoff(
     scenario = loaded(scenario, overrides, ScheduleScenario)
     if not 0 < number("share", share) <= 1:
         raise ScenarioError("share", share, "must be above 0 and at most 1")
-    values = _named(prices)
+    values = _labelled(prices)
     points, swept = _points(scenario, values, overrides), "printed" not in values
     for point in points.values():
         point.check_black_boxes(black_boxes)
@@ -116,7 +116,7 @@ def _points(
     return {name: scenario.with_assignments([text]) for name, text in texts.items()}
 
 
-def _named(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
+def _labelled(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
     """Fields and values in order, by the names of their folders; beside prices alone none, as printed."""
     points: dict[str, tuple[str, float | None]] = {}
     for field, field_values in (values if isinstance(values, Mapping) else {PRICE: values}).items():

@@ -238,17 +238,17 @@ class ScheduleScenario(Scenario):
         if not self.files():
             return self.to_toml()
         digests = (hashlib.sha256(read_regular(file)).hexdigest() for file in self.files())
-        return self._moved(lambda file: str(file.resolve())) + "".join(f"# {each}\n" for each in digests)
+        return self._with_paths(lambda file: str(file.resolve())) + "".join(f"# {each}\n" for each in digests)
 
     def _copied(self) -> str:
         adjacent = all(file.name == spec.path for spec, file in self._networks())
-        return super()._copied() if adjacent else self._moved(lambda file: file.name)
+        return super()._copied() if adjacent else self._with_paths(lambda file: file.name)
 
     def _networks(self) -> list[tuple[Neural, Path]]:
         specs = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
         return [(spec, self.policies()[spec.name][0]) for spec in specs]
 
-    def _moved(self, place: Callable[[Path], str]) -> str:
+    def _with_paths(self, place: Callable[[Path], str]) -> str:
         """TOML with other paths of its networks."""
         data, paths = self.to_dict(), {spec.name: place(file) for spec, file in self._networks()}
         for table in data["experimental"]:

@@ -118,7 +118,7 @@ def evaluate(runs: Runs, seed: int = 0, controller: str | None = None) -> Metric
     for having entered a set, and limits on the whole state are looked at within every period, too.
     """
     of_kind("runs", runs, Runs, "polaris.simulate")
-    rng, label = np.random.default_rng(seed), _who(runs) if controller is None else controller
+    rng, label = np.random.default_rng(seed), _controller_name(runs) if controller is None else controller
     count = len(runs.states)
     return Metrics.join([_measured(runs.some(slice(i, i + PART)), rng, label) for i in range(0, count, PART)])
 
@@ -229,7 +229,7 @@ def peak(demanded: Array, chosen: NDArray[np.bool_]) -> Array:
     return np.where(np.isfinite(peaks), peaks, np.nan)
 
 
-def _who(runs: Runs) -> str:
+def _controller_name(runs: Runs) -> str:
     if np.array_equal(runs.modes[: len(runs.schedule.modes)], runs.schedule.modes):
         return "polaris"
     modes = np.unique(runs.modes[: len(runs.schedule.modes)])

@@ -243,9 +243,9 @@ class Trace:
     def same_as(self, other: "Trace") -> bool:
         """Return True if both hold the same names, in the same order, and the same numbers."""
         pairs = (self.agents, other.agents), (self.unsafe, other.unsafe)
-        return all(list(a) == list(b) and all(map(_same, a.values(), b.values())) for a, b in pairs)
+        return all(list(a) == list(b) and all(map(_equal_fields, a.values(), b.values())) for a, b in pairs)
 
 
-def _same(one: object, other: object) -> bool:
+def _equal_fields(one: object, other: object) -> bool:
     fields, other_fields = vars(one) | {"where": ""}, vars(other) | {"where": ""}
     return type(one) is type(other) and all(np.array_equal(fields[key], other_fields[key]) for key in fields)

@@ -131,10 +131,10 @@ def place(item: AnySet, t: Array, d: int) -> PlacedParts:
         if not np.all(half == half[0]):
             b = interpolate(half, rows)
             body = MovingPolytope(body.H[None], np.hstack([b, b]))
-    return PlacedParts((UnsafePart(body, *_moved(item, item.centers[:, :d], t)),), t, item.span)
+    return PlacedParts((UnsafePart(body, *_centre_motion(item, item.centers[:, :d], t)),), t, item.span)
 
 
-def _moved(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
+def _centre_motion(item: AnySet, centers: Array, t: Array) -> tuple[Array, Array]:
     """Centres (N, d) and rates, known or differences; at rest before the first stamp and after the last."""
     rows = between(item.times, t)
     velocities = item.velocities if isinstance(item, BallTrace) else None
@@ -150,7 +150,7 @@ def _place_polytope(item: PolytopeTrace, t: Array) -> tuple[UnsafePart, ...]:
     H, b = unit_rows(item.A, item.b)
     local = b[0] - H[0] @ PolytopeShape(H[0], b[0]).middle
     centers = np.einsum("mdf,mf->md", np.linalg.pinv(H), b - local)
-    centre, velocity = _moved(item, centers, t)
+    centre, velocity = _centre_motion(item, centers, t)
     slack = b - np.einsum("mfd,md->mf", H, centers)
     for row in np.flatnonzero(slack.min(axis=1) < 0):  # most are cleared by the centre itself
         if MovingPolytope(H, slack).shape_at(int(row)).depth < 0:

@@ -122,7 +122,7 @@ def _layers(graph: Any, budget: int) -> list[Layer]:
             _require_same(kind, attributes, [tensors.get(name) for name in node.input])
         else:
             inputs = [None if name in (current, "") else numbers(name) for name in node.input]
-            new_layers = _made(kind, inputs, attributes, width)
+            new_layers = _convert(kind, inputs, attributes, width)
             layers += new_layers
             width = new_layers[-1].shape[0] if not isinstance(new_layers[-1], Activation) else width
             budget -= sum(value.size for value in inputs if value is not None)
@@ -168,7 +168,7 @@ def _require_same(kind: str, attributes: dict[str, Any], tensors: list[Any]) -> 
         raise ReachError("Dropout must be that of inference: its training_mode must be false")
 
 
-def _made(kind: str, inputs: list[Any], attributes: dict[str, Any], width: int) -> list[Layer]:
+def _convert(kind: str, inputs: list[Any], attributes: dict[str, Any], width: int) -> list[Layer]:
     """Layers that one operator makes of so many values."""
     if kind in ACTIVATIONS:
         return [Activation(kind.lower().removeprefix("leaky"), attributes.get("alpha", ACTIVATIONS[kind]))]

@@ -78,7 +78,7 @@ def _is_a(value: Any, *names: str) -> bool:
     return any(base.__name__ in names for base in type(value).__mro__)
 
 
-def _where(accepts: Callable[[Any], bool]) -> Callable[[Any], Any]:
+def _checked(accepts: Callable[[Any], bool]) -> Callable[[Any], Any]:
     return lambda value: value if accepts(value) else _WRONG
 
 
@@ -116,12 +116,12 @@ def is_set(value: Any) -> bool:
     return hasattr(type(value), "support") and hasattr(type(value), "interval_hull")
 
 
-_STRING = ("a string", _where(lambda value: isinstance(value, str)))
-_SET = ("a convex set", _where(is_set))
+_STRING = ("a string", _checked(lambda value: isinstance(value, str)))
+_SET = ("a convex set", _checked(is_set))
 _KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    "float": ("a number", _where(_is_number)),
-    "int": ("a whole number", _where(_is_whole)),
-    "bool": ("true or false", _where(lambda value: isinstance(value, bool | np.bool_))),
+    "float": ("a number", _checked(_is_number)),
+    "int": ("a whole number", _checked(_is_whole)),
+    "bool": ("true or false", _checked(lambda value: isinstance(value, bool | np.bool_))),
     "str": _STRING,
     "Policy": _STRING,
     "Method": _STRING,
@@ -129,10 +129,10 @@ _KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "SetOperators": _SET,
     "ArrayLike": ("numbers", _numbers),
     "Array": ("an array of finite numbers", _finite),
-    "Specs": ("a mapping from names of modes to sequences of Always and Never", _where(_is_specs)),
+    "Specs": ("a mapping from names of modes to sequences of Always and Never", _checked(_is_specs)),
     "Bound": ("numbers or a function", lambda value: value if callable(value) else _numbers(value)),
-    "Callable[[float], ArrayLike]": ("a function of time", _where(callable)),
-    "np.random.Generator": ("a generator", _where(lambda value: isinstance(value, np.random.Generator))),
+    "Callable[[float], ArrayLike]": ("a function of time", _checked(callable)),
+    "np.random.Generator": ("a generator", _checked(lambda value: isinstance(value, np.random.Generator))),
 }
 """By annotation: its meaning in words, and its converter, which returns `_WRONG` if it cannot convert."""
 

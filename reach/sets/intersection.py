@@ -146,16 +146,16 @@ class FurthestSearch:
         # Of other sets with flat faces the program itself gives the coefficients of a point.
         both = zip(parts, self.flat, strict=True)
         self._asked = [part for part, flat in both if flat is None or isinstance(part, HPolytope)]
-        self._known: dict[bytes, tuple[Array, Array]] = {}
+        self._cache: dict[bytes, tuple[Array, Array]] = {}
 
     def split(self, direction: Array) -> tuple[Array, Array]:
         """A furthest point (n,), and rows (k, n), one for each part, that sum to the direction."""
         key = direction.tobytes()
-        if key not in self._known:
-            if len(self._known) > 1024:
-                self._known.clear()
-            self._known[key] = self._cut(direction)[:2]
-        return self._known[key]
+        if key not in self._cache:
+            if len(self._cache) > 1024:
+                self._cache.clear()
+            self._cache[key] = self._cut(direction)[:2]
+        return self._cache[key]
 
     def _cut(self, direction: Array, depth: bool = False) -> tuple[Array, Array, float]:
         for _ in range(CUTS):

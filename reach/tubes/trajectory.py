@@ -153,7 +153,7 @@ def worst_case(
     if not system.U:
         instants = instants if system.discrete else instants[[0, -1]]
         return simulate(system, x0, instants, np.zeros((len(instants) - 1, system.inputs)))
-    instants, middle = (instants, rows[:-1][::-1]) if system.discrete else _held(system, instants, rows[::-1])
+    instants, middle = (instants, rows[:-1][::-1]) if system.discrete else _grid(system, instants, rows[::-1])
     piece = np.searchsorted(system.breaks, (instants[:-1] + instants[1:]) / 2, side="right")
     u = np.empty((len(middle), system.inputs))
     for i, U in enumerate(system.U):
@@ -161,7 +161,7 @@ def worst_case(
     return simulate(system, x0, instants, u)
 
 
-def _held(system: LinearSystem, ends: Array, rows: Array) -> tuple[Array, Array]:
+def _grid(system: LinearSystem, ends: Array, rows: Array) -> tuple[Array, Array]:
     """Instants between which inputs are held, none across a change of its set; rows in their middle."""
     instants = np.union1d(ends, system.breaks[system.breaks < ends[-1]])
     s, k = (instants[:-1] + instants[1:]) / 2, np.searchsorted(ends, instants[:-1], side="right") - 1

@@ -92,7 +92,7 @@ class Corrections:
             return None
         return (identity(loop_gain.nrows()) - loop_gain).inv()
 
-    def _spent(self, answers: Sequence[arb]) -> arb:
+    def _spending(self, answers: Sequence[arb]) -> arb:
         """Thrust by sums of answers (m,) from which errors of thrusters are left out."""
         assert self._amplified is not None
         commands = self._amplified * column([x.upper() for x in answers])
@@ -114,7 +114,7 @@ class Corrections:
         parts = (plant.thruster_part(u) for u in sizes if any(x > 0 for x in u))
         errors = sums([arb(0)] * plant.entering.ncols(), *parts)
         thrust = sum((s * x for s, x in zip(self._loop.spends, total, strict=True)), arb(0))
-        return (thrust + self._spent((self._by_error * column(errors)).entries())) * q
+        return (thrust + self._spending((self._by_error * column(errors)).entries())) * q
 
     @cached_property
     def _near(self) -> tuple[arb_mat, arb_mat]:
@@ -136,13 +136,13 @@ class Corrections:
                 answers = sums(answers, widths(times(near, part)))
             size = z.size()
             totals = [sum(answers[i::m], arb(0)) for i in range(m)]
-            thrusts.append(self._spent(sums(totals, (far * size).entries(), self._later(size, count))))
+            thrusts.append(self._spending(sums(totals, (far * size).entries(), self._later(size, count))))
         return largest(thrusts)
 
     def answer_bound(self, size: arb_mat, count: int) -> arb:
         """Bound the thrust that answers to errors up to some size, shape (n, 1) [N]."""
         size = self.tracker.craft.lifted(size)
-        return self._spent(sums((self._summed * size).entries(), self._later(size, count)))
+        return self._spending(sums((self._summed * size).entries(), self._later(size, count)))
 
     def late_fault_thrust(self, count: int) -> arb:
         """Bound the thrust of a transient fault and of the commands that answer to it [N].
@@ -159,7 +159,7 @@ class Corrections:
             if not fault.get("pushes") and not remembers(doc):
                 periods = 0 if doc.observer is None else max(count, periods)
             answers = sums(*commands, self._later(magnitude(size), count), [x * periods for x in commands[0]])
-            thrusts.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
+            thrusts.append(self._spending(answers) + wrong * arb(fault["lasts"]) / plant.h)
         return largest(thrusts)
 
     def _until(self, fault: dict[str, Any]) -> int:

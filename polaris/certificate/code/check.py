@@ -61,7 +61,7 @@ def precisions(document: Document) -> str:
     path = flown_path(document, plant, document.states[document.steps])
     parts = zip(*[(identity(n), arb_mat(n, m)), *plant.steps][: document.q], strict=True)
     transitions, gains = ([[list(map(float, row)) for row in M.tolist()] for M in part] for part in parts)
-    tables, words = Tables(**_known(document), moved=transitions, pushed=gains), list[str]()
+    tables, words = Tables(**_expected_tables(document), moved=transitions, pushed=gains), list[str]()
     for precision in PRECISIONS:
         error = command_error(document, tables.rounded(precision), precision, path)
         disturbance = disturbance_taken(document, plant, error)
@@ -140,9 +140,9 @@ def _check_tables(document: Document, plant: Plant, tables: Tables, precision: s
     sizes, true_sizes = tuple(tables.sizes.values())[:5], (n, m, q, document.steps, document.cells)
     if sizes != true_sizes:
         raise Rejected("code", f"the tables are for sizes {sizes}, not {true_sizes}")
-    expected = _known(document)
+    expected = _expected_tables(document)
     for name, value in expected.items():
-        _same(name, getattr(tables, name), value, precision)
+        _equal(name, getattr(tables, name), value, precision)
     exact = [(identity(n), arb_mat(n, m)), *plant.steps][:q]
     _near("moved", tables.moved, [transition for transition, _ in exact], precision)
     _near("pushed", tables.pushed, [gain for _, gain in exact], precision)
@@ -151,7 +151,7 @@ def _check_tables(document: Document, plant: Plant, tables: Tables, precision: s
         for name, matrices in on_board.exact().items():
             table = getattr(tables, name)
             _near(name, table if name in ("later", "updates") else [table], matrices, precision)
-        _same("heard", tables.heard, on_board.heard(expected["range"]), precision)
+        _equal("heard", tables.heard, on_board.heard(expected["range"]), precision)
 
 
 def _near(name: str, stored: Table, exact: list[arb_mat], precision: str) -> None:
@@ -183,7 +183,7 @@ def check_plausible(flight: Continuation, sizes: list[arb_mat]) -> None:
         require("code", FARTHEST / 2 - size, text)
 
 
-def _known(document: Document) -> dict[str, Table]:
+def _expected_tables(document: Document) -> dict[str, Table]:
     """Return the tables that hold numbers of the certificate."""
     gain, cells = document.laws[0].gain, document.cells
     assert gain is not None  # as of every safety controller
@@ -198,12 +198,12 @@ def _known(document: Document) -> dict[str, Table]:
     }
 
 
-def _same(name: str, stored: Table, value: Table, precision: str) -> None:
+def _equal(name: str, stored: Table, value: Table, precision: str) -> None:
     if isinstance(value, list):
         if not isinstance(stored, list) or len(stored) != len(value):
             raise Rejected("code", f"{name} is not of the size of the certificate's")
         for i, (one, other) in enumerate(zip(stored, value, strict=True)):
-            _same(f"{name}[{i}]", one, other, precision)
+            _equal(f"{name}[{i}]", one, other, precision)
     elif stored != (value if isinstance(value, int) else rounded(value, precision)):
         raise Rejected("code", f"{name} is {stored!r}, the certificate's is {value!r}")
 

@@ -100,19 +100,19 @@ class OnBoard:
         transition, force, output_map = (matrix(x) for x in (tables.held, tables.force, tables.seen))
         size = magnitude(transition) * reach + magnitude(force) * limit
         wrong = magnitude(transition - exact) * reach + magnitude(force - integral * self.plant.B) * limit
-        predicted = wrong + _lost(size, 0, precision, tables.held, tables.force) + least(n, n + m, precision)
+        predicted = wrong + _loss(size, 0, precision, tables.held, tables.force) + least(n, n + m, precision)
         size = size + predicted
         total, wrong = measured + magnitude(output_map) * size, magnitude(output_map - self.output_map) * size
         for stored, true in zip(map(matrix, tables.later), self.later, strict=True):
             total += magnitude(stored) * limit
             wrong += magnitude(stored - true) * limit
         wrong += measured * arb(UNIT[precision] * (precision == "float"))
-        wrong += _lost(total, 1, precision, tables.seen, *tables.later) + least(o, n + sent * m, precision)
+        wrong += _loss(total, 1, precision, tables.seen, *tables.later) + least(o, n + sent * m, precision)
         total, updated = total + wrong, list[arb_mat]()
         for rows, true in zip(tables.updates, self.updates, strict=True):
             stored = matrix(rows)
             error = magnitude(true) * wrong + magnitude(stored - true) * total
-            error += _lost(size + magnitude(stored) * total, 1, precision, rows) + least(n, o, precision)
+            error += _loss(size + magnitude(stored) * total, 1, precision, rows) + least(n, o, precision)
             updated.append(error)
         return predicted, updated
 
@@ -161,7 +161,7 @@ class OnBoard:
         return other_error + largest(worst)
 
 
-def _lost(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat:
+def _loss(size: arb_mat, before: int, precision: str, *tables: Table) -> arb_mat:
     """Bound the rounding error of sums of products, by their sizes: a product with 0 rounds nothing.
 
     Sums begin with a number `before` them, or with none.

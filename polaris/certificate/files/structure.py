@@ -128,10 +128,10 @@ def _read(value: Any, shape: Shape, place: str, lengths: Lengths) -> Any:
                 raise ValueError(f"{place}.kind: {shown(kind)} is not one of {', '.join(tables)}")
             return _read_table(value, {"kind": Text(), **tables[kind]}, place, lengths)
         case Named(item):
-            entries = _of(dict, value, place).items()
+            entries = _typed(dict, value, place).items()
             return {name: _read(entry, item, f"{place}.{shown(name)}", lengths) for name, entry in entries}
         case Items(item, least, most, even, size):
-            if not least <= len(_of(list, value, place)) <= most:
+            if not least <= len(_typed(list, value, place)) <= most:
                 raise ValueError(f"{place} has {len(value)} items, of {least} to {most}")
             items = [_read(entry, item, f"{place}[{i}]", lengths) for i, entry in enumerate(value)]
             if even and len(set(map(len, items))) > 1:
@@ -154,7 +154,7 @@ def _read(value: Any, shape: Shape, place: str, lengths: Lengths) -> Any:
     return value
 
 
-def _of(kind: type, value: Any, place: str) -> Any:
+def _typed(kind: type, value: Any, place: str) -> Any:
     if not isinstance(value, kind):
         raise ValueError(f"{place}: {shown(value)} is no {'table' if kind is dict else 'list'}")
     return value
@@ -162,7 +162,7 @@ def _of(kind: type, value: Any, place: str) -> Any:
 
 def _read_table(value: Any, shape: dict[str, Shape], place: str, lengths: Lengths) -> dict[str, Any]:
     shapes = {key.removesuffix("?"): item for key, item in shape.items()}
-    for key in _of(dict, value, place):
+    for key in _typed(dict, value, place):
         if key not in shapes:
             raise ValueError(f"{place}: the key {shown(key)} is not known, so nothing was made of it")
     for key in shape:

@@ -74,14 +74,14 @@ class Member:
             detail = f"{rule.check.labels[worst]} would be {proven.margins[worst]:.3g}"
             raise ScenarioError("x", x.tolist(), f"must have a proven plan: {detail}")
         self._none = np.zeros(len(rule.check.labels))
-        self._due, self._flown = t, self._part(proven)
+        self._due, self._plan = t, self._part(proven)
         self._next = np.array(x[me], dtype=float)  # the state that follows from the last known one
-        self._lost = 0.0  # for how long it has not been known [s]
+        self._unknown_s = 0.0  # for how long it has not been known [s]
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
         """Return the message to all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
-        plan, tube = self._flown[:2]
+        plan, tube = self._plan[:2]
         copies = np.array(x, dtype=float), np.array(wanted, dtype=float)
         return Message(self._due, *copies, plan, tube, self.rule.settings)
 
@@ -97,12 +97,12 @@ class Member:
         same_rule = [message for message in sent if message.rule == self.rule.settings]
         current = [message for message in same_rule if abs(message.t - t) <= 1e-6 * D]
         self.unproven |= len(same_rule) < len(sent)
-        measured, proven = _known(own_message.x), self._flown
+        measured, proven = _is_usable(own_message.x), self._plan
         on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
-        self._lost = 0.0 if measured else self._lost + D
-        known = on_time and (measured or (self.brake.uncertainty.exact and self._lost <= MEMORY))
+        self._unknown_s = 0.0 if measured else self._unknown_s + D
+        known = on_time and (measured or (self.brake.uncertainty.exact and self._unknown_s <= MEMORY))
         x = own_message.x if measured else self._next if known else proven.plan[0, 0]
-        if on_time and len(current) == len(messages) and all(_known(message.x) for message in current):
+        if on_time and len(current) == len(messages) and all(_is_usable(message.x) for message in current):
             plans = [Proven(message.plan, message.tube, np.zeros(0), t) for message in current]
             count = max(len(each.plan) for each in plans)
             longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
@@ -111,12 +111,12 @@ class Member:
             states, desired = np.array([m.x for m in current]), np.array([m.wanted for m in current])
             decision = self.rule.filter(time, states, desired)
             if self.rule.plan is not None:  # it has been proven
-                self.moved, self._flown = True, self._part(self.rule.plan)
+                self.moved, self._plan = True, self._part(self.rule.plan)
                 self.unproven &= bool(decision.on_backup[self.me])
                 return self._applied(x, decision.u[self.me])
         self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, proven).all())
         later = self.rule.planner.extended(proven, 3)
-        self._flown = Proven(later[0][1:], later[1][1:], self._none, self._due)
+        self._plan = Proven(later[0][1:], later[1][1:], self._none, self._due)
         return self._applied(x, self.brake.follow(x[None], proven.plan)[0])
 
     def _applied(self, x: Array, u: Array) -> Array:
@@ -131,6 +131,6 @@ class Member:
         return Proven(proven.plan[:, deputy], proven.tube[:, deputy], self._none, proven.t)
 
 
-def _known(x: Array) -> bool:
+def _is_usable(x: Array) -> bool:
     """Return True if an estimated state (6,) has numbers only, none beyond `FARTHEST`."""
     return bool((np.abs(x) <= FARTHEST).all())  # false for nan

@@ -299,7 +299,7 @@ def design(
 def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float) -> Observer:
     """Design an observer for errors of thrusters under a share of their limits, which forgets in time."""
     for unseen in UNSEEN:
-        observer = _made(system, measures, noise, h, missed, share, unseen)
+        observer = _design(system, measures, noise, h, missed, share, unseen)
         filtering = ObserverErrors(system, observer, h)
         with suppress(ScenarioError):
             if not missed or len(filtering.usual(_size(system, observer, h))):
@@ -307,7 +307,7 @@ def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: in
     return observer
 
 
-def _made(
+def _design(
     system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float, unseen: float
 ) -> Observer:
     """Make an observer for errors of thrusters under a share of their limits, and a share that is unknown."""

@@ -173,14 +173,14 @@ class SatelliteObstacle(Obstacle):
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Position [m] and velocity [m/s]: of the true `state` (..., n) if given, else of the nominal one."""
-        states, system = self._known(t, system, state)
+        states, system = self._require_inputs(t, system, state)
         return np.asarray(states @ system.position.T), np.asarray(states @ system.velocity.T)
 
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
         """Return the relative state: both drift under the same dynamics, so their difference does."""
-        states, _ = self._known(t, system, state)
+        states, _ = self._require_inputs(t, system, state)
         zero = np.zeros(system.d)
         return x - states, zero, zero
 
@@ -197,7 +197,7 @@ class SatelliteObstacle(Obstacle):
     def _normals(self, system: LinearSystem) -> Array:
         return directions(system.d, self.facets, f"{self.path}.facets")
 
-    def _known(
+    def _require_inputs(
         self, t: ArrayLike, system: LinearSystem | None, state: ArrayLike | None
     ) -> tuple[Array, LinearSystem]:
         if system is None:

@@ -126,7 +126,7 @@ class Labels(Artist):
             size = np.array([box.width, box.height])
             anchors = points[inside] if np.any(inside) else np.clip(points, low, high)
             outline = np.clip(anchors[:1] if beside else points, low, high)
-            at, leader = _best(free_space, anchors, outline, size, point)
+            at, leader = _spot(free_space, anchors, outline, size, point)
             free_space.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
             text.set_position(ax.transAxes.inverted().transform(at))
             if np.isfinite(leader).all():
@@ -136,7 +136,7 @@ class Labels(Artist):
         self._leaders = leaders
 
 
-def _best(free_space: _Map, anchors: Array, outline: Array, size: Array, point: float) -> tuple[Array, Array]:
+def _spot(free_space: _Map, anchors: Array, outline: Array, size: Array, point: float) -> tuple[Array, Array]:
     """Return the middle of the place of a text, at anchors (N, 2) or in an outline (M, 2), and its leader.
 
     The leader (2, 2) goes from the text to the nearest anchor; nan if the text stands beside it. All in [px].

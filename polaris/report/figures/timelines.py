@@ -150,7 +150,7 @@ def modes_figure(picture: PlotData) -> Any:
         row, flags = rows - 1 - mode, picture.modes == mode
         ax.broken_barh([(0, picture.duration)], (row - 0.3, 0.6), facecolor="#F2F2F2", lw=0)
         _bars(ax, picture, flags, (row - 0.3, 0.6), mode_colour(mode))
-        _beside(ax, 1.01, row, f"{np.mean(flags):.0%}", va="center")
+        _write(ax, 1.01, row, f"{np.mean(flags):.0%}", va="center")
     ax.set(xlim=(0, picture.duration), ylim=(-0.6, rows - 0.4), xlabel="Time (s)")
     ax.set_yticks(range(rows), [picture.mode_name(mode) for mode in range(rows)][::-1])
     ax.tick_params(axis="y", length=0)
@@ -180,7 +180,7 @@ def margin_figure(picture: PlotData) -> Any:
         for one, shade in zip(group, shades(ends, len(group)), strict=True):
             _bars(ax, picture, names == one, (place, height), shade)
             handles.append(Patch(facecolor=shade, label=one))
-    _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
+    _write(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
     label = "Margin (share of clearance)"
     ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
     ax.set_yticks([0, 0.25, 0.5, 0.75, 1.0])
@@ -199,6 +199,6 @@ def _bars(
     ax.broken_barh(spans, rows, facecolor=colour, lw=0, **look)
 
 
-def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
+def _write(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
     """Write at a share of the width, and a value."""
     ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)

@@ -156,7 +156,7 @@ class BoxFilter:
 
     def propagated(self, t: float) -> Array:
         """``[hi, -lo]`` at a time that it `reaches`."""
-        return self._moved(self._box, t - self.t)
+        return self._propagate(self._box, t - self.t)
 
     def cut(self, t: float, x: Array, half: Array) -> int:
         """Take in a measurement at a time that the box `reaches`: -1 if it agrees.
@@ -172,14 +172,14 @@ class BoxFilter:
 
     def ahead(self, x: Array, half: Array, duration: float) -> tuple[Array, Array]:
         """Lower and upper ends, from one measurement alone, so much later [s]."""
-        box = self._moved(_boxed(x, half), duration)
+        box = self._propagate(_boxed(x, half), duration)
         return -box[self._n :], box[: self._n]
 
     def restart(self, t: float, x: Array, half: Array) -> None:
         """Forget everything but this measurement."""
         self._box, self.t = _boxed(x, half), t
 
-    def _moved(self, box: Array, duration: float) -> Array:
+    def _propagate(self, box: Array, duration: float) -> Array:
         size = np.maximum(box[: self._n], box[self._n :])
         bounded = np.concatenate([box, size, self._inputs, (1.0,)])
         return np.asarray(np.dot(self.motion.over(duration), bounded))

@@ -65,17 +65,17 @@ class FlightLoop:
         if laws is not None and len(laws) != count:
             raise ScenarioError("laws", len(laws), f"must be {count}, one per controller, S first")
         self.laws = tuple(laws) if laws is not None else tuple(map(self._declared, range(count)))
-        self._same = TIME * self.grid.period
+        self._tol = TIME * self.grid.period
         self._waiting: list[tuple[float, OnlineDecision]] = []  # by moment of effect
         self._mode, self._until = 0, -inf  # who may fly, and how long
         self._newest = -inf  # every reading of the clock must be later
-        self._told, self._x = 0.0, self.grid.xi[0].copy()  # last readings that could be used
+        self._last_time, self._x = 0.0, self.grid.xi[0].copy()  # last readings that could be used
 
     def _declared(self, mode: int) -> Law:
         last = len(self.grid.mu) - 1
 
         def law(t: float, x: Array) -> Array:
-            node = int(min(max((t + self._same) / self.grid.h, 0.0), last))
+            node = int(min(max((t + self._tol) / self.grid.h, 0.0), last))
             return self.grid.clipped(mode, node, x)
 
         return law
@@ -106,11 +106,11 @@ class FlightLoop:
         # The monitor has checked this reading: a later one of `command` was wrong, no earlier one can follow.
         instant = answer.k * self.grid.period
         tolerance = self.online.limits.tolerance
-        if self._newest > instant + 2 * tolerance + self._same:
+        if self._newest > instant + 2 * tolerance + self._tol:
             self._newest = -inf
-        self._newest = max(self._newest, instant - tolerance - self._same)
+        self._newest = max(self._newest, instant - tolerance - self._tol)
         effect = instant + self.grid.latency
-        if answer.mode == 0 or effect > self._newest + self._same:  # else it came after its moment of effect
+        if answer.mode == 0 or effect > self._newest + self._tol:  # else it came after its moment of effect
             self._waiting = [*self._waiting[-1:], (effect, answer)]
         return answer
 
@@ -131,7 +131,7 @@ class FlightLoop:
         t, state = real(now), numbers(x, self._x.shape)
         valid = False
         if t is not None and isfinite(t):
-            self._told, valid = t, t > self._newest
+            self._last_time, valid = t, t > self._newest
             if valid:
                 self._newest = t
                 self._take_effect(t)
@@ -142,12 +142,12 @@ class FlightLoop:
         if not valid:
             self._revoke()
         if self._mode:
-            u = self.online.command(self.laws[self._mode], self._told, self._x.copy())
+            u = self.online.command(self.laws[self._mode], self._last_time, self._x.copy())
             if u is not None:
                 return Command(self._mode, u, min(self._until, self._next()))
             self._revoke()
         limit = self.grid.system.u_max
-        u = np.clip(np.asarray(self.laws[0](self._told, self._x.copy()), dtype=float), -limit, limit)
+        u = np.clip(np.asarray(self.laws[0](self._last_time, self._x.copy()), dtype=float), -limit, limit)
         return Command(0, np.asarray(u), self._next())
 
     def isolated(self) -> None:
@@ -158,10 +158,10 @@ class FlightLoop:
         self._waiting = []
 
     def _take_effect(self, t: float) -> None:
-        while self._waiting and t >= self._waiting[0][0] - self._same:
+        while self._waiting and t >= self._waiting[0][0] - self._tol:
             effect, answer = self._waiting.pop(0)
             self._mode, self._until = answer.mode, answer.until
-        if not t < self._until - self._same:
+        if not t < self._until - self._tol:
             self._mode = 0  # the permission has ended
 
     def _next(self) -> float:

@@ -30,14 +30,14 @@ class MeasurementCheck:
 
     def __init__(self, grid: DecisionGrid, limits: Durations, farthest: float, trusted: int) -> None:
         self.grid = grid
-        self._same = TIME * grid.period
+        self._tol = TIME * grid.period
         outage = any(not len(fault.thrust) for fault in grid.system.transients)  # then no older one counts
-        self._max_age, self._farthest = self._same if outage else limits.max_age, farthest
+        self._max_age, self._farthest = self._tol if outage else limits.max_age, farthest
         self._shape = (grid.system.n,)
         self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
         half = np.abs(theta.G).sum(axis=1)
-        motion = BoxMotion(grid.system, grid.period, limits.memory + self._same)
+        motion = BoxMotion(grid.system, grid.period, limits.memory + self._tol)
         for duration in (0.0, grid.period):  # worked out before the flight
             motion.over(duration)
         self.filter = BoxFilter(motion, theta.c - half, theta.c + half)
@@ -47,7 +47,7 @@ class MeasurementCheck:
 
     def note_inputs(self, applied: object, faults: list[FlightFault]) -> None:
         """Take note of the input since the last call, (m,) or (2, m) [N]; None if it is not known."""
-        fresh = self.filter.t >= self._called - self._same
+        fresh = self.filter.t >= self._called - self._tol
         self._called = np.inf  # not known, unless `observe` is told
         m, limit = self.grid.system.m, self.grid.system.u_max * (1 + TIME)
         constant = numbers(applied, (m,))
@@ -71,7 +71,7 @@ class MeasurementCheck:
             return None
         self._compare(reading, faults)
         age = instant - reading.stamp
-        if age <= self._same:
+        if age <= self._tol:
             return reading.state
         # Only the measurement's own error bound counts here: an earlier one may have lied.
         low, high = self.filter.ahead(reading.state, reading.half_widths, age)
@@ -84,7 +84,7 @@ class MeasurementCheck:
 
     def _compare(self, reading: CheckedMeasurement, faults: list[FlightFault]) -> None:
         stamp = max(reading.stamp, self.filter.t)
-        if stamp > reading.stamp + self._same:  # only before the first accepted one
+        if stamp > reading.stamp + self._tol:  # only before the first accepted one
             faults.append(FlightFault("measurement", "late: from before the start of the plan"))
         elif not self.filter.reaches(stamp):
             faults.append(
@@ -112,10 +112,10 @@ class MeasurementCheck:
         age = instant - stamp
         if not isfinite(age):
             return "the stamp is not finite"
-        if age < -self._same:
+        if age < -self._tol:
             return "future: newer than the decision's instant"
-        if stamp <= self._newest + self._same:
-            fault = "duplicated" if stamp >= self._newest - self._same else "reordered"
+        if stamp <= self._newest + self._tol:
+            fault = "duplicated" if stamp >= self._newest - self._tol else "reordered"
             return f"{fault}: not newer than the last one, so missing"
         if age > self._max_age:
             return f"stale: {age:.6g} s old"
@@ -132,7 +132,7 @@ class MeasurementCheck:
         if not ((half >= 0) & (half + offset <= self.grid.half_widths)).all():  # also for nan
             return "half widths: not between zero and the scene's"
         half = half + offset
-        if age > self._same:  # pulses displace what is measured between nodes
+        if age > self._tol:  # pulses displace what is measured between nodes
             half = half + np.array(self.grid.system.timing.intersample_offset or 0.0)
         contents = x.tobytes()
         repeated, self._newest, self._state = contents == self._state, stamp, contents

@@ -73,7 +73,7 @@ class CampaignFolder:
             value = dict(case.parameters)[key]
             columns[key] = np.repeat(np.array(str(value) if kind is str else value, dtype=kind), count)
         columns["batch"] = np.full(count, task.batch, dtype=np.int32)
-        head = self._who(task) | {"schedule": batch.schedule}
+        head = self._ids(task) | {"schedule": batch.schedule}
         with adding(self.path, "runs", "kept") as draft:
             FORMATS[self.table].write(draft / self.part(task).name, columns | batch.columns, json.dumps(head))
 
@@ -85,7 +85,7 @@ class CampaignFolder:
             schedule = str(head.pop("schedule"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
-        return schedule if head == self._who(task) and rows == task.runs * len(self.plan.kind.modes) else None
+        return schedule if head == self._ids(task) and rows == task.runs * len(self.plan.kind.modes) else None
 
     def read(self, case: int, names: Sequence[str] | None = None) -> Columns:
         """Some columns of all runs of a case, in order; all columns if not said."""
@@ -98,7 +98,7 @@ class CampaignFolder:
         row = {name: values[place] for name, values in FORMATS[self.table].read(self.part(task)).items()}
         return {name: value.item() if isinstance(value, np.generic) else value for name, value in row.items()}
 
-    def _who(self, task: Task) -> dict[str, Any]:
+    def _ids(self, task: Task) -> dict[str, Any]:
         return {"campaign": self.plan.digest, "case": task.case, "batch": task.batch}
 
     def failures(self) -> dict[int, dict[str, Any]]:

@@ -49,7 +49,7 @@ class InspectionRuns(CampaignRuns):
 
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
         """Fly a task, or one run of it (see `CampaignRuns.fly`)."""
-        scenario, drawn, filters = _made(task.text)
+        scenario, drawn, filters = _load_case(task.text)
         plan, q = scenario.model.campaign, scenario.inspection()
         x, sun = (values[task.first :] for values in drawn.first(task.first + task.runs))
         flights = FlightBatch(q, x, sun, plan.duration_s, plan.period_s)
@@ -67,7 +67,7 @@ class InspectionRuns(CampaignRuns):
     def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
         """Summarise the runs of a campaign (see `CampaignRuns.summarise`)."""
         (case,), runs = folder.plan.cases, folder.plan.runs
-        scenario = _made(case.text)[0]
+        scenario = _load_case(case.text)[0]
         plan = scenario.model.campaign
         summary: dict[str, Any] = {
             "runs": runs,
@@ -95,7 +95,7 @@ def case_of(scenario: MonteCarloScenario) -> Case:
 
 def outcomes(case: Case, columns: Mapping[str, Array]) -> dict[str, BlockOutcome]:
     """Results of every study, from the columns of all runs."""
-    studies = _made(case.text)[0].model.studies
+    studies = _load_case(case.text)[0].model.studies
     return {study.name: BlockOutcome(of_mode(columns, study.name)) for study in studies}
 
 
@@ -107,7 +107,7 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 
 @lru_cache(2)
-def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
+def _load_case(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
     """Return the scenario of a case, its drawn initial conditions, and its filters by study."""
     scenario = MonteCarloScenario.from_dict(parse_toml(text, "campaign"))
     plan = scenario.model.campaign

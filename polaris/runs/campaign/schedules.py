@@ -88,7 +88,7 @@ class Boxes:
 
 
 @lru_cache(KEPT)
-def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError:
+def _synthesize(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError:
     """Return a schedule and its digest, or why there is none."""
     try:
         with warnings.catch_warnings():
@@ -109,7 +109,7 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
 def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
     """Schedule of a scenario's text, and its digest; made once per process for all of its threads."""
     with _lock:
-        outcome = _made(text, boxes)
+        outcome = _synthesize(text, boxes)
     if isinstance(outcome, PolarisError):
         raise outcome.with_traceback(None)
     return outcome

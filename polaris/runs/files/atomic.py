@@ -153,7 +153,7 @@ def try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") 
 
 
 @contextmanager
-def _beside(folder: Path, name: str, field: str, target: Path) -> Iterator[Path]:
+def _draft_folder(folder: Path, name: str, field: str, target: Path) -> Iterator[Path]:
     """Make a hidden folder, with a list by which the next run knows it, and remove it at the end."""
     draft = folder / beside_name(name, "new")
     try:
@@ -178,7 +178,7 @@ def replacing(target: Path) -> Iterator[Path]:
     """
     tidy(target.parent, target.name)
     old = target.with_name(beside_name(target.name, "old"))
-    with _beside(target.parent, target.name, "--out", target) as draft:
+    with _draft_folder(target.parent, target.name, "--out", target) as draft:
         yield draft
         write_list(draft)
         if target.exists():
@@ -197,7 +197,7 @@ def replacing(target: Path) -> Iterator[Path]:
 @contextmanager
 def replacing_file(target: Path, field: str = "--out", force: bool = False) -> Iterator[Path]:
     """Give a path of the same name elsewhere; files written there take the place of `target`."""
-    with _beside(target.parent, target.name, field, target) as draft:
+    with _draft_folder(target.parent, target.name, field, target) as draft:
         yield draft / target.name
         _check_taken(target, field, force)
         os.replace(draft / target.name, target)
@@ -226,7 +226,7 @@ def adding(
     if not os.path.lexists(holder / MANIFEST):
         start_list(holder)
     tidy(folder)
-    with _beside(folder, inside or folder.name, "--out", place) as draft:
+    with _draft_folder(folder, inside or folder.name, "--out", place) as draft:
         yield draft
         place.mkdir(exist_ok=True)
         prefix = "".join(f"{part}/" for part in place.relative_to(holder).parts)

@@ -84,7 +84,7 @@ class Corrections:
             return None
         return np.asarray(np.linalg.inv(np.eye(len(fed)) - fed))
 
-    def _spent(self, sums: Array) -> float:
+    def _spending(self, sums: Array) -> float:
         """Thrust by sums of answers (m,) from which errors of thrusters are left out."""
         assert self._amplified is not None
         return float(self._inputs.spends @ self._amplified @ sums) * (1 + ROUNDING)
@@ -102,7 +102,7 @@ class Corrections:
         """
         errors = self._errors(np.abs(inputs)).sum(axis=0)
         thrust = float(self._inputs.spends @ np.abs(inputs).sum(axis=0))
-        return thrust + self._spent(self._by_error @ errors)
+        return thrust + self._spending(self._by_error @ errors)
 
     def once(self, sets: Zonotope, count: int) -> float:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
@@ -111,13 +111,13 @@ class Corrections:
         for c, G in zip(sets.c, sets.G, strict=True):
             each = (np.abs(answers @ c) + np.abs(answers @ G).sum(axis=-1)).reshape(len(self._answers), -1)
             later = self._later(np.abs(c) + np.abs(G).sum(axis=-1), count)
-            largest = max(largest, self._spent(each.sum(axis=0) + later))
+            largest = max(largest, self._spending(each.sum(axis=0) + later))
         return largest
 
     def answer_bound(self, size: Array, count: int) -> float:
         """Bound the thrust that answers to errors up to some size, shape (n,) [N]."""
         size = np.pad(size, (0, self.tracking.loop.N - len(size)))
-        return self._spent(self._summed @ size + self._later(size, count))
+        return self._spending(self._summed @ size + self._later(size, count))
 
     def late_fault_thrust(self, count: int) -> float:
         """Bound the thrust of a transient fault, and of the answers to it [N].
@@ -134,7 +134,7 @@ class Corrections:
             if not len(fault.thrust) and self.tracking.loop.settled is None:
                 periods = 0 if system.observer is None else max(count, periods)
             sums = sums + periods * difference.support(self._answers[0])
-            largest = max(largest, self._spent(sums) + wrong * fault.lasts / h)
+            largest = max(largest, self._spending(sums) + wrong * fault.lasts / h)
         return largest
 
     def _faults(self) -> Iterator[tuple[Transient, OutageDifference, float]]:

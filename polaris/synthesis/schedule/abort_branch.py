@@ -100,7 +100,7 @@ class AbortBranch:
             return AbortStep(
                 None, why=f"the orbit is not reached in time: {text}", short=miss - self.goal.tolerance
             )
-        delta_v = self._spent(takeover, cell)
+        delta_v = self._spending(takeover, cell)
         if abort.budget is not None and delta_v > abort.budget:
             text = f"S may need {directed(delta_v, '.4g', up=True)} m/s, the budget is {abort.budget:g} m/s"
             return AbortStep(None, why=text, short=delta_v - abort.budget, budget="abort.delta_v_max_m_s")
@@ -123,7 +123,7 @@ class AbortBranch:
         indices = np.flatnonzero(misses <= self.goal.tolerance)
         return (K + int(indices[0]) if len(indices) else None), float(misses.min())
 
-    def _spent(self, takeover: Takeover, end: int) -> float:
+    def _spending(self, takeover: Takeover, end: int) -> float:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s].
 
         The lesser of the sum of its periods' bounds and of that of all periods at once.

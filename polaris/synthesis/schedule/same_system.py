@@ -33,7 +33,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
 
     Raises `ScenarioError`, naming the part, its value, and the required value.
     """
-    _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
+    _equal("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
     _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
     try:
         kind, share = safety.recoverable.kind, safety.problem.thrust_share
@@ -73,10 +73,10 @@ def check_controller(controller: Controller, safety: Safety) -> None:
             rule = f"must be any thrust or a law known to the problem, as {fault.name} is isolated late"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     _same_parts(f"{name}.own.system", Craft.from_system(own.system), problem.system)
-    _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
+    _equal(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
     shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
     own_shapes = np.shape(own.chi), np.shape(own.nu)
-    _same(f"{name}.own.chi and nu", own_shapes, shapes, f"shapes of a path of {K} steps or more")
+    _equal(f"{name}.own.chi and nu", own_shapes, shapes, f"shapes of a path of {K} steps or more")
     if not (np.all(np.isfinite(own.chi)) and np.all(np.isfinite(own.nu))):
         raise ScenarioError(f"{name}.own", "nan or inf", "must be finite numbers")
 
@@ -91,9 +91,9 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
     if not isinstance(tube, TubeSegment):
         raise ScenarioError(name, type(tube).__name__, "must return a polaris.TubeSegment")
-    _same(f"{name}.states", tube.states.c.shape, (q + 1, n), "one set per node of the step")
-    _same(f"{name}.intersample", np.shape(tube.intersample), (q, n), "one row per part of the step")
-    _same(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
+    _equal(f"{name}.states", tube.states.c.shape, (q + 1, n), "one set per node of the step")
+    _equal(f"{name}.intersample", np.shape(tube.intersample), (q, n), "one row per part of the step")
+    _equal(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
     if tube.refused:
         return tube
     if not np.all(tube.intersample >= 0):
@@ -122,7 +122,7 @@ def _same_parts(field: str, actual: Any, needed: Any) -> None:
         for i, (one, other) in enumerate(zip(actual, needed, strict=True)):
             _same_parts(f"{field}[{i}]", one, other)
     elif not (isinstance(needed, np.ndarray) and _close(actual, needed)):
-        _same(field, actual, needed, "one that its problem and plan lead to")
+        _equal(field, actual, needed, "one that its problem and plan lead to")
 
 
 def _close(actual: Any, needed: Array) -> bool:
@@ -130,7 +130,7 @@ def _close(actual: Any, needed: Array) -> bool:
     return same and bool(np.all(np.abs(actual - needed) <= REFERENCE * np.max(np.abs(needed), initial=0.0)))
 
 
-def _same(field: str, actual: Any, needed: Any, label: str) -> None:
+def _equal(field: str, actual: Any, needed: Any, label: str) -> None:
     if np.array_equal(np.asarray(actual, dtype=object), np.asarray(needed, dtype=object)):
         return
     a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (actual, needed))

@@ -164,7 +164,7 @@ def test_a_member_knows_where_it_is_without_a_state():
     for k in range(75):
         seen = x if k < 5 else np.full((2, 6), np.nan)
         sent = [one.message(seen[i], np.full(3, (-1.0) ** k)) for i, one in enumerate(members)]
-        plans = [one._flown for one in members]
+        plans = [one._plan for one in members]
         u = [one.decide(float(k), sent) for one in members]
         assert [one.unproven for one in members] == [k > 64] * 2
         for i, plan in enumerate(plans):

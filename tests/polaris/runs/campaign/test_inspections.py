@@ -98,7 +98,7 @@ def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
 
 def test_no_initial_conditions_is_one_message(tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.inspection.flights.sampling.PATIENCE", 4000)
-    monkeypatch.setattr(inspections, "_made", inspections._made.__wrapped__)
+    monkeypatch.setattr(inspections, "_load_case", inspections._load_case.__wrapped__)
     with pytest.raises(PolarisError, match="hardly any of 4096 samples") as raised:
         run_monte_carlo(tmp_path / "c", scenario("campaign.deputies=30"))
     assert raised.value.exit_code == 2
