@@ -102,7 +102,7 @@ def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
     if np.isnan(value):
         return Cell("none", reason="no value")
     if np.isinf(value):
-        return Cell("∞" if value > 0 else "−∞", value, why="infinite" if value > 0 else "minus infinite")
+        return Cell("∞" if value > 0 else "−∞", value, reason="infinite" if value > 0 else "minus infinite")
     return Cell(number(value) + suffix, value)
 
 

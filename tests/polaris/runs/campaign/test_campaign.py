@@ -270,9 +270,7 @@ def test_a_case_without_a_schedule_is_told_and_stops_nothing(tmp_path, seen):
 def test_a_schedule_that_hangs_on_the_clock_is_not_flown(tmp_path, monkeypatch):
     """Another machine might fly another one."""
     with monkeypatch.context() as late:
-        late.setattr(
-            schedules, "_synthesize", schedules._synthesize.__wrapped__
-        )  # others keep what they made
+        late.setattr(schedules, "_synthesize", schedules._synthesize.__wrapped__)  # others keep theirs
         struck = property(lambda self: ("fuel",) if self.search.rows.problem.unsafe else ())
         late.setattr(SearchEffort, "cut_by_clock", struck)
         summary = run(make_cases([TINY]), 3, tmp_path / "c").summary
