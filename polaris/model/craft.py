@@ -136,7 +136,7 @@ class Craft(LinearSystem):
     def unknown(self) -> Array:
         """Rates of the states by carried impulses, leads of pulses and the constant beside w, (n, ...)."""
         lead = self.timing.lead
-        led = [] if lead is None else [self.A @ self.B * np.add(lead.fixed, lead.most)]
+        led = [] if lead is None else [self.A @ self.B * np.add(lead.fixed, lead.cap)]
         return np.hstack([self.impulse_rates, *led, self.biases])
 
     @cached_property
@@ -184,7 +184,7 @@ class Craft(LinearSystem):
         counts = errors.constant and errors.along < 1 and self.longest == 1
         return errors.summed(np.eye(self.m)) * counts
 
-    def estimate_off(self, most: Array | None = None) -> Array:
+    def estimate_bound(self, most: Array | None = None) -> Array:
         """Return bounds on the errors of the estimate, shape (..., n).
 
         `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
@@ -193,13 +193,13 @@ class Craft(LinearSystem):
         if most is None:
             return self.navigation
         spare = self.proportional_errors(self.u_max) - self.proportional_errors(np.minimum(most, self.u_max))
-        unseen = sum(map(np.transpose, self.unseen.values()), 0 * self.entering.T)
+        unseen = sum(map(np.transpose, self.by_lag.values()), 0 * self.entering.T)
         return np.asarray(self.navigation - spare @ unseen)
 
     @property
-    def unseen(self) -> dict[int, Array]:
+    def by_lag(self) -> dict[int, Array]:
         """Return `Timing.unseen` by periods, (n, k) each; nothing where faults are isolated late."""
-        return {} if self.transients else {age: np.array(added) for age, added in self.timing.unseen}
+        return {} if self.transients else {age: np.array(added) for age, added in self.timing.by_lag}
 
     @property
     def entering(self) -> Array:
@@ -223,7 +223,7 @@ class Craft(LinearSystem):
         """Return how much of velocity change a unit of each input counts, (m,): the sum of all thrusters."""
         return np.ones(self.m) if self.nozzles is None else self.nozzles.weights
 
-    def spent(self, most: Array) -> Array:
+    def spending(self, most: Array) -> Array:
         """Return bounds on applied inputs, on average over time, under commands up to `most`, (..., m).
 
         Each by its weight: the sum bounds what counts of velocity change.

@@ -22,16 +22,16 @@ class Lead:
 
     shares: tuple[tuple[float, ...], ...]  # of each input, rows, by a unit of each command, (m, m)
     fixed: tuple[float, ...]  # whatever is commanded, (m,)
-    most: tuple[float, ...]  # besides, however much is commanded, (m,)
+    cap: tuple[float, ...]  # besides, however much is commanded, (m,)
 
     @property
     def least(self) -> "Lead":
         """Return the leads under no command."""
-        return replace(self, most=(0.0,) * len(self.most))
+        return replace(self, cap=(0.0,) * len(self.cap))
 
     def part(self, u: Array) -> Array:
         """Return the part that is proportional to commands up to u at most, (..., m); subadditive."""
-        return np.asarray(np.minimum(u @ np.array(self.shares).T, np.array(self.most)))
+        return np.asarray(np.minimum(u @ np.array(self.shares).T, np.array(self.cap)))
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Timing:
     carried_impulse: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
-    unseen: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()
+    by_lag: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()
     """Bounds on the unmeasured error of the estimate that a command rests on, per unit thruster error of up
     to so many periods before: periods and numbers (n, k)."""
 
@@ -144,7 +144,7 @@ class Transient:
     asked: bool = False  # whether black boxes fly, whose answers may be any
     networks: Array | None = None  # the same of networks: how steep they are in the state
     after: float = 0.0  # so much longer [s] decisions on predictions go on that did not know of it
-    unseen: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
+    missed: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
 
     @property
     def pushes(self) -> Array:

@@ -267,7 +267,7 @@ def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
     wait, after = h * (nodes - 1), h * max(delay, 1) * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
     pairs = zip(faults, lasts, strict=True)
-    transients = tuple(replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in pairs)
+    transients = tuple(replace(fault, lasts=x, after=after, missed=nodes + delay) for fault, x in pairs)
     return replace(system, transients=transients)
 
 

@@ -91,7 +91,7 @@ class Integrator(Firing):
 
     def error_bounds(self, system: Craft) -> Array:
         """Return bounds on errors of estimates in a step, shape (n,), by the craft as it is in it."""
-        return system.estimate_off(0 * system.u_max)
+        return system.estimate_bound(0 * system.u_max)
 
     @property
     def may_do_anything(self) -> bool:

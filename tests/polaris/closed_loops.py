@@ -65,7 +65,7 @@ class Loop:
         self.N, self.dt = self.cells * self.per, safety.problem.delta / self.per
         self.modes = np.r_[schedule.modes, np.zeros(self.cells - self.K, dtype=int)]
         steps = map(self.system.at_step, range(self.cells))
-        self.known = np.array([system.estimate_off(0 * system.u_max) for system in steps])
+        self.known = np.array([system.estimate_bound(0 * system.u_max) for system in steps])
         self.gain = safety.tracking.gain
         rest = np.zeros((self.cells - known, self.system.m))
         self.nu = np.vstack([safety.reference.nu, rest])

@@ -156,7 +156,7 @@ class Continuation:
         """Bound on S's spending in a period [N s]."""
         plant = self.tracker.craft.plant
         pairs = zip(plant.u_max, self.commanded(tightenings, hand_overs, period), strict=True)
-        return plant.spent([smallest(pair) for pair in pairs])
+        return plant.spending([smallest(pair) for pair in pairs])
 
     @cached_property
     def _jump(self) -> HandOver:

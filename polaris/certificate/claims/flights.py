@@ -117,7 +117,7 @@ class ControllerModel:
             Directions(craft.drifts + plant.B * answer.K),
             g,
             [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in held_inputs],
-            [*(craft.lifted(craft.motion.pushed(push)) for push in free_inputs), *craft.added(error)],
+            [*(craft.lifted(craft.motion.effect(push)) for push in free_inputs), *craft.added(error)],
             held_inputs,
             [*free_inputs, *plant.push(error)],
             answer.bounds,
@@ -125,7 +125,7 @@ class ControllerModel:
         middle, bands = base.u + answer.c + answer.K * z.c, [arb(0)] * plant.B.ncols()
         for push in v:
             bands = sums(bands, push.along(identity(len(bands))))
-        return period, Spell(plant.spent(answer.bounds), middle, answer.bounds, answer.K, bands)
+        return period, Spell(plant.spending(answer.bounds), middle, answer.bounds, answer.K, bands)
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, excess: list[arb]) -> PeriodCommand:
         """Enclose the command from a set; errors of estimates exceed those of the loop by `excess` (n)."""

@@ -40,7 +40,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     tops = list(map(largest, zip(*map(arrival.max_commands, nodes), strict=True)))
     for top, x in zip(plant.u_max, tops, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
-    thrust = plant.spent(tops) / plant.h, arb(0)
+    thrust = plant.spending(tops) / plant.h, arb(0)
     try:
         check_sizes(arrival, claim, tank, tops, thrust)
     except (Rejected, Undecided):
@@ -104,7 +104,7 @@ def check_sizes(
     arrival.require_bound("velocity change per second", claim["rate_m_s2"], rate)
     one_time = once * plant.h
     if doc.pulse_thrust:  # a pulse ends before its period does
-        one_time += plant.spent(tops) / doc.mass
+        one_time += plant.spending(tops) / doc.mass
     until = arrival.delta_v_until(arrival.node_at(claim["settled_s"])) + one_time
     arrival.require_bound("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]

@@ -100,7 +100,7 @@ class DecisionBound:
         """Generators of the thrust, disturbances and errors of a period."""
         craft = self.flight.tracker.craft
         error = craft.plant.thruster_error(craft.plant.u_max)
-        return beside(craft.lifted(craft.motion.pushed(self.pushes[0])), *craft.added(error))
+        return beside(craft.lifted(craft.motion.effect(self.pushes[0])), *craft.added(error))
 
     def end(self, share: int) -> arb_mat:
         """Size of the loop state at the next node, affine in the share, (N, 1)."""
@@ -279,7 +279,7 @@ def _with_largest_errors(flight: Continuation) -> Continuation:
     missed = craft.missed(sums(extra, craft.lag_error(plant.u_max)))
     error = [nextafter(float(x.upper()), inf) for x in plant.thruster_error(plant.u_max)]
     doc.feedback_bound, doc.error_by_step = [], []
-    plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, unseen=[])
+    plant = replace(plant, along=0.0, across=0.0, shares=(), constant=False, bits=error, by_lag=[])
     craft = replace(craft, plant=plant, errors=missed, base=None, _along={})
     settling = replace(tracker.settling, feedback_bound=[], rates=[])
     tracker = Tracker(doc, craft, settling, tracker.upsets)

@@ -257,7 +257,7 @@ def _check_flown(document: Document, key: str, modes: list[int], stored: dict[st
         "min_ttc_free_drift_s": drift is None or drift <= horizon * allowance,
         "velocity changes in order": delta_v <= delta_v_max * allowance
         and delta_v_max <= delta_v * stored["runs"] * allowance
-        and delta_v_max <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * allowance,
+        and delta_v_max <= float(plant.spending(plant.u_max).upper()) * periods / document.mass * allowance,
         "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
         "max_thrust_ratio": stored["max_thrust_ratio"]
         == max((r for r in ratios if r is not None), default=-1),

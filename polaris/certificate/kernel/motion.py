@@ -85,7 +85,7 @@ class Plant:
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     bias: list[InputSet] = field(default_factory=list)  # inputs that are constant in a whole flight
-    unseen: list[tuple[int, arb_mat]] = field(default_factory=list)
+    by_lag: list[tuple[int, arb_mat]] = field(default_factory=list)
     """Bounds on estimate errors per unit thruster error of up to so many periods before a command, (n, k),
     where commands of the meantime are told apart."""
     shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
@@ -104,7 +104,7 @@ class Plant:
         return Directions(self.A)
 
     @cached_property
-    def carry(self) -> list[InputSet]:
+    def carry_pushes(self) -> list[InputSet]:
         """Return the pushes of impulses carried to the next period, and of those that jitter moves."""
         size, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
         rates += [self.A * self.B * self.along] if self.along > 0 else []
@@ -122,7 +122,7 @@ class Plant:
 
     def disturbances(self, error: list[arb]) -> list[InputSet]:
         """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
-        return [self.disturbance, *self.bias, *self.carry, *self.push(error)]
+        return [self.disturbance, *self.bias, *self.carry_pushes, *self.push(error)]
 
     @cached_property
     def entering(self) -> arb_mat:
@@ -173,7 +173,7 @@ class Plant:
         each = self.alone.tolist() if self.constant else []
         return [(i, j, x) for i, row in enumerate(each) for j, x in enumerate(row) if x > 0]
 
-    def spent(self, commands: Sequence[arb]) -> arb:
+    def spending(self, commands: Sequence[arb]) -> arb:
         """Bound on the thrusters' spending in a period under commands up to `commands`, by their weights."""
         applied = sums(commands, self.without_delay.thruster_error(commands))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
@@ -244,7 +244,7 @@ class Motion:
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
-    def pushed(self, *pushes: InputSet) -> arb_mat:
+    def effect(self, *pushes: InputSet) -> arb_mat:
         """Generators that enclose the sum of ``int_0^h e^{A s} V v(s) ds`` for measurable v of each push.
 
         The mean of v lies in its (convex) set; the rest is in a box, `uneven`.

@@ -14,9 +14,9 @@ class Lead:
 
     shares: Sequence[Sequence[arb]]  # of each input, rows, by a unit of each command
     fixed: Sequence[arb]  # of each input, whatever is commanded
-    most: Sequence[arb]  # of each input besides, however much is commanded
+    cap: Sequence[arb]  # of each input besides, however much is commanded
 
     def part(self, commands: Sequence[arb]) -> list[arb]:
         """Return the part that is proportional to commands up to some sizes: subadditive in them."""
-        rows = zip(self.shares, self.most, strict=True)
+        rows = zip(self.shares, self.cap, strict=True)
         return [smallest((dot(row, commands), top)) for row, top in rows]

@@ -62,7 +62,7 @@ def plant_of(document: Document) -> Plant:
     if document.transients:
         return plant
     unseen = [(latency, plant.predicted)] * (latency > 0)
-    return replace(plant, unseen=unseen + [(latency + age, gain) for age, gain in older(document, plant)])
+    return replace(plant, by_lag=unseen + [(latency + age, gain) for age, gain in older(document, plant)])
 
 
 def _constant(D: arb_mat, bias: list[float]) -> tuple[arb_mat, list[arb]]:

@@ -143,7 +143,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     layers = [(hidden, unseen)] * (hidden > 0) + [(hidden + age, added) for age, added in older]
     bounds = np.max(errors, axis=0) + sum(added @ full for _, added in layers)
     nested = tuple((age, tuple(map(tuple, added.tolist()))) for age, added in layers)
-    system = replace(system, timing=replace(timing, unseen=nested))
+    system = replace(system, timing=replace(timing, by_lag=nested))
     by_step = None if len(steps) == 1 else bounds[of_step.ravel()]
     return replace(system, estimate_error=np.max(bounds, axis=0), error_by_step=by_step)
 

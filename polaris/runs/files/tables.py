@@ -135,7 +135,7 @@ def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     timing = asdict(system.timing)
     extras = "pulse_thrust", "pulse_place", "intersample_offset", "carried_impulse", "edge", "fine"  # if any
-    omitted = "period", "unseen", "lead"  # nothing is derived from them
+    omitted = "period", "by_lag", "lead"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in omitted and (x or key not in extras)}
     timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
     observer = {} if system.observer is None else asdict(system.observer)

@@ -240,7 +240,7 @@ class Tail(Nearness):
     def long_flight(self, nodes: int, most: Array) -> tuple[float, float]:
         """Bound S's thrust from so many nodes after T on, on average and once besides [N]."""
         tracking, system, clearance = self.safety.tracking, self.safety.problem.system, self.safety.clearance
-        alone, rounding = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
+        alone, rounding = float(system.spending(most).sum()), self.safety.reference.rounding.max(axis=0)
         limits = most, self.commanded_before(nodes)
         closed = tracking.tightening.closed
         storage = Inputs.from_loop(closed, system, limits, tracking.step_errors[-1], rounding).storage()
@@ -302,7 +302,7 @@ class Tail(Nearness):
         thrust = self.long_flight(nodes, tops)
         rate, once = (part / system.mass * (1 + slack_factor(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
-        extra = float(system.spent(tops).sum()) / system.mass * h * bool(system.timing.pulse_thrust)
+        extra = float(system.spending(tops).sum()) / system.mass * h * bool(system.timing.pulse_thrust)
         extra = extra * (1 + slack_factor(tracking)) + once * h  # a pulse ends before its period does
         until = spending.settled + extra
         before = system.carried_impulse / system.mass

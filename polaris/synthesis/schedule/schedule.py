@@ -252,7 +252,7 @@ class Schedule:
     def powered(self) -> PoweredSafety | None:
         """Return the steps from which S reaches the orbit of an abort with thrust; None if none is asked."""
         tubes = [(step.mode, step.tube) for step in self.steps]
-        impulse = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
+        impulse = np.array([spell.thrust.sum() for spell in self._spells]) * self.safety.tracking.flow.h
         return powered(self.safety, tubes, impulse / self.safety.problem.system.mass, self.branches)
 
     def aborted(self, k: int) -> "Schedule":

@@ -35,7 +35,7 @@ class Spell:
     tube: TubeSegment
     k: int
     middle: Array  # size of commands along the middle of the tube [N], (q, m)
-    most: Array  # bound on the mean thrust in every period [N], (q, m)
+    thrust: Array  # bound on the mean thrust in every period [N], (q, m)
     commands: Array | None = None  # bound on commands, where the law is affine [N], (q, m)
 
     @classmethod
@@ -46,10 +46,10 @@ class Spell:
             centre, spread = law.commanded(tube.nodes - law.offset[k], tube.intersample, k)
             largest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
             middle = np.minimum(np.abs(centre), law.system.u_max)
-            return cls(law, tube, k, middle[:-1], law.system.spent(largest)[:-1])
+            return cls(law, tube, k, middle[:-1], law.system.spending(largest)[:-1])
         if not isinstance(law, AffineController):
             limit = getattr(law, "system", None)
-            thrust = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
+            thrust = np.tile(np.full(1, np.inf) if limit is None else limit.spending(limit.u_max), (q, 1))
             return cls(law, tube, k, thrust, thrust)
         step_law, system = law.in_step(k), law.system
         centre, spread = step_law.commanded(tube.states - step_law.whole_offset(k), tube.intersample, k)
@@ -58,7 +58,7 @@ class Spell:
             top = (np.abs(centre[i]) + spread[i] + _noise(step_law, largest, i)) * (1 + ROUNDING)
             largest[i] = np.minimum(top, system.u_max)
         middle = np.minimum(np.abs(centre), system.u_max)
-        return cls(law, tube, k, middle[:-1], system.spent(largest)[:-1], largest[:-1])
+        return cls(law, tube, k, middle[:-1], system.spending(largest)[:-1], largest[:-1])
 
     @cached_property
     def start(self) -> Zonotope:
@@ -141,7 +141,7 @@ class FlightSpending:
         """Return the steps of a run as far as so many periods of the flight."""
         steps = []
         for k in run:
-            q = len(self.spells[k].most)
+            q = len(self.spells[k].thrust)
             remaining, step = periods - k * q, self.spells[k].linear
             if remaining > 0 and step is not None:
                 steps.append(step.first_periods(remaining))
@@ -149,14 +149,14 @@ class FlightSpending:
 
     def apart(self, periods: int) -> float:
         """Bound the thrust of so many periods, each for itself [N] (Proposition 14 (b))."""
-        return float(np.concatenate([spell.most for spell in self.spells])[:periods].sum())
+        return float(np.concatenate([spell.thrust for spell in self.spells])[:periods].sum())
 
     def thrust_bound(self, periods: int) -> float:
         """Bound the thrust of so many periods [N] (Proposition 14 (b), (c))."""
         total = 0.0
         for run in self.runs:
-            first = run[0] * len(self.spells[0].most)
-            bounds = [self.spells[k].most for k in run]
+            first = run[0] * len(self.spells[0].thrust)
+            bounds = [self.spells[k].thrust for k in run]
             thrust = float(np.concatenate(bounds)[: max(periods - first, 0)].sum())
             steps = self._steps(run, periods)
             weights = [each for k, _ in zip(run, steps, strict=False) if (each := self.weights[k])]
@@ -193,5 +193,5 @@ def commanded(rows: PathRows, hand_overs: Sequence[HandOver], first: int, last: 
 def tracked(rows: PathRows, hand_overs: Sequence[HandOver], first: int, last: int) -> float:
     """Bound S's velocity change in the periods from a node until another [m/s], see `commanded`."""
     system, h = rows.clearance.tracking.system, rows.clearance.tracking.flow.h
-    thrust = system.spent(np.minimum(commanded(rows, hand_overs, first, last), system.u_max))
+    thrust = system.spending(np.minimum(commanded(rows, hand_overs, first, last), system.u_max))
     return float(thrust.sum(axis=-1).max(axis=0).sum()) * h / system.mass

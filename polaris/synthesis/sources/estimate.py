@@ -17,13 +17,13 @@ from .source import remembers
 class Estimate:
     """Error of every estimate within `error` (n,) of the state measured, however the difference changes.
 
-    Errors of thrusters, a `share` of commands (..., m) to (..., k), add `unmeasured` (n, k)
+    Errors of thrusters, a `share` of commands (..., m) to (..., k), add `by_lag` (n, k)
     times their size of so many periods before, by their number.
     """
 
     error: Array
     share: Share | None = None
-    unmeasured: Mapping[int, Array] = field(default_factory=dict)
+    by_lag: Mapping[int, Array] = field(default_factory=dict)
 
     @classmethod
     def from_system(cls, system: Craft, h: float) -> "Estimate | None":
@@ -31,9 +31,9 @@ class Estimate:
         timing, steps = system.timing, system.error_by_step
         base = system if steps is None else system.with_estimate_error(np.min(steps, axis=0))
         if not remembers(system):
-            least = base.estimate_off(np.zeros(base.m))
-            if np.any(base.estimate_off(base.u_max) != least):
-                return cls(least, base.proportional_errors, base.unseen)
+            least = base.estimate_bound(np.zeros(base.m))
+            if np.any(base.estimate_bound(base.u_max) != least):
+                return cls(least, base.proportional_errors, base.by_lag)
             return cls(least) if np.any(least) else None
         if system.observer is not None or not np.any(base.navigation):
             return None
@@ -45,7 +45,7 @@ class Estimate:
         """Add one channel of noise, carried over the delay, and one for each number of periods."""
         offset = loop.offset_measured
         channels = [Channel("estimate", self.error + offset, noise=loop.carry)]
-        for lag, added in self.unmeasured.items():
+        for lag, added in self.by_lag.items():
             share = partial(self._share, added=added)
             channels.append(Channel("estimate", 0 * self.error, noise=loop.carry, share=share, lag=lag))
         return replace(loop.with_channels(*channels), navigated=offset)

@@ -60,7 +60,7 @@ def outage_errors(
     measured = system.measured + system.state_offset
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     error = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
-    carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
+    carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.missed + 1)]
     first = np.max(carried, axis=0)
     return np.asarray((error + remainder(eye, [OutageDifference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
 

@@ -54,7 +54,7 @@ class Flown:
             off = system.state_offset - system.carried_away
             noise = system.observer.noise + np.abs(system.observer.measures) @ off
         elif system.timing.missed:
-            noise = system.estimate_off(system.u_max)
+            noise = system.estimate_bound(system.u_max)
         else:
             noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
         left = np.full(self.m, system.timing.carried_impulse)

@@ -278,7 +278,7 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
     tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
     system, feedback_bound = tracking.system, tracking.feedback_bound
-    ((hidden, _),) = system.timing.unseen
+    ((hidden, _),) = system.timing.by_lag
     assert hidden == 2
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
     part, rows, last = system.thrusters.part, np.eye(system.n), tracking.settling

@@ -103,7 +103,7 @@ class Craft:
     @property
     def lag(self) -> int:
         """Return for how many periods at most commands add to errors of estimates; 0 if they do not."""
-        return max((periods for periods, _ in self.plant.unseen), default=0)
+        return max((periods for periods, _ in self.plant.by_lag), default=0)
 
     def lag_error(self, commands: Sequence[arb]) -> list[arb]:
         """Bounds on errors of estimates by commands up to some sizes, (n)."""
@@ -112,7 +112,7 @@ class Craft:
     def lag_error_since(self, commands: Callable[[int], Sequence[arb]]) -> list[arb]:
         """Bounds on errors of estimates by commands, given the largest of so many periods before, (n)."""
         errors = [arb(0)] * self.gain.ncols()
-        for periods, gain in self.plant.unseen:
+        for periods, gain in self.plant.by_lag:
             errors = sums(errors, (gain * column(self.plant.thruster_part(commands(periods)))).entries())
         return errors
 
@@ -154,7 +154,7 @@ class Craft:
         """Generators of a period's additions, errors of inputs up to some sizes included, noise apart."""
         pushes = [*self.plant.push(error), *self.steady]
         sampled = [sample.adds * diagonal(sample.size) for sample in self.samples]
-        return [*sampled, *(enters * motion.pushed(*pushes) for enters, motion in self.spans)]
+        return [*sampled, *(enters * motion.effect(*pushes) for enters, motion in self.spans)]
 
     def intersample(self, rows: Directions) -> tuple[RowIntersample, Directions]:
         """Intersample bounds along rows of the error, and these as rows of the loop state; made once."""

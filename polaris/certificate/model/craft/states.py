@@ -162,12 +162,12 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     delay, design = document.timing.get("delay", 0.0), document.observer
     if not remembers(document):
         full = column(plant.thruster_part(plant.u_max))
-        worst = sum((gains * full for _, gains in plant.unseen), arb_mat(n, 1))
+        worst = sum((gains * full for _, gains in plant.by_lag), arb_mat(n, 1))
         estimate = list(map(arb, document.calmest or [0.0] * n))
         error = [(x - y).abs_upper() for x, y in zip(estimate, worst.entries(), strict=True)]
         noise = identity(n), error if document.estimate else [arb(0)] * n
         return States.from_plant(plant).closed(gain, plant.disturbances([]), noise, estimate)
-    plant = replace(plant, unseen=[])  # states hold that
+    plant = replace(plant, by_lag=[])  # states hold that
     along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     carried = carried_away(plant)

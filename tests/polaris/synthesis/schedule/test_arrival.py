@@ -130,13 +130,13 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     _, schedule = synthesised()
     safety, tail = schedule.safety, at_end(schedule, schedule.final)
     late, q = safety.tracking.settling + 5, safety.clearance.q
-    dear = SimpleNamespace(law=None, commands=None, most=np.full((q, 1), 1e9))
+    dear = SimpleNamespace(law=None, commands=None, thrust=np.full((q, 1), 1e9))
     tail.spells.extend([dear] * (late + 20))
     spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     system = safety.problem.system
     bound = commanded(tail.commands, tail.starts, tail.T, tail.T + 1)[:, 0]
-    ends = system.spent(np.minimum(bound, system.u_max)).sum(axis=1)
+    ends = system.spending(np.minimum(bound, system.u_max)).sum(axis=1)
     once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
     assert ends[0] > ends[1] * 1.001

@@ -136,8 +136,8 @@ def worst(s):
                 system.state_offset - system.carried_away
             )
         elif system.timing.missed:
-            lag = k - BEFORE - system.timing.unseen[0][0]
-            noise = system.estimate_off(system.u_max if lag < 0 else limits[lag])
+            lag = k - BEFORE - system.timing.by_lag[0][0]
+            noise = system.estimate_bound(system.u_max if lag < 0 else limits[lag])
         else:
             noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
         for moved, total in ((x - own, states), (u, commands)):
@@ -321,7 +321,7 @@ def test_scheduled_commands_count_until_they_are_measured():
     nu = np.zeros((cells, 2))
     nu[2] = [0.5, -0.6]
     system = s.system
-    ((hidden, unseen),) = system.timing.unseen
+    ((hidden, unseen),) = system.timing.by_lag
     assert hidden == 3
     thrust, noise = units(s, cells)
     for tightenings, commanded in along(s, nu, cells):

@@ -115,7 +115,7 @@ def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
 
 def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
     scale = tiny.safety.tracking.flow.h / tiny.safety.problem.system.mass
-    spent = np.cumsum([0.0, *(spell.most.sum() for spell in tiny._spells)]) * scale
+    spent = np.cumsum([0.0, *(spell.thrust.sum() for spell in tiny._spells)]) * scale
     spent = spent[np.arange(12) + (tiny.modes > 0)]
     tank = float(np.median(spent + [way.delta_v for way in tiny.powered.ways]) * 1.02)
     schedule = synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER, f"tank.delta_v_m_s={tank!r}"]))

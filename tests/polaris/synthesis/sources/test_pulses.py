@@ -89,7 +89,7 @@ def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_per
                 command = on * fired
                 bound = np.add(lead.fixed, lead.part(command))
                 assert np.all(np.abs(mean) <= bound * (1 + 1e-2))
-                led = max(led, np.max(np.abs(mean) / np.add(lead.fixed, lead.most)))
+                led = max(led, np.max(np.abs(mean) / np.add(lead.fixed, lead.cap)))
                 wrong_rate = wrong @ system.B.T - mean @ (system.A @ system.B).T
             else:
                 assert np.all(np.abs(mean) <= 1e-9 * fired * h)
@@ -341,7 +341,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
     plant = SimpleNamespace(u_max=[arb(1)], h=arb(2), jitter=0.0, weights=(), shares=(), carried=carried)
     plant.B, plant.along, plant.across = SimpleNamespace(ncols=lambda: 1), 0.5, 0.0
-    plant.spent, plant.weighted = lambda tops: arb(1), lambda sizes: sum(sizes, arb(0))
+    plant.spending, plant.weighted = lambda tops: arb(1), lambda sizes: sum(sizes, arb(0))
     plant.without_delay, claims = plant, {}
     tracker = SimpleNamespace(craft=SimpleNamespace(plant=plant), settling=SimpleNamespace(periods=0))
     arrival = SimpleNamespace(
