@@ -25,7 +25,7 @@ def pool(processes: int) -> Iterator[Workers]:
     """One pool that outlives the campaigns, as a cluster does."""
     executor = local(processes).make() if processes > 1 else InProcess()
     with executor:
-        yield Workers(lambda: executor, lambda: 4 * processes, again=False)
+        yield Workers(lambda: executor, lambda: 4 * processes, renewed=False)
 
 
 @contextmanager

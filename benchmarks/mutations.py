@@ -41,8 +41,8 @@ certificate/model/craft/feedforward.py
 + excess, steady = gains.summed([_over(size, size) for size in sizes[T:]]), gains.always(last)
 ! synthesis/schedule/test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 synthesis/sources/observer.py
-- measures @ self.away + measures @ offset
-+ measures @ self.away
+- measures @ self.offset + measures @ offset
++ measures @ self.offset
 ! synthesis/tracker/test_loop.py::test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured
 model/estimates/prediction.py
 - (1.0 if mid else AT_NODES * bool(timing.delay)) * np.array(timing.intersample_offset or 0.0)

@@ -47,7 +47,7 @@ class _Rounded(NamedTuple):
 
     predicted: Array
     updated: list[Array]
-    moved: Array  # over a period, under half of S's gain: the state, then commands so far back
+    transition: Array  # over a period, under half of S's gain: the state, then commands so far back
     force: Array  # what else commands are off by
     updates: list[Array]
 
@@ -147,7 +147,7 @@ def _commands(rounded: _Rounded, gain: Array, first: Array, differing: float) ->
     Commands are off by `differing` [N] besides half the law. Errors of observers are bounded by Proposition 7
     of docs/theory.md.
     """
-    n, transition, force = len(first), rounded.moved, rounded.force
+    n, transition, force = len(first), rounded.transition, rounded.force
     steps, state = powers(transition, len(rounded.updates)), np.eye(len(transition), n)
     sizes = np.concatenate([rounded.predicted, np.full(force.shape[1], differing)])
     pushes = np.hstack([state, force]), sizes

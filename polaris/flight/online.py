@@ -67,7 +67,7 @@ def _size(prospect: Permission, box: Array) -> float:
     """Bound on ``norm(W e)`` at every stage of a decision on errors in a box."""
     stages = (slice(first, last) for first, last in prospect._norms)
     ends = (
-        np.abs(prospect.stack[:, one]).T @ box + np.abs(prospect.known[:, one]).max(axis=0) for one in stages
+        np.abs(prospect.stack[:, one]).T @ box + np.abs(prospect.base[:, one]).max(axis=0) for one in stages
     )
     return float(max(np.linalg.norm(each) for each in ends)) + prospect.radius
 

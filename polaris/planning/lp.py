@@ -140,7 +140,7 @@ class GrowingLP:
         self.highs.run()
         return self.highs.getModelStatus()
 
-    def stated(self) -> tuple[Array, Array]:
+    def constraints(self) -> tuple[Array, Array]:
         """The rows as they stand, shape (R, n), and the least that each must come to, shape (R,)."""
         return np.vstack(self._a), np.concatenate(self._least)
 

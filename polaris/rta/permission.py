@@ -87,7 +87,7 @@ class Permission:
     """Test before U may fly on, after a measurement within the grid's half widths.
 
     During the latency `before` flies (None without one), then `leg` does. For sets of such errors about a
-    measured e, `stack` and `known` give the centre at the end, what bounds ``norm(W e)`` at every stage, and
+    measured e, `stack` and `base` give the centre at the end, what bounds ``norm(W e)`` at every stage, and
     from column `commands` on the commands of a declared law.
     """
 
@@ -109,7 +109,7 @@ class Permission:
             matrix, offset, self.clearance = _commands(grid, leg, leg.law, stages[grid.delay :])
             blocks.append(matrix)
             offsets.append(offset)
-        self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(offsets)[::c].copy()
+        self.stack, self.base = np.vstack(blocks).T.copy(), np.hstack(offsets)[::c].copy()
         self.radius = max(recovery.size(stage.G) for stage in stages) * (1 + ROUNDING)
         self.demand = recovery.demand(self.end.G)
         self._lay_out_inner(stages[grid.delay + 1 : -1])
@@ -123,12 +123,12 @@ class Permission:
     def _lay_out_inner(self, inner: list[PredictedError]) -> None:
         """The facets at the nodes before the end: one matrix, and one row of constants per decision."""
         recovery, o, n = self.recovery, len(self.recovery.intersample), self.grid.system.n
-        facets, starts = recovery.matrix[:o], np.arange(len(self.known)) * self.grid.nodes
+        facets, starts = recovery.matrix[:o], np.arange(len(self.base)) * self.grid.nodes
         self.inner, none = len(inner) * o, np.zeros((len(starts), 0))
         tightenings = [recovery.demand(stage.G).tall[:o, -1] for stage in inner]
         self.inner_rows = np.hstack([np.zeros((n, 0)), *((facets[:, :n] @ stage.M).T for stage in inner)])
         offsets = (stage.offset[starts] @ facets[:, :n].T for stage in inner)
-        self.inner_known = np.hstack([none, *(a + b for a, b in zip(offsets, tightenings, strict=True))])
+        self.inner_base = np.hstack([none, *(a + b for a, b in zip(offsets, tightenings, strict=True))])
         self.inner_size = np.tile(facets[:, n], len(inner))
         nodes = starts[:, None] + self.grid.delay + 1 + np.arange(len(inner))
         limits = recovery.reciprocals.reshape(-1, len(recovery.rows))[:, :o]
@@ -141,7 +141,7 @@ class Permission:
         What `extra` (..., facets) is added to their rows by what the legs leave out.
         """
         tightening = (
-            e @ self.inner_rows + extra + np.multiply.outer(size, self.inner_size) + self.inner_known[k]
+            e @ self.inner_rows + extra + np.multiply.outer(size, self.inner_size) + self.inner_base[k]
         )
         return np.asarray((tightening * self.inner_limits[k]).max(axis=-1, initial=0.0))
 
@@ -154,7 +154,7 @@ class Permission:
         end = (k + 1) * self.grid.nodes + self.grid.delay
         if end > self.grid.last:  # nothing is planned up to the next moment of effect
             return np.full(R, np.inf), np.ones(R, dtype=bool)
-        predicted = e @ self.stack + self.known[k]
+        predicted = e @ self.stack + self.base[k]
         size = self._size(predicted, n)
         share = self.recovery.share(end, predicted[:, :n], size, self.demand)
         if self.inner:
@@ -163,7 +163,7 @@ class Permission:
 
     def size(self, k: int, e: Array) -> Array:
         """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (R,)."""
-        return self._size(e @ self.stack + self.known[k], e.shape[-1])
+        return self._size(e @ self.stack + self.base[k], e.shape[-1])
 
     def _size(self, predicted: Array, n: int) -> Array:
         squares = (predicted[:, n : self.commands] ** 2).reshape(len(predicted), -1, n)
@@ -179,7 +179,7 @@ class Permission:
         if end > self.grid.last:
             return inf, 0, True
         predicted = np.dot(e, self.stack)
-        predicted += self.known[k]
+        predicted += self.base[k]
         values = predicted.tolist()
         size = max([hypot(*values[i:j]) for i, j in self._norms]) + self.radius
         for value, clearance in zip(values[self.commands :], self._clearances, strict=True):
@@ -198,7 +198,7 @@ class Permission:
         if self.inner:
             tightening = np.dot(e, self.inner_rows)
             tightening += self.inner_size * size
-            tightening += self.inner_known[k]
+            tightening += self.inner_base[k]
             tightening *= self.inner_limits[k]
             worst = int(tightening.argmax())
             if tightening[worst] > share:

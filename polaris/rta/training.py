@@ -49,7 +49,7 @@ class TrainingFlights:
         unsafe = grid.schedule.safety.problem.unsafe
         self.senses = Senses.from_inputs(grid.system, tuple(self.inputs), unsafe, "inputs")
         self._bodies = self.senses.state_boxes(grid.period, grid.decisions + 1)
-        self._told = np.zeros((self.runs, self._bodies[0].shape[1]))  # share of what is not known of them
+        self._shares = np.zeros((self.runs, self._bodies[0].shape[1]))  # share of what is not known of them
         self.engine, self.target = Engine(grid), grid.own_references.get(1, grid.xi)
         law = grid.controllers[min(1, len(grid.controllers) - 1)]
         self._nu = getattr(law, "own", grid.clearance.reference).nu
@@ -66,7 +66,7 @@ class TrainingFlights:
             self.scale = np.array(self.input_scale, dtype=float)
         self.k, self.x = np.zeros(self.runs, dtype=int), np.zeros((self.runs, n))
         self.limit, self.reads = grid.system.u_max, self.scale.size
-        self._flown, self._left = np.zeros(self.runs, dtype=int), list[Conditions]()
+        self._active, self._queue = np.zeros(self.runs, dtype=int), list[Conditions]()
         self._w = np.zeros((0, self.runs, 0))
         self._errors = np.zeros((grid.decisions + 1, self.runs, n))
         self._owed = np.zeros((self.runs, grid.system.m))  # what is left of impulses [N s]
@@ -84,22 +84,22 @@ class TrainingFlights:
 
         They are drawn many at a time and used one by one; `fresh` throws away what is left.
         """
-        self._left = [] if fresh else self._left
+        self._queue = [] if fresh else self._queue
         for run in np.flatnonzero(chosen):
-            if not self._left:
+            if not self._queue:
                 drawn = Conditions.draw(self.grid, max(self.runs, POOL), int(rng.integers(2**31)))
-                self._left = [drawn.only(one) for one in range(len(drawn.x0))]
+                self._queue = [drawn.only(one) for one in range(len(drawn.x0))]
                 self._w = self._w if self._w.size else np.repeat(0 * drawn.w[:, :1], self.runs, axis=1)
-            conditions = self._left.pop()
+            conditions = self._queue.pop()
             self._owed[run], self.x[run], self._w[:, run] = 0.0, conditions.x0[0], conditions.w[:, 0]
             self._errors[:-1, run] = conditions.errors[:, 0]
-            self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
-        self.k[chosen] = self._flown[chosen] = 0
+            self._shares[run] = rng.uniform(-1, 1, self._shares.shape[1])
+        self.k[chosen] = self._active[chosen] = 0
 
     def observe(self) -> Array:
         """Return the inputs of policies, from the states as measured, shape (R, r)."""
         estimates = self.x + self._errors[self.k, np.arange(self.runs)]
-        return self._read(self.k, estimates, self._told) * self.scale
+        return self._read(self.k, estimates, self._shares) * self.scale
 
     def _read(self, k: NDArray[np.int_], x: Array, share: Array | float) -> Array:
         grid = self.grid
@@ -136,7 +136,7 @@ class TrainingFlights:
         mode = np.full(len(chosen), FILTERED)
         if self.monitor is not None:
             e = x + self._errors[k, chosen] - grid.xi[k * grid.nodes]
-            judged, columns["margin"] = self.monitor.judge(k, e, self._flown[chosen])
+            judged, columns["margin"] = self.monitor.judge(k, e, self._active[chosen])
             mode = np.where((judged > 0) & finite, FILTERED, 0)
         u = np.where(finite[:, None], u, 0.0)
         distance, impulse = np.full(len(chosen), np.inf), np.zeros(len(chosen))
@@ -147,7 +147,7 @@ class TrainingFlights:
             impulse += thrust * self.engine.dt
             clearance = x @ rows.T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(clearance))
-        self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
+        self.x[chosen], self.k[chosen], self._active[chosen] = x, k + 1, mode != 0
         if self.engine.rest is not None:
             self._owed[chosen] = self.engine.rest
         offset = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T

@@ -22,7 +22,7 @@ class Stages:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self.begun = time.perf_counter()
+        self.start = time.perf_counter()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -36,12 +36,12 @@ class Stages:
     def beside(self) -> Stages:
         """Return stages that show nothing and go on from here, to time parts of a stage that is under way."""
         stages = Stages()
-        stages.seconds, stages.begun = dict(self.seconds), self.begun
+        stages.seconds, stages.start = dict(self.seconds), self.start
         return stages
 
     def to_dict(self) -> dict[str, float]:
         """Return the seconds of every stage, those outside of all (``other``) and the sum (``total``)."""
-        total = time.perf_counter() - self.begun
+        total = time.perf_counter() - self.start
         return {**self.seconds, "other": total - sum(self.seconds.values()), "total": total}
 
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:

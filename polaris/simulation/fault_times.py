@@ -27,7 +27,7 @@ class FaultTimes:
     ends: NDArray[np.int_]
     thrust: Array
     share: Array
-    lost: NDArray[np.bool_]
+    outage: NDArray[np.bool_]
     gap: Array = field(repr=False)
     latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
@@ -52,11 +52,11 @@ class FaultTimes:
 
     def missing(self, steps: NDArray[Any]) -> NDArray[np.bool_]:
         """Return True where the measurement in some steps (R,) is lost."""
-        return np.asarray(self.lost & (self.begins <= steps) & (steps < self.ends))
+        return np.asarray(self.outage & (self.begins <= steps) & (steps < self.ends))
 
     def by_s(self, step: int | NDArray[np.int_]) -> NDArray[np.bool_]:
         """Return True where S flies because of it."""
-        return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
+        return np.asarray(self.latched & (np.where(self.outage, self.begins, self.ends) <= step))
 
     def at_nodes(self, per_node: int) -> "FaultTimes":
         """Return the faults in nodes, with so many steps to a node."""
@@ -64,7 +64,7 @@ class FaultTimes:
 
     def columns(self, times: Array) -> dict[str, Array]:
         """Return each flight's kind of fault, its begin and end [s], nodes being at times (N+1,)."""
-        faulty, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
+        faulty, kinds = self.begins < (last := len(times) - 1), [self.outage, self.share < 0, self.share < 1]
         at = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
         begins, ends = (np.where(faulty, time, np.nan) for time in at)
         names = np.where(faulty, np.select(kinds, KINDS[:3], KINDS[3]), "")
@@ -75,8 +75,8 @@ class FaultTimes:
 
         Nothing is measured, or it was before a fault was isolated.
         """
-        before = ~self.lost & (k < self.ends) & (self.ends <= effect)
-        return np.asarray(before | (self.lost & self.on(k)))
+        before = ~self.outage & (k < self.ends) & (self.ends <= effect)
+        return np.asarray(before | (self.outage & self.on(k)))
 
     def added(self, u: Array, step: int) -> Array:
         """Return the thrust a failing thruster adds to commands u, which ask of it their part along it."""
@@ -87,8 +87,8 @@ class FaultTimes:
 
     def predict(self, step: int, carried: Array, wrong: Array, eta: Array | float) -> None:
         """Carry the errors of predictions on over a step, which end when measurements come again."""
-        started = (self.begins == step + 1) & self.lost
-        running = self.on(step + 1) & self.lost & ~started
+        started = (self.begins == step + 1) & self.outage
+        running = self.on(step + 1) & self.outage & ~started
         self.gap[:] = np.where(running[:, None], self.gap @ carried.T - wrong, 0.0)
         self.gap[started] = np.broadcast_to(eta, self.gap.shape)[started]
 

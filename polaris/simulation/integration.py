@@ -183,7 +183,7 @@ class Integrator(Firing):
             estimate = x + (estimate - x) * (1 - share)
         if self.faults is None:
             return np.asarray(estimate)
-        lost = self.faults.on(step) & self.faults.lost
+        lost = self.faults.on(step) & self.faults.outage
         return np.where(lost[:, None], x + self.faults.gap, estimate)
 
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:

@@ -175,7 +175,7 @@ class _Measurement:
 
     trace: Trace
     d: int | None
-    wanted: Velocity
+    selection: Velocity
     drift: "FreeDrift | None"
     radius: float
     notes: list[str]
@@ -189,8 +189,8 @@ class _Measurement:
             )
         unsafe = others = tuple[Separation, ...]()
         if self.d is not None:
-            v, source = find_velocity(name, agent, self.d, self.wanted)
-            if v is not None and self.wanted not in (None, "differences") and doubtful(agent, self.d, v):
+            v, source = find_velocity(name, agent, self.d, self.selection)
+            if v is not None and self.selection not in (None, "differences") and doubtful(agent, self.d, v):
                 detail = f"its position does not change as a velocity of {source} would have it"
                 self.notes.append(f"{name}: {detail}")
             unsafe = tuple(self.against_set(agent, self.d, v, other) for other in self.trace.unsafe)
@@ -235,7 +235,7 @@ class _Measurement:
         rows = left[present], right[present], share[present]
         offset = agent.states[present, :d] - interpolate(other.states[:, :d], rows)
         distance, ttc = Spread.from_samples(np.linalg.norm(offset, axis=1), t[present]), None
-        w, _ = find_velocity(name, other, d, self.wanted)
+        w, _ = find_velocity(name, other, d, self.selection)
         if v is not None and w is not None:
             relative = v[present] - interpolate(w, rows)
             ttc = Spread.from_samples(BallShape(self.radius).entry_time(offset, relative), t[present])

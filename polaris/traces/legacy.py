@@ -76,7 +76,7 @@ class _Agent:
     """The methods, for one agent. Rows of others belong to its own by their place, whatever their stamps."""
 
     def __init__(self, trace: Trace, name: str, agent: AgentTrace, d: int, selection: Velocity) -> None:
-        self.trace, self.name, self.agent, self.d, self.wanted = trace, name, agent, d, selection
+        self.trace, self.name, self.agent, self.d, self.selection = trace, name, agent, d, selection
 
     def _paired(self, times: Array, *values: Array) -> list[Array]:
         """The first rows of others, as many as the agent has; one row alone is repeated."""
@@ -147,7 +147,7 @@ class _Agent:
         return others
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
-        selection = guess_heading(agent, self.d) if self.wanted is None else self.wanted
+        selection = guess_heading(agent, self.d) if self.selection is None else self.selection
         if selection is None:
             raise _Stop("the states have no heading")  # defect 9
         v, source = find_velocity(name, agent, self.d, selection)

@@ -70,12 +70,12 @@ class RowBounds:
 class EffortBudget:
     """Count of computed numbers, the same on every machine, and its limit."""
 
-    left: float = np.inf
+    rest: float = np.inf
 
     def spend(self, numbers: float) -> None:
         """Take numbers from the rest of the count; `Unresolved` once there is none."""
-        self.left -= numbers
-        if self.left < 0:
+        self.rest -= numbers
+        if self.rest < 0:
             raise Unresolved("max_effort is exhausted; raise it, or the tolerance")
 
 

@@ -68,7 +68,7 @@ class Motions:
             return worst_case(self.system, self.initial, instant, d, tolerance=tolerance)
         return worst_case(self.system, self.initial, instant, d, step=step)
 
-    def seen(self, tube: SupportTube) -> tuple[Array, Array]:
+    def window_bounds(self, tube: SupportTube) -> tuple[Array, Array]:
         """Times, one each, and bounds (k, r) over a cover of the window: intervals, or nodes if discrete."""
         (begin, end), before, after = self.window, tube.times[:-1], tube.times[1:]
         if self.system.discrete or len(before) == 0:
@@ -81,7 +81,7 @@ class Motions:
 
     def extremes(self, tube: SupportTube) -> tuple[Array, Array, Array]:
         """Bounds over the window, where it is reached most, and the attained values there, each (r,)."""
-        bounds = self.seen(tube)[1].max(axis=0)
+        bounds = self.window_bounds(tube)[1].max(axis=0)
         inside = np.nonzero((tube.times >= self.window[0]) & (tube.times <= self.window[1]))[0]
         if len(inside) == 0:
             nowhere = np.full(len(bounds), -np.inf)

@@ -168,7 +168,7 @@ def verify_never(motions: Motions, region: HPolytope) -> Verdict:
             return verdict("proven", np.inf, "the region is empty")
         while share >= LAST:
             tube = motions.tube(D, share * motions.sizes(D, levels), levels)
-            t, bounds = motions.seen(tube)
+            t, bounds = motions.window_bounds(tube)
             steps, step = len(tube.times) - 1, float(np.min(np.diff(tube.times), initial=np.inf))
             separation = ((levels - bounds) / np.linalg.norm(D, axis=1)).max(axis=1)
             worst = int(np.argmin(separation))

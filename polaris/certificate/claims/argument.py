@@ -49,7 +49,7 @@ class Argument:
         stated: FileClaims | None = None,
         code: FilePath | None = None,
     ) -> None:
-        self.document, self.record, self.stated, self.code = document, record, stated or FileClaims(), code
+        self.document, self.record, self.claims, self.code = document, record, stated or FileClaims(), code
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
         assert document.laws[0].gain is not None  # as of every safety controller
@@ -65,7 +65,7 @@ class Argument:
         self.record.holds("end", check_end(self.document, path))
         self.flights(path, Merging(ORDER, self.n, self.craft.merge_rows))
         if self.document.drift is not None:
-            self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
+            self.record.holds("passive", Drifts(self.document, self.plant).check(self.claims.least))
         if self.document.sampled_bound:
             self.record.holds("samples", check_statement(self.document.sampled_bound))
             self.record.sampled = True
@@ -85,22 +85,22 @@ class Argument:
         self.recoverability(flight, sets, steps)
         if self.code is not None:
             check_plausible(flight, [z.size() for z in [*sets, *node_sets]])
-        if self.stated.goal is not None:
+        if self.claims.goal is not None:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
             hand_overs = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
             delta_v = spent(steps, self.K * doc.q, doc.weights[: self.K]) / doc.mass
             arrival = Arrival(flight, hand_overs, delta_v, self.controllers[0], merging, steps)
-            self.record.holds("goal", arrival.check(*self.stated.goal))
-            if self.stated.joint is not None:
-                self.record.holds("joint", check_joint(arrival, self.stated.joint))
-            if self.stated.budget is not None:
-                self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))
-            if self.stated.upkeep is not None:
-                self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
-            if self.stated.estimate is not None:
-                self.record.holds("estimate", check_estimate(arrival, self.stated, steps))
+            self.record.holds("goal", arrival.check(*self.claims.goal))
+            if self.claims.joint is not None:
+                self.record.holds("joint", check_joint(arrival, self.claims.joint))
+            if self.claims.budget is not None:
+                self.record.holds("schedule", arrival.keeps(self.claims.goal[0], self.claims.budget))
+            if self.claims.upkeep is not None:
+                self.record.holds("upkeep", check_upkeep(arrival, self.claims.upkeep, self.claims.tank))
+            if self.claims.estimate is not None:
+                self.record.holds("estimate", check_estimate(arrival, self.claims, steps))
         if doc.powered is not None:
-            self.record.holds("powered_abort", check_aborts(tracker, sets, steps, self.stated))
+            self.record.holds("powered_abort", check_aborts(tracker, sets, steps, self.claims))
 
     def reference(self) -> Path:
         """Check that the reference is the exact motion under the stored inputs, which are within limits."""
@@ -146,8 +146,8 @@ class Argument:
     def recoverability(self, flight: Continuation, sets: list[Zonotope], steps: list[FlownStep]) -> None:
         """Check that S keeps all limits to the end if it takes over before or after any experimental step."""
         doc = self.document
-        margins = self.stated.margins or [0.0] * self.K
-        claimed = {0: self.stated.start_margin or 0.0}
+        margins = self.claims.margins or [0.0] * self.K
+        claimed = {0: self.claims.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 or margins[k] > 0 else ():
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), margins[k])

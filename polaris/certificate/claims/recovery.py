@@ -126,7 +126,7 @@ class Recovery:
 
     def _leaves(self, share: float, target: NodeLimit, tightening: arb, context: str) -> None:
         """Check that a tightening, that of a jump included, leaves a share of the clearance as it is told."""
-        clearance, whole = target.clearance, target.whole
+        clearance, whole = target.clearance, target.total
         if not clearance - tightening >= (share - TOLD_SLACK) * whole:
             slack = float(((clearance - tightening) / whole).mid()) if clearance > 0 else 0.0
             text = f"share {slack:.6g} left, {share:.6g} claimed, for {context}"
@@ -144,7 +144,7 @@ class Recovery:
             disturbance, fraction = tightenings.disturbed[lag][row], self._share(share, k, lag)
             for target in targets:
                 tightening, clearance = reach + extra + disturbance, target.clearance
-                if not clearance - tightening >= fraction * target.whole:  # all of it can be had more exactly
+                if not clearance - tightening >= fraction * target.total:  # all of it can be had more exactly
                     rows = rows_of(tightenings.carried[lag], row)
                     reach = sums((rows * z.c).entries(), z.spread(rows))[0]
                     tightening = reach + intersamples.next_to(lag)[row] + disturbance

@@ -27,16 +27,16 @@ class NodeLimit:
     row: int  # which of the rows
     clearance: arb  # what there is for errors
     name: str  # unsafe set or input
-    whole: arb  # the clearance before a jump of the reference took its part: what shares refer to
+    total: arb  # the clearance before a jump of the reference took its part: what shares refer to
 
     def less(self, tightening: arb) -> NodeLimit:
         """Return the limit with less clearance."""
-        return NodeLimit(self.row, (self.clearance - tightening).lower(), self.name, self.whole)
+        return NodeLimit(self.row, (self.clearance - tightening).lower(), self.name, self.total)
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
         """Row, clearance and whole in doubles; the clearance less a rounding allowance."""
-        clearance, whole = float(self.clearance.lower()), float(self.whole.upper())
+        clearance, whole = float(self.clearance.lower()), float(self.total.upper())
         return self.row, clearance - SPARE * (abs(clearance) + abs(whole)) - TINY, whole
 
 

@@ -91,7 +91,7 @@ class Families(ConstraintTable):
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
             self._fixed, self._about = self._for_loops(), approach.loops
-        custom: list[ConstraintGroup] = [group for group in self.groups if group.rows.start >= self.known]
+        custom: list[ConstraintGroup] = [group for group in self.groups if group.rows.start >= self.printed]
         self._by_formulas = custom if self.loops else self.groups
         for group in custom if sampled is not None else ():
             if type(group.barrier).curvature is Constraint.curvature:
@@ -125,8 +125,8 @@ class Families(ConstraintTable):
         """The arguments of `polaris.inspection.loops.rows` that are always the same."""
         q, exact, maps = self.inspection, -np.inf, np.zeros((0, 4, 6))
         flights: tuple[float, ...] = (0.0, 0.0, 0.0)
-        table, values = [], np.zeros((self.known, 9))
-        for group in (group for group in self.groups if group.rows.stop <= self.known):
+        table, values = [], np.zeros((self.printed, 9))
+        for group in (group for group in self.groups if group.rows.stop <= self.printed):
             barrier, size = group.barrier, group.rows.stop - group.rows.start
             table += [self.loops.FORMULAS[type(barrier).__name__]] * size
             radius = barrier.axis if isinstance(barrier, Velocity) else getattr(barrier, "radius", 0.0)
@@ -137,14 +137,14 @@ class Families(ConstraintTable):
                 flights, maps = barrier.numbers
             elif isinstance(barrier, Passive):
                 exact = barrier.beyond + float(np.max(barrier.radius))
-        values[:, 3:] = np.array(self._alpha).T[: self.known]
+        values[:, 3:] = np.array(self._alpha).T[: self.printed]
         about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
         about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
         periods: tuple[float, ...] = (0.0, 0.0, 0.0)
         if self.sampled:
             periods = (self.sampled.period, self.sampled.share, self.sampled.growth(q.mean_motion))
         numbers = np.array([*about_rows, *about_speeds, *periods, self._largest, *flights])
-        return q.pairs, np.stack([table, self.place[: self.known]], axis=1), values, numbers, maps
+        return q.pairs, np.stack([table, self.place[: self.printed]], axis=1), values, numbers, maps
 
     def rank(self, h: Array) -> Index:
         """Return ranks of rows, shape (..., M) as h: where not all can be met, higher ranks give way first.
@@ -216,7 +216,7 @@ class Families(ConstraintTable):
             bound = bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (D / 2)
         # What one's own constraint cannot say of a state no input satisfies; the other rows are kept.
         invalid = np.isnan(bound) | ~np.isfinite(h) | ~np.isfinite(G).all(axis=-1)
-        invalid[..., : max(self.known - first, 0)] = False
+        invalid[..., : max(self.printed - first, 0)] = False
         G[invalid], bound[invalid] = 0.0, np.inf
         return BarrierRows(h, G, bound)
 

@@ -98,7 +98,7 @@ class ConstraintTable:
             by_type.setdefault(type(one), []).append(one)
         for members in by_type.values():
             self._add([one.sampled() if sampled else one for one in members if one.family not in without])
-        self.known = len(self._rows)
+        self.printed = len(self._rows)
         for single in custom:
             if (single.family or single.label) not in without:
                 self._add([single.sampled() if sampled else single])

@@ -40,11 +40,11 @@ class LeastRecorder:
     """Keeps the least value of one constraint over each of R runs, when [s] and for whom.
 
     `places` (K, 2) are the deputies that its values are about; the second is -1 where there is one only. The
-    arrays are as `Least` has them, of shape (R,); `violated` counts instants, of those `seen`.
+    arrays are as `Least` has them, of shape (R,); `violated` counts instants, of all in `count`.
     """
 
     def __init__(self, places: Index, runs: int = 1) -> None:
-        self.places, self.seen = places, 0
+        self.places, self.count = places, 0
         self.value, self.at_samples = np.full(runs, np.inf), np.full(runs, np.inf)
         self.time, self.violated = np.zeros(runs), np.zeros(runs, dtype=np.intp)
         self.deputies = np.tile(places[0], (runs, 1))
@@ -61,7 +61,7 @@ class LeastRecorder:
         self.value, self.time = np.where(improved, least, self.value), np.where(improved, t[k], self.time)
         self.deputies = np.where(improved[:, None], self.places[column], self.deputies)
         self.violated += (values < 0).any(axis=2).sum(axis=1)
-        self.seen += len(t)
+        self.count += len(t)
 
     def who(self, run: int) -> tuple[int, ...]:
         """The deputy, or the pair, of one run."""
@@ -70,7 +70,7 @@ class LeastRecorder:
     def least(self, run: int = 0) -> Least:
         """Return the least value of one run."""
         value, time, at_samples = (float(part[run]) for part in (self.value, self.time, self.at_samples))
-        return Least(value, time, self.who(run), at_samples, float(self.violated[run]) / self.seen)
+        return Least(value, time, self.who(run), at_samples, float(self.violated[run]) / self.count)
 
 
 def keepers(families: Families, runs: int = 1) -> dict[str, LeastRecorder]:

@@ -82,7 +82,7 @@ class ObserverErrors:
         return powers(self._forgetting[0], self.count + len(self.observer.after))
 
     @cached_property
-    def turned(self) -> list[Array]:
+    def other_maps(self) -> list[Array]:
         """Maps by which an update adds to errors so many periods later, periods apart, by its kind."""
         loop, maps = self._forgetting[0], [0 * self.error_maps]
         for j, rest in enumerate(self.observer.rests[1:], 2):
@@ -106,9 +106,9 @@ class ObserverErrors:
 
     def _summed(self, added: list[Array], prior: Array) -> Array:
         """Bound errors that updates add in the worst pattern, by periods, first ones in `prior`, (., n)."""
-        kinds, count = len(self.turned), self.count
+        kinds, count = len(self.other_maps), self.count
         sums = np.zeros((count + kinds, self.system.n))
-        each = [increase + extra @ prior for increase, extra in zip(added, self.turned, strict=True)]
+        each = [increase + extra @ prior for increase, extra in zip(added, self.other_maps, strict=True)]
         for age in range(count):
             for j, increase in enumerate(each):
                 sums[age + j + 1] = np.maximum(sums[age + j + 1], sums[age] + increase[age])
@@ -154,7 +154,7 @@ class ObserverErrors:
         bounds = np.abs(powers(self._forgetting[0], periods)) @ first * (1 + ROUNDED)
         for age in range(1, periods + 1):
             before = bounds[:age][::-1, :, None]  # at once, one period before, ...
-            each = [(extra[: age - j] @ before[j:])[..., 0] for j, extra in enumerate(self.turned[:age])]
+            each = [(extra[: age - j] @ before[j:])[..., 0] for j, extra in enumerate(self.other_maps[:age])]
             sums = np.zeros((age + 1, len(first)))
             for at in range(age):
                 for j, increase in enumerate(each[: age - at]):
@@ -162,12 +162,12 @@ class ObserverErrors:
             bounds[age] += sums[age] * (1 + ROUNDED)
         return bounds
 
-    def usual(self, settled: Array) -> Array:
+    def rest_bounds(self, settled: Array) -> Array:
         """Bound the rest of `settled` errors, (n,) positive, until it is small, (near + late + 1, n).
 
         With `late` periods that may be missed. Raises what `largest` does.
         """
-        late, zeros = len(self.observer.after), [0 * self.error_maps[..., 0]] * len(self.turned)
+        late, zeros = len(self.observer.after), [0 * self.error_maps[..., 0]] * len(self.other_maps)
         bounds = self.bounds_after(settled, min(self.count, FOLLOWED) + late, zeros)  # late ones may follow
         shares = np.max(bounds / settled, axis=1)
         shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
@@ -182,7 +182,7 @@ class ObserverErrors:
         Shape (near + 2, n). By every pattern of missed periods; errors added meanwhile are apart. See
         `usual`.
         """
-        usual, zeros = self.usual(settled), [0 * self.error_maps[..., 0]] * len(self.turned)
+        usual, zeros = self.rest_bounds(settled), [0 * self.error_maps[..., 0]] * len(self.other_maps)
         near = len(usual) - 1 - len(self.observer.after)
         bounds = self.bounds_after(first, len(usual) - 1, zeros)
         share = np.max(bounds[near:] / settled)
@@ -256,7 +256,7 @@ def observing(system: Craft, observer: Observer, h: float, offset: Array | float
     size = system.thrusters.part(system.u_max)
     error = (alone + units @ size) * (1 + ROUNDED)
     if observer.after:
-        observer = replace(observer, followed=len(filtering.usual(error)) - 1 - len(observer.after))
+        observer = replace(observer, followed=len(filtering.rest_bounds(error)) - 1 - len(observer.after))
         if np.any(units):
             ages, by_age = filtering.by_age(error, units, size)
             observer = replace(observer, ages=ages, by_age=by_age)
@@ -302,7 +302,7 @@ def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: in
         observer = _design(system, measures, noise, h, missed, share, unseen)
         filtering = ObserverErrors(system, observer, h)
         with suppress(ScenarioError):
-            if not missed or len(filtering.usual(_size(system, observer, h))):
+            if not missed or len(filtering.rest_bounds(_size(system, observer, h))):
                 break
     return observer
 

@@ -59,7 +59,7 @@ class ExplicitASIF(Method):
         self.direct = bool(np.any(C @ system.B))
         rate = C if self.direct else C @ A
         self.push, self.kick, self.drift = rate @ system.B, rate @ system.D, rate @ A
-        self.off = system.thrusters.error(system.u_max)
+        self.error = system.thrusters.error(system.u_max)
         if not np.any(self.push):
             rule = "needs inputs that accelerate the position, not only its third derivative"
             raise ScenarioError("method", self.key, rule)
@@ -84,7 +84,7 @@ class ExplicitASIF(Method):
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
         system = self.grid.system
-        braking = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
+        braking = np.abs(normals @ self.push) @ (system.u_max - self.error) - span
         braking -= np.linalg.norm(normals @ self.kick, axis=1) * system.unbiased.w_max
         if np.any(braking <= 0) and not self.direct:
             raise ScenarioError("method", self.key, f"full thrust must brake before every side of {name}")
@@ -160,7 +160,7 @@ class ExplicitASIF(Method):
         """Barrier, row and bound, from the rate of h along a normal but for input, drift and disturbance."""
         rate = ((x @ self.drift.T) * normal).sum(axis=1)
         rate -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.unbiased.w_max
-        rate -= np.abs(normal @ self.push) @ self.off
+        rate -= np.abs(normal @ self.push) @ self.error
         return h, normal @ self.push, -self.alpha * h - (rate + change)
 
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:

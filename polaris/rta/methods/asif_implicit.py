@@ -70,10 +70,10 @@ class ImplicitASIF(Method):
         none = np.zeros((0, grid.system.m))
         self.inner_moves = np.vstack([none, *(facets @ move for move in moves[:-1])])
         self.rows = self.prospect.demand.tall[:, :-2] @ moves[-1]
-        self.most = np.abs(self.rows).sum(axis=1)
+        self.row_sums = np.abs(self.rows).sum(axis=1)
         W = grid.tracking.W
         norms = (float(np.linalg.norm(np.abs(W @ move).sum(axis=1))) for move in moves)
-        self.pushed = max(norms) * (1 + ROUNDING)
+        self.push = max(norms) * (1 + ROUNDING)
 
     def decide(self, observed: Observation) -> Choice:
         """Solve one program for every run whose desired input is not recoverable."""
@@ -84,10 +84,10 @@ class ImplicitASIF(Method):
             return Choice(np.zeros(R, dtype=int), np.full(R, -np.inf), np.full(R, 2), observed.desired)
         e = observed.estimate - grid.xi[k * grid.nodes]
         end_error = e @ self.prospect.end.M.T + self.prospect.end.offset[k * grid.nodes]
-        size = self.prospect.size(k, e) + self.pushed
+        size = self.prospect.size(k, e) + self.push
         # The quick bound on far rows counts the tightest limit of all times: if it refuses, rows are exact.
         count = len(demand.tall) if (demand.base + demand.slope * size > 1).any() else demand.near
-        moved, largest, first = self.rows[:count], self.most[:count], node * len(recovery.rows)
+        rows, largest, first = self.rows[:count], self.row_sums[:count], node * len(recovery.rows)
         window = recovery.reciprocals[first : first + count]
         tightening = extended(end_error, size) @ demand.tall[:count].T
         limit = np.minimum(recovery.window(node)[:count], UNLIMITED)
@@ -96,20 +96,20 @@ class ImplicitASIF(Method):
         clearance = limit - tightening
         allowed = clearance - self._kept(k, e, limit)
         desired = observed.desired / grid.system.u_max
-        margins = (allowed - desired @ moved.T) * window
+        margins = (allowed - desired @ rows.T) * window
         margin, u = margins.min(axis=1), desired.copy()
         infeasible = size > recovery.far(node)
         for run in np.flatnonzero((margin < 0) & ~infeasible):
             for clearances in (allowed, clearance) if self.slope < 1 else (clearance,):
                 near = clearances[run] < largest
-                answer = project(-moved[None, near], -clearances[None, run, near], desired[None, run], 1.0)
+                answer = project(-rows[None, near], -clearances[None, run, near], desired[None, run], 1.0)
                 if answer.status[0] <= SOLVED:
                     u[run] = answer.u[0]
                     break
             else:
                 infeasible[run] = True
         # Whatever the solver says, what it found is checked; what cannot be worked out is not met.
-        infeasible |= ~(clearance - u @ moved.T >= -slack).all(axis=1)
+        infeasible |= ~(clearance - u @ rows.T >= -slack).all(axis=1)
         infeasible |= ~(self.prospect.inner_share(k, e, size, u @ self.inner_moves.T) <= 1)
         mode = np.where(infeasible, 0, FILTERED)
         reasons = np.where(infeasible, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))

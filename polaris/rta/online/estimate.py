@@ -137,7 +137,7 @@ class BoxFilter:
         """Upper ends, shape (n,)."""
         return self._box[: self._n].copy()
 
-    def flown(self, bounds: Array | None, fresh: bool) -> None:
+    def note_commands(self, bounds: Array | None, fresh: bool) -> None:
         """Note bounds (2, m) on the commands since the last call; None where only their limits are known.
 
         The box is fresh if it is not older than the last call: earlier inputs no longer matter then.

@@ -57,7 +57,7 @@ class MeasurementCheck:
             bounds = bounds if (rising[:-1] <= rising[1:]).all() else None
         if applied is not None and bounds is None:
             faults.append(FlightFault("measurement", "malformed: the applied input"))
-        self.filter.flown(bounds, fresh)
+        self.filter.note_commands(bounds, fresh)
 
     def observe(self, measurement: object, instant: float, faults: list[FlightFault]) -> Array | None:
         """State at a decision's instant [s], within the scene's half widths of the truth; else None.

@@ -71,8 +71,8 @@ class OnlineMonitor:
         self.observer = MeasurementCheck(
             self.grid, self.limits, self.options.farthest, self.options.reacquire
         )
-        self._noted: list[FlightFault] = []  # of U, since the last step
-        self._flown, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
+        self._faults: list[FlightFault] = []  # of U, since the last step
+        self._active, self._dwelt, self._strikes = 0, self.options.min_dwell, 0
         self._unwritten: list[FlightFault] = []  # of the log
         self._latch: list[FlightFault] = []  # why S flies for good
         self._asked: object = None
@@ -89,7 +89,7 @@ class OnlineMonitor:
         if not fault and self._timer() - start > self.limits.budget:
             fault = "over its time budget"
         if u is None or fault:
-            self._noted.append(FlightFault("controller", fault))
+            self._faults.append(FlightFault("controller", fault))
             return None
         return np.asarray(np.clip(u, -limit, limit))
 
@@ -136,7 +136,7 @@ class OnlineMonitor:
             self._asked,
         )
         self._asked = None
-        u_faults, self._noted = self._noted, []
+        u_faults, self._faults = self._faults, []
         self._strikes += len(u_faults)
         faults = [*u_faults]
         k, mode, margin, reason = -1, 0, np.nan, ""
@@ -167,9 +167,9 @@ class OnlineMonitor:
         k, fault = self.clock.read(call.now, call.reference, call.number)
         if fault is not None:
             faults.append(fault)
-        before = self._flown  # after missed decisions too: more than S, which flew, is allowed for
+        before = self._active  # after missed decisions too: more than S, which flew, is allowed for
         if self.clock.missed and before:  # the permission ended, and S took over
-            self._dwelt, self._flown = self.clock.missed, 0
+            self._dwelt, self._active = self.clock.missed, 0
         self.observer.note_inputs(call.applied, faults)
         state = None if k is None else self.observer.observe(call.measurement, k * self.grid.period, faults)
         self._latched(faults)
@@ -178,7 +178,7 @@ class OnlineMonitor:
         if k >= self.grid.decisions:
             return k, 0, np.nan, "the plan has ended"
         mode, margin, reason = self.monitor.explained(k, state, before)
-        if mode and not self._flown and self._dwelt < self.options.min_dwell:
+        if mode and not self._active and self._dwelt < self.options.min_dwell:
             faults.append(
                 FlightFault("rule", f"dwell: {self._dwelt} of {self.options.min_dwell} decisions in S")
             )
@@ -202,8 +202,8 @@ class OnlineMonitor:
         if mode:
             until, self._dwelt = (k + 1) * self.grid.period + self.grid.latency, self.options.min_dwell
         else:
-            self._dwelt = 1 if self._flown else self._dwelt + 1
-        self._flown = mode
+            self._dwelt = 1 if self._active else self._dwelt + 1
+        self._active = mode
         if blocking:
             reason = str(blocking[0])
         unwritten, self._unwritten = self._unwritten, []
@@ -254,6 +254,6 @@ def replay_log(
     for record in entries:
         if record["resynchronised"] is not None:
             online.resynchronise(restored(record["resynchronised"]))
-        online._noted += [FlightFault("controller", text) for text in record["controller"]]
+        online._faults += [FlightFault("controller", text) for text in record["controller"]]
         answers.append(online.step(*(restored(record.get(name)) for name in _CallArguments._fields[:-1])))
     return answers

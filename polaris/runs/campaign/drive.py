@@ -42,7 +42,7 @@ class Driver:
                 lost = work_through(self.workers, fly_batch, self._left(missing), self._keep)
                 missing.extendleft(sorted(lost, key=lambda task: (task.case, task.batch), reverse=True))
                 losses = losses + 1 if self.done == before else 1
-                if lost and (not self.workers.again or losses > RECOVERIES):
+                if lost and (not self.workers.renewed or losses > RECOVERIES):
                     rule = f"workers were lost {losses} times without finishing a batch"
                     raise PolarisError(f"{rule} (out of memory, or killed?)")
 

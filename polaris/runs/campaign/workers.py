@@ -53,8 +53,8 @@ class Workers:
 
     make: Callable[[], Executor]  # a new executor
     window: Callable[[], int]  # most tasks to hand out at a time, now
-    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # its task is to be done again
-    again: bool = True  # whether a broken executor is to be replaced by a new one
+    losses: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # its task is to be done again
+    renewed: bool = True  # whether a broken executor is to be replaced by a new one
     trouble: Callable[[], str] = lambda: ""  # why nothing can come back any more, if so
 
 
@@ -97,7 +97,7 @@ def workers_of(executor: Executor | Workers | None) -> Workers:
     """Return the workers of a user's executor, which is neither closed nor replaced; None is this process."""
     if isinstance(executor, Workers):
         return executor
-    return Workers(lambda: executor, lambda: AHEAD * cores(), again=False) if executor else local(1)
+    return Workers(lambda: executor, lambda: AHEAD * cores(), renewed=False) if executor else local(1)
 
 
 def work_through(
@@ -116,7 +116,7 @@ def work_through(
             for task in islice(tasks, free_slots):
                 try:
                     pending[executor.submit(work, task)] = task
-                except workers.lost:
+                except workers.losses:
                     lost.append(task)
             if not pending:
                 return lost
@@ -128,14 +128,14 @@ def work_through(
                 task = pending.pop(future)
                 try:
                     result = future.result()
-                except workers.lost:
+                except workers.losses:
                     lost.append(task)
                 else:
                     store(task, result)
     finally:
         for future in pending:
             future.cancel()
-        if workers.again:
+        if workers.renewed:
             executor.shutdown(wait=False)
 
 
@@ -170,7 +170,7 @@ def cluster(address: str) -> Iterator[Workers]:
         crew = _Crew(client, address)
         loss_types = (BrokenExecutor, CancelledError, distributed.KilledWorker)
         try:
-            yield Workers(crew.executor, crew.window, lost=loss_types, trouble=crew.trouble)
+            yield Workers(crew.executor, crew.window, losses=loss_types, trouble=crew.trouble)
         finally:
             client.close(timeout=PATIENCE)
 
@@ -223,7 +223,7 @@ class _Crew:
     """The workers of a cluster: how many threads they have, and since when there are none."""
 
     def __init__(self, client: Any, address: str) -> None:
-        self.client, self.address, self.seen = client, address, time.monotonic()
+        self.client, self.address, self.last_seen = client, address, time.monotonic()
         self.silence = f"the scheduler at {address} no longer answers"
 
     def executor(self) -> Any:
@@ -242,14 +242,14 @@ class _Crew:
         with suppress(BrokenExecutor), _lost_scheduler(self.client):  # the loss shows in the futures
             count = int(sum(self.client.nthreads().values()))
         if count:
-            self.seen = time.monotonic()
+            self.last_seen = time.monotonic()
         return count
 
     def trouble(self) -> str:
         """Describe a lost scheduler, or a cluster without workers for too long; empty if there are some."""
         if self.client.status == "closed":  # some futures never end then
             return self.silence
-        if self.threads() or time.monotonic() - self.seen < DESERTED:
+        if self.threads() or time.monotonic() - self.last_seen < DESERTED:
             return ""
         return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"
 

@@ -51,7 +51,7 @@ class InspectionFlights:
     def __init__(self, scenario: Any, runs: int, wanted_m: float = 100.0, effort: float = 0.05) -> None:
         of_kind("scenario", scenario, FlightScenario, "polaris.load_scenario of one inspection flight")
         self.scenario: FlightScenario = scenario
-        self.runs, self.wanted, self.effort = runs, wanted_m, effort
+        self.runs, self.distance, self.effort = runs, wanted_m, effort
         self.inspection, flight = scenario.inspection(), scenario.model.flight
         self.period, self.count = flight.period_s, round(flight.duration_s / flight.period_s)
         self._parts = tuple((part, *self.inspection.discretize(self.period * part)) for part in (0.5, 1.0))
@@ -140,7 +140,7 @@ class InspectionFlights:
             least = np.minimum.reduce([least, *(value.min(axis=1, initial=np.inf) for value in values)])
         self.x, self.k = np.where(moving[:, None, None], x, self.x), self.k + moving
         self.seen = self._estimated()
-        deviation = np.abs(np.linalg.norm(self.x[..., :3], axis=2) - self.wanted) / self.wanted
+        deviation = np.abs(np.linalg.norm(self.x[..., :3], axis=2) - self.distance) / self.distance
         reward = (1 / (1 + deviation)).mean(axis=1) - self.effort * np.abs(u).mean(axis=(1, 2)) / q.thrust_max
         violated = (least < 0) & moving
         return columns | {

@@ -59,8 +59,8 @@ class Attacker:
         self.first = np.cumsum([0, *(len(u.normals) for u in claims.unsafe)])
         # Where the proof leaves least: the facet that certifies a period, ranked by what is left there.
         shape = len(claims.unsafe), claims.cells * claims.q
-        self._best = np.array([part.argmax(axis=1) for part in claims.facets], dtype=int).reshape(shape)
-        self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
+        self._facets = np.array([part.argmax(axis=1) for part in claims.facets], dtype=int).reshape(shape)
+        self._slack = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
     def from_schedule(
@@ -90,7 +90,7 @@ class Attacker:
         rows, targets = self._aims(count)
         flight, schedule = self.flight, self.flight.schedule
         faults = drawn(schedule, 1, rows, targets, self.rng)
-        takeover = np.minimum(np.where(faults.lost, faults.begins, faults.ends), targets)
+        takeover = np.minimum(np.where(faults.outage, faults.begins, faults.ends), targets)
         after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, 1), rows, targets)[0]
         carried = schedule.safety.tracking.transitions
         first, at_end = (
@@ -99,10 +99,10 @@ class Attacker:
         )
         before = self._towards(first, takeover)
         w = np.where((np.arange(flight.steps)[:, None] >= takeover)[..., None], after, before.w)
-        self._unseen(w, at_end, faults)
+        self._set_outage(w, at_end, faults)
         return Attack(before.x0, w, before.free, faults)
 
-    def _unseen(self, w: Array, rows: Array, faults: FaultTimes) -> None:
+    def _set_outage(self, w: Array, rows: Array, faults: FaultTimes) -> None:
         """Set the disturbance while navigation is lost, unanswered: its worst case along rows at the end."""
         (Ad, _, Dd), p = self.flight.discrete, self.flight.system.p
         for back in range(1, int((faults.ends - faults.begins).max()) + 1):
@@ -116,13 +116,13 @@ class Attacker:
         """Rows, and instants at which the state is to be far along them."""
         rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
         targets = self.rng.integers(1, self.flight.steps + 1, count)
-        near = count // 2 if len(self._left) else 0
+        near = count // 2 if len(self._slack) else 0
         if near:
-            scale = max(float(np.median(self._left)) / 20, 1e-9)
-            weight = np.exp(-(self._left - self._left.min()) / scale).ravel()
+            scale = max(float(np.median(self._slack)) / 20, 1e-9)
+            weight = np.exp(-(self._slack - self._slack.min()) / scale).ravel()
             chosen = self.rng.choice(weight.size, near, p=weight / weight.sum())
-            which, period = np.divmod(chosen, self._left.shape[1])
-            rows[:near] = self.rows[self.first[which] + self._best[which, period]]
+            which, period = np.divmod(chosen, self._slack.shape[1])
+            rows[:near] = self.rows[self.first[which] + self._facets[which, period]]
             offset = self.rng.integers(0, self.flight.substeps + 1, near)
             targets[:near] = np.clip(period * self.flight.substeps + offset, 1, self.flight.steps)
         return rows, targets

@@ -132,7 +132,7 @@ class _Search:
     def __init__(
         self, schedule: Schedule, runs: int, rng: np.random.Generator, code: FlightCode | None
     ) -> None:
-        self.schedule, self.wanted, self.flown = schedule, runs, 0
+        self.schedule, self.runs, self.count = schedule, runs, 0
         asks = None if code is None else code.asks
         self.main = Attacker.from_schedule(schedule, False, rng, asks=asks)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
@@ -156,22 +156,22 @@ class _Search:
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         start = time.perf_counter()
         # Short flights fit into few batches: then those are made smaller, and one is kept for the tail.
-        size = max(min(BATCH // self.main.flight.steps, -(-self.wanted // TAIL_EVERY)), SMALLEST)
+        size = max(min(BATCH // self.main.flight.steps, -(-self.runs // TAIL_EVERY)), SMALLEST)
         batch, refuted, tail_done = 0, None, self.tail is None
-        while self.flown < self.wanted and refuted is None:
-            remaining = self.wanted - self.flown
+        while self.count < self.runs and refuted is None:
+            remaining = self.runs - self.count
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not tail_done and remaining <= size and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
             attacker = self.faults if self.faults is not None and batch % FAULTS_EVERY == 1 else attacker
             tail_done = tail_done or attacker is self.tail
             count = min(max(min(size, BATCH // attacker.flight.steps), SMALLEST), remaining)
             if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
-                refuted, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
+                refuted, self.count, batch = self._aborted(count), self.count + count, batch + 1
                 continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             runs = attack.fly(attacker.flight)
             measured = attained(attacker.claims, runs, attack.faults)
-            self.flown, batch = self.flown + count, batch + 1
+            self.count, batch = self.count + count, batch + 1
             refuted = self._record(attacker.claims, attack, measured)
             bare = attacker is self.faults or attacker.claims.asks is not None
             refuted = refuted if refuted or bare else self._besides(attack, runs)
@@ -179,11 +179,11 @@ class _Search:
                 self.last = runs, measured
                 self._keep(attack, measured)
             if progress:
-                progress(self.flown, self.wanted)
+                progress(self.count, self.runs)
         failure, case = refuted or (None, None)
         names, clock = self.main.claims.names, time.perf_counter() - start
         limits = names, self.least, self.proven, self.at
-        return Falsification(self.schedule, *limits, self.flown, clock, failure, case, self.abort, self.spent)
+        return Falsification(self.schedule, *limits, self.count, clock, failure, case, self.abort, self.spent)
 
     def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
         if attacker is self.main:

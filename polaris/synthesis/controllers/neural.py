@@ -151,7 +151,7 @@ class NeuralController:
         return AffineController(self.name, self.system, gain, *references, clips=True)
 
     @cached_property
-    def booked(self) -> Array:
+    def rounding(self) -> Array:
         """Return the round-off of scaling the output, as part of the state at the next node, shape (n,)."""
         return np.asarray(ROUNDING * np.abs(self.loop.flow.input_map(self.system.B)) @ self.system.u_max)
 
@@ -190,7 +190,7 @@ class NeuralController:
                 widening = np.abs(self.loop.flow.input_map(self.system.B)) @ band * WIDER
                 commanded = np.abs(command.c) + command.half_widths * (1 + WIDER)
                 push, within = thruster_offset(self.system, self.loop.flow, commanded)
-                nodes.append(reduced(after.inflate(widening + self.booked) + push))
+                nodes.append(reduced(after.inflate(widening + self.rounding) + push))
                 intersamples.append(intersample + widening + within)
         except Unresolved as error:
             return TubeSegment(*no_tube(start, self.feedback.nodes_per_cell), str(error))

@@ -66,7 +66,7 @@ class Attempts:
     def __init__(
         self, problem: Problem, tracking: Tracking, clock: StageClock, known_plan: Plan | None = None
     ) -> None:
-        self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, known_plan
+        self.problem, self.tracking, self.clock, self.plan_before = problem, tracking, clock, known_plan
         self.tail = tail_length(tracking)
         drift_cells = 0 if problem.abort is None else problem.abort.cells(problem.delta)
         self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, drift_cells))
@@ -75,8 +75,8 @@ class Attempts:
 
     def __iter__(self) -> Iterator[tuple[Reference, Array]]:
         """References, and the jump into the tail of each (see `coast`)."""
-        if self.given is not None:
-            yield from self._references(self.given)
+        if self.plan_before is not None:
+            yield from self._references(self.plan_before)
             return
         task = plan_problem(self.problem, self.tracking, self.unsafe)
         self.clock.lap("bounds")

@@ -178,7 +178,7 @@ class Tail(Nearness):
     def correcting(self, nodes: int) -> float:
         """Bound S's velocity change over so many periods after T, each for itself [m/s]."""
         tracking, system = self.safety.tracking, self.safety.problem.system
-        delta_v = FlightSpending(self.steps_until(nodes), nodes).apart(nodes) if nodes else 0.0
+        delta_v = FlightSpending(self.steps_until(nodes), nodes).summed(nodes) if nodes else 0.0
         delta_v *= tracking.flow.h / system.mass
         return min(tracked(self.commands, self.starts, self.T, self.T + nodes), delta_v) * (
             1 + slack_factor(tracking)

@@ -290,7 +290,7 @@ class Schedule:
         tail, spells = self.tail, self._spells
         scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass
         delta_v = (
-            FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + slack_factor(tail.safety.tracking))
+            FlightSpending(spells, tail.T).summed(tail.T) * scale * (1 + slack_factor(tail.safety.tracking))
         )
         return delta_v + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)
 

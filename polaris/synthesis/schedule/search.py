@@ -28,7 +28,7 @@ class PartialSchedule:
 
     reached: Zonotope
     steps: tuple[Step, ...] = ()
-    held: int = 0
+    dwell: int = 0
     switches: int = 0
 
     @property
@@ -110,7 +110,7 @@ class ScheduleSearch:
             return
         if self.progress and k:
             self.progress(k, K)
-        settled = k == 0 or branch.held >= self.rules.min_dwell
+        settled = k == 0 or branch.dwell >= self.rules.min_dwell
         switches = branch.switches + (k > 0) + 1  # there, and back to S should it fail
         for mode in self.candidates(k):
             if mode == branch.mode:
@@ -127,7 +127,7 @@ class ScheduleSearch:
                 return None
             step = Step(mode, tube, branch.k, self.safety.recoverable)
             switched = branch.k > 0 and mode != branch.mode
-            dwell = 1 if switched or branch.k == 0 else branch.held + 1
+            dwell = 1 if switched or branch.k == 0 else branch.dwell + 1
             branch = PartialSchedule(tube.end, (*branch.steps, step), dwell, branch.switches + switched)
         return branch
 

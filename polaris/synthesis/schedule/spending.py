@@ -147,7 +147,7 @@ class FlightSpending:
                 steps.append(step.first_periods(remaining))
         return steps
 
-    def apart(self, periods: int) -> float:
+    def summed(self, periods: int) -> float:
         """Bound the thrust of so many periods, each for itself [N] (Proposition 14 (b))."""
         return float(np.concatenate([spell.thrust for spell in self.spells])[:periods].sum())
 

@@ -204,7 +204,7 @@ class _Clear:
 
     def _certain(self) -> bool:
         """Return True if a sum of rows, weighed by the solver's answer, asks for more than there is."""
-        ray, rows, tightening = self.lp.ray(), *self.lp.stated()
+        ray, rows, tightening = self.lp.ray(), *self.lp.constraints()
         for weights in (np.maximum(ray, 0.0), np.maximum(-ray, 0.0)):
             available = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
             if weights @ tightening - available > ROUNDING * (

@@ -17,10 +17,10 @@ MEASUREMENT = "measurement"  # name of the channel
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Observer whose error, within `settled` (n,), is a state; it sees states displaced by `away` (n,)."""
+    """Observer whose error, within `settled` (n,), is a state; it sees states displaced by `offset` (n,)."""
 
     observer: Observer
-    away: Array
+    offset: Array
     settled: Array | None = None
 
     @classmethod
@@ -43,6 +43,6 @@ class Filter:
         sample = np.zeros((loop.N, len(measures)))
         sample[first : first + n] = self.observer.gain
         offset = loop.offset_measured
-        size = self.observer.noise + measures @ self.away + measures @ offset
+        size = self.observer.noise + measures @ self.offset + measures @ offset
         loop = loop.with_channels(Channel(MEASUREMENT, size, sample=sample, constant=self.observer.constant))
         return replace(loop, navigated=offset, settled=self.settled)

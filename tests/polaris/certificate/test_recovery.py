@@ -92,7 +92,7 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
     monkeypatch.setattr("polaris.certificate.claims.argument.read_code", lambda folder: read)
     asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
     argument = SimpleNamespace(
-        document=doc, stated=FileClaims(), K=3, record=Record(), code=Path() if code else None
+        document=doc, claims=FileClaims(), K=3, record=Record(), code=Path() if code else None
     )
     flight = SimpleNamespace(
         keeps=lambda reached, claimed: asked.update(reached) or 1.0,

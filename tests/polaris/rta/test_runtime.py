@@ -402,7 +402,7 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
     for k in range(20):
         pushes = rng.uniform(-1, 1, (parts, 2)) * system.u_max
         fresh = box.t >= t - 1e-12  # from now on the box depends on these inputs alone
-        box.flown(np.array([pushes.min(axis=0), pushes.max(axis=0)]) if told else None, fresh)
+        box.note_commands(np.array([pushes.min(axis=0), pushes.max(axis=0)]) if told else None, fresh)
         seen = rng.random() < 0.8 or k - box.t / 0.2 > 3
         stamp = int(rng.integers(1, parts + 1)) if seen else 0
         for part in range(parts):

@@ -135,7 +135,7 @@ class Lost(InProcess):
 
 def test_a_lost_worker_is_told(tmp_path):
     with pytest.raises(PolarisError, match="a worker was lost.*goes on from there"):
-        again(tmp_path / "one", executor=Workers(Lost, lambda: 1, lost=(OSError,)))
+        again(tmp_path / "one", executor=Workers(Lost, lambda: 1, losses=(OSError,)))
 
 
 def test_points_of_other_scenarios_and_versions_are_computed_again(copied, computed, monkeypatch):

@@ -45,8 +45,8 @@ def test_periods_cannot_all_be_the_worst():
     scale = schedule.safety.tracking.flow.h / schedule.safety.problem.system.mass
     count = len(schedule.steps) * schedule.safety.clearance.q
     flight = FlightSpending(schedule._spells, count)
-    assert schedule.delta_v[1] < 0.75 * flight.apart(count) * scale
-    assert flight.thrust_bound(0) == 0 and flight.thrust_bound(7) <= flight.thrust_bound(8) <= flight.apart(
+    assert schedule.delta_v[1] < 0.75 * flight.summed(count) * scale
+    assert flight.thrust_bound(0) == 0 and flight.thrust_bound(7) <= flight.thrust_bound(8) <= flight.summed(
         8
     ) * (1 + ROUNDING)
 

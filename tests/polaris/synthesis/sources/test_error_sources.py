@@ -172,7 +172,7 @@ def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
     rng, command, Bd = np.random.default_rng(0), 0.5 * system.u_max, discretize(A, B, 2.0)[1]
     for bounds in ([-command, command], None):
         box = BoxFilter(BoxMotion(system, 0.5, 2.0), np.zeros(4), np.zeros(4))
-        box.flown(None if bounds is None else np.array(bounds), True)
+        box.note_commands(None if bounds is None else np.array(bounds), True)
         ahead, u = box.propagated(2.0), rng.choice([-1, 1], (200, 2)) * (command if bounds else system.u_max)
         x = (u + np.sign(u) * system.thrusters.error(u)) @ Bd.T
         assert np.all(x <= ahead[:4]) and np.all(-x <= ahead[4:]) and np.any(x > np.abs(u) @ Bd.T)

@@ -135,4 +135,4 @@ def test_all_laws_of_a_flight_are_looked_at_at_once(tmp_path):
     for k, spell in enumerate(flight.spells):
         if spell.linear is not None:
             assert np.all(np.abs(spell.linear.middle) <= spell.commands * (1 + 1e-9)), k
-    assert flight.thrust_bound(flight.periods) <= flight.apart(flight.periods) * (1 + 1e-9)
+    assert flight.thrust_bound(flight.periods) <= flight.summed(flight.periods) * (1 + 1e-9)
