@@ -34,9 +34,9 @@ NAMES |= {"thrusters": "errors of thrusters", "carried impulse": "carried bit", 
 
 def laws_flown(schedule: Schedule, steps: int) -> list[AffineController]:
     """Return the law of each of the first steps, with the bounds on its commands that its tube rests on."""
-    laws, method = list[AffineController](), AffineController._flown
-    with patch.object(AffineController, "_flown", lambda law, *args: laws.append(law) or method(law, *args)):
-        by_step, start = list[AffineController](), schedule.safety.tracking.whole_state(schedule.safety.start)
+    laws, method = list[AffineController](), AffineController._reach
+    with patch.object(AffineController, "_reach", lambda law, *args: laws.append(law) or method(law, *args)):
+        by_step, start = list[AffineController](), schedule.safety.tracking.loop_state(schedule.safety.start)
         for step in schedule.steps[:steps]:
             start = schedule.controllers[step.mode].propagate(start, step.k).end
             by_step.append(laws[-1])
@@ -54,7 +54,7 @@ def tightening_by_source(schedule: Schedule, place: Place, end: int) -> dict[str
                 gains = law.closed.gains(channel, row)
                 by_channel[channel.name] = by_channel.get(channel.name, 0.0) + float(np.sum(gains @ size))
             row = row @ law.closed.F
-    first = schedule.safety.tracking.whole_state(schedule.safety.start)
+    first = schedule.safety.tracking.loop_state(schedule.safety.start)
     return by_channel | {"start": float(np.abs(row @ first.G).sum())}
 
 

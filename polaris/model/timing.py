@@ -141,7 +141,7 @@ class Transient:
     where it is navigation that is lost, and S flies on at once."""
     share: float  # of its thrust that is lost, or pushes without being asked to
     gains: Array  # largest sizes of the entries of all experimental controllers' gains, (m, n)
-    asked: bool = False  # whether black boxes fly, whose answers may be any
+    boxes: bool = False  # True if black boxes fly, whose answers may be any
     networks: Array | None = None  # the same of networks: how steep they are in the state
     after: float = 0.0  # so much longer [s] decisions on predictions go on that did not know of it
     missed: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost

@@ -195,7 +195,7 @@ class Arrival:
         cell, place = divmod(node, self.document.q)
         step = self.fly_tail(node + 1)[cell]
         z = step.nodes[place - 1] if place else step.start
-        whole = self.flight.tracker.craft.whole(rows)
+        whole = self.flight.tracker.craft.pad(rows)
         return sums(z.support(whole), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
     def state(self, node: int) -> arb_mat:

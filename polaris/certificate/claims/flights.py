@@ -143,7 +143,7 @@ class ControllerModel:
             return PeriodCommand(command.K * craft.sees, command.c - u, inputs, bounds)
         fit = self.document.fits[k] if kind == "black_box" else None
         if fit is not None:
-            K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
+            K, c = craft.pad(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
             bands = [arb(row[n + 1]) for row in fit[i]]
             axes = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
             bounds = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in axes]
@@ -199,7 +199,7 @@ def enclose_step(
     intersamples = base.intersamples(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, clearance = barrier.rows.M, base.clearance(barrier.rows.M, barrier.offsets)
-        weights = magnitude(craft.whole(rows))
+        weights = magnitude(craft.pad(rows))
         tightenings = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
         clearance = [
             [limit - upset for limit, upset in zip(node, tightenings, strict=True)] for node in clearance

@@ -53,7 +53,7 @@ def check_estimate(arrival: Arrival, claims: FileClaims, flights: Sequence[Flown
     craft, settling, doc = arrival.flight.tracker.craft, arrival.flight.tracker.settling, arrival.document
     n, claim, checked = len(doc.A), claims.estimate or {}, []
     excess = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
-    rows = craft.sees - craft.whole(identity(n))
+    rows = craft.sees - craft.pad(identity(n))
     signed = above(rows, -rows)
     if (claimed := claim["experimental"]) is not None:
         steps = [each for each in flights if each.controller.law.kind != "safety"]

@@ -104,7 +104,7 @@ class Limits:
                 # A held input is renewed at the end of its period.
                 nodes.append(limits + inputs if i < plant.q else limits)
             targets.append(nodes)
-        return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
+        return cls(above(craft.pad(facets), craft.commands, -craft.commands), targets)
 
     def less_jump(self, tightenings: Tightening, path: Path) -> Limits:
         """Return the limits, the tail's tightened by the jump at its start."""

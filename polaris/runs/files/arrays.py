@@ -65,7 +65,7 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     system, final = safety.problem.system, safety.tracking.error(schedule.final)
-    offset = safety.tracking.left_out
+    offset = safety.tracking.unmodelled
     single, infinity = nodes.G.astype(np.float32), np.float32(np.inf)
     half_widths = (np.abs(nodes.G - single).sum(axis=-1) + offset).astype(np.float32)
     box = np.nextafter(half_widths, infinity)[..., None] * np.eye(nodes.dim, dtype=np.float32)

@@ -116,12 +116,12 @@ class AffineController(AffineLaw):
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
         holds every flight: none can be the first to exceed it.
         """
-        law, start = self.in_step(k), self.tracking.whole_state(start)
+        law, start = self.in_step(k), self.tracking.loop_state(start)
         if not self.system.proportional:
-            return law._flown(start, k)[0]
+            return law._reach(start, k)[0]
         bound = law.foreseen(start - self.whole_offset(k)[0], k)
         while True:
-            tube, commanded = law._like(bound, law.step_error)._flown(start, k)
+            tube, commanded = law._like(bound, law.step_error)._reach(start, k)
             if np.all(commanded <= bound):
                 return tube
             bound = raised(bound, commanded, self.system.u_max)
@@ -143,7 +143,7 @@ class AffineController(AffineLaw):
         assert isinstance(law, AffineController)
         return law
 
-    def _flown(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
+    def _reach(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
         """Reachable set over step k, and the largest commands in it, shape (m,).
 
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the

@@ -184,7 +184,7 @@ def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
 
 def start_about(problem: Problem, tracking: Tracking) -> Zonotope:
     """Return the loop states at the start: Theta less its middle, and all that may be known of the rest."""
-    return tracking.whole_state(problem.initial_set - problem.initial_set.c, tracking.at_start)
+    return tracking.loop_state(problem.initial_set - problem.initial_set.c, tracking.at_start)
 
 
 def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:

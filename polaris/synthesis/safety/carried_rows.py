@@ -21,7 +21,7 @@ class CarriedRows:
 
     Entry l of a table belongs to node l after a loop state was handed over to S. Over the period between two
     nodes a tightening is at most the chord of their entries. Sets are those of the loop state, or of the
-    tracking error ``x - xi`` where the rest may be any state that a law leaves (`Tracking.whole_state`).
+    tracking error ``x - xi`` where the rest may be any state that a law leaves (`Tracking.loop_state`).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class CarriedRows:
     @cached_property
     def carried(self) -> Array:
         """``row F^l``, shape (settling + 2, r, N)."""
-        return np.asarray(self.tracking.whole(self.rows) @ self.tracking.whole_transitions)
+        return np.asarray(self.tracking.pad(self.rows) @ self.tracking.loop_transitions)
 
     @cached_property
     def per_state(self) -> Array:
@@ -121,7 +121,7 @@ class CarriedRows:
 
     def from_set(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
         """Return the tightenings from a set at ages within the settling horizon, shape (ages, r)."""
-        start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
+        start, (radius, others) = self.tracking.loop_state(start), self.sizes_of(start)
         carried, between = self.carried[ages], self.per_state[1, :-1][ages] @ others
         spread = _spread(carried.reshape(-1, start.dim), start.G).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)
@@ -129,7 +129,7 @@ class CarriedRows:
 
     def sizes_of(self, sets: Zonotope) -> tuple[Array, Array]:
         """Return bounds over sets on ``norm(W e)``, shape (...), and on other loop states, (..., N - n)."""
-        whole, n = self.tracking.whole_state(sets), self.tracking.system.n
+        whole, n = self.tracking.loop_state(sets), self.tracking.system.n
         others = np.abs(whole.c[..., n:]) + np.abs(whole.G[..., n:, :]).sum(axis=-1)
         return self.tracking.error(whole).norm_bound(self.tracking.W), others
 

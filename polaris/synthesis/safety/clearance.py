@@ -148,7 +148,7 @@ class Limits:
         """All rows, shape (r, N)."""
         tracking = self.clearance.tracking
         copies = 1 if tracking.feedback_bound is None else 2
-        return np.vstack([tracking.whole(self.clearance.obstacle_rows[0]), *[tracking.commands] * copies])
+        return np.vstack([tracking.pad(self.clearance.obstacle_rows[0]), *[tracking.commands] * copies])
 
     @property
     def facets(self) -> int:

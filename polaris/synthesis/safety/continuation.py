@@ -263,7 +263,7 @@ class Continuation(RecoverableSet):
 
     def tightest(self, first: int, sets: Zonotope, intersample: Array) -> Margin:
         """Margin of sets at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
-        sets = self.clearance.tracking.whole_state(sets)
+        sets = self.clearance.tracking.loop_state(sets)
         at, sizes = first + np.arange(len(intersample)), self._sizes(sets, intersample)
         shares = self._shares(at, sets, intersample, sizes, COARSE)
         if not shares[0].min() < 1 - COARSE:  # limits left out may be tighter than this one
@@ -286,7 +286,7 @@ class Continuation(RecoverableSet):
         first, intersample, nodes = (
             k * self.clearance.q,
             at_nodes(intersample),
-            self.clearance.tracking.whole_state(nodes),
+            self.clearance.tracking.loop_state(nodes),
         )
         return bool(
             np.all(
@@ -303,7 +303,7 @@ class Continuation(RecoverableSet):
         inside = np.asarray(radius <= self._allowed(node))
         if inside.any():
             points = Zonotope(errors[inside], np.zeros((int(inside.sum()), errors.shape[1], 0)))
-            points = self.clearance.tracking.whole_state(points)
+            points = self.clearance.tracking.loop_state(points)
             sizes = self.table.sizes_of(points)
             inside[inside] = self._satisfied(np.array([node]), points, 0 * errors[inside], sizes)
         return inside

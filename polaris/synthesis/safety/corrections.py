@@ -106,7 +106,7 @@ class Corrections:
 
     def once(self, sets: Zonotope, count: int) -> float:
         """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
-        sets = self.tracking.whole_state(sets)
+        sets = self.tracking.loop_state(sets)
         answers, largest = self._answers.reshape(-1, sets.dim), 0.0
         for c, G in zip(sets.c, sets.G, strict=True):
             each = (np.abs(answers @ c) + np.abs(answers @ G).sum(axis=-1)).reshape(len(self._answers), -1)

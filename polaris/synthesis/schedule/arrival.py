@@ -224,7 +224,7 @@ class Tail(Nearness):
         distances = self.distance(states, self.tightenings(self.goal_rows, len(states)))
         within = np.flatnonzero(distances * (1 + CHECKED) <= self.tolerance)
         node = int(within[0]) if len(within) else int(np.argmin(distances))
-        middle = self.goal_rows.table.carried[: len(states)] @ tracking.whole_state(self.starts[-1].states).c
+        middle = self.goal_rows.table.carried[: len(states)] @ tracking.loop_state(self.starts[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
         return GoalDistance(

@@ -68,7 +68,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
             within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
-        anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.asked)
+        anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.boxes)
         if not within and not anything:
             rule = f"must be any thrust or a law known to the problem, as {fault.name} is isolated late"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)

@@ -230,7 +230,7 @@ class Schedule:
         if tracking.system.observer is None:
             return None
         rows, extra = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
-        tubes = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
+        tubes = [tracking.loop_state(step.tube.states) for step in self.steps if step.mode]
         largest = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in tubes]
         least = tracking.system.navigation + tracking.system.state_offset_at_nodes  # under any commands
         bounds = {

@@ -83,7 +83,7 @@ def _added(
         answer = np.zeros_like(wrong)
         if i and steep is not None:
             answer = np.tile(limits, (len(wrong), 1))
-            if not fault.asked:
+            if not fault.boxes:
                 answer = np.minimum(nodes[i, :, N:] @ steep.T, answer)
         error, push = answer @ shares, wrong * (length > 0)
         ages = slice(0, len(spans) - i)

@@ -59,7 +59,7 @@ class Tracking(Contraction):
     @property
     def estimate_error_rows(self) -> Array:
         """Rows of the loop state that are errors of the estimate a law acts on, shape (n, N)."""
-        return np.asarray(self.loop.sensed - self.whole(np.eye(self.system.n)))
+        return np.asarray(self.loop.sensed - self.pad(np.eye(self.system.n)))
 
     def unremembered(self, most: Array) -> Array:
         """Bound estimate errors that no loop state holds, under commands within a bound (m,), shape (n,)."""
@@ -125,12 +125,12 @@ class Tracking(Contraction):
         return np.asarray(offset if remembers(system) else 0 * offset)
 
     @property
-    def left_out(self) -> Array:
+    def unmodelled(self) -> Array:
         """Largest distance at nodes of a true state from the one that sets of the loop hold, shape (n,)."""
         states = self.system.carried_away if remembers(self.system) else 0.0
         return np.asarray(self.system.state_offset_at_nodes - states + self.loop.offset_at_nodes)
 
-    def whole_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:
+    def loop_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:
         """Return sets of the loop state that hold sets of the tracking error, all else within bounds.
 
         Parameters
@@ -226,7 +226,7 @@ class Tracking(Contraction):
             return np.concatenate([np.stack(each, axis=-1), np.multiply.outer(ever, norms)[None]])
 
         between = limits.curvature(plant) @ reach(limits.closed.rates).max(axis=0)
-        return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
+        return np.asarray(self._by_age(np.maximum.accumulate(reach(self.pad(rows)))) + between)
 
     def transient_tightening(self, rows: Array) -> Array:
         """Return the tightening of rows by transient faults, up to l periods later, (settling + 3, r)."""
@@ -234,7 +234,7 @@ class Tracking(Contraction):
             return np.zeros((self.settling + 3, len(rows)))
         return np.asarray(self.difference_tightening(rows, self.transients).max(axis=-1) * (1 + ROUNDING))
 
-    def whole(self, rows: Array) -> Array:
+    def pad(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
         return np.pad(rows, ((0, 0), (0, self.loop.N - rows.shape[1])))
 
@@ -267,11 +267,11 @@ class Tracking(Contraction):
         -------
         ndarray, shape (settling + 3, r)
         """
-        return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(feedback_bound)))
+        return self._by_age(self.tightening.from_rest(self.pad(rows), self._since(feedback_bound)))
 
     def settled_tightening(self, rows: Array) -> Array:
         """Return the tightening of rows for ever once S keeps to the end of its feedback bound, (r,)."""
-        rows, limits = self.whole(rows), self.tightening
+        rows, limits = self.pad(rows), self.tightening
         last = self._since(self.feedback_bound)[-1]
         older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(
             self._since(self.feedback_bound)
@@ -292,7 +292,7 @@ class Tracking(Contraction):
         return max((channel.lag for channel in self.loop.channels), default=0)
 
     @cached_property
-    def whole_transitions(self) -> Array:
+    def loop_transitions(self) -> Array:
         """``F^l`` for l = 0 ... settling + 1, shape (settling + 2, N, N)."""
         if self.system.n == self.loop.N:
             return self.transitions
@@ -303,7 +303,7 @@ class Tracking(Contraction):
 
         Shape (settling + 3, r, N - n), by age and ever after.
         """
-        limits, n, rows = self.tightening, self.system.n, self.whole(rows)
+        limits, n, rows = self.tightening, self.system.n, self.pad(rows)
         ever = limits.remainder(rows)[:, None] / limits.v[n:]
         return self._by_age(np.concatenate([np.abs(limits.carried(rows))[..., n:], ever[None]]))
 
@@ -336,4 +336,4 @@ class Tracking(Contraction):
 
     def response(self, channel: Channel, rows: Array) -> Response:
         """Return the response to a channel of rows of the error or of the loop state, (r, n) or (r, N)."""
-        return self.tightening.response(channel, self.whole(rows), rows[:, : self.system.n])
+        return self.tightening.response(channel, self.pad(rows), rows[:, : self.system.n])

@@ -102,7 +102,7 @@ class Scene:
     def synthesised(self):
         """Loop states at the nodes of all steps, as the controllers of the synthesis make them."""
         law = self.law
-        reached, sets = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
+        reached, sets = self.s.loop_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
         for k in range(K):
             tube = law.propagate(reached, k)
             sets += [tube.states[i] for i in range(Q)]
@@ -284,7 +284,7 @@ def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
     law, bounds, reach = made.law, [], []
     s, path = law.tracking, law.reference
     safe = AffineController("safety", s.system, s.gain, path, path, s)
-    z = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
+    z = s.loop_state(Box(np.zeros(4), INITIAL), s.at_start)
     N = z.dim
     rows = np.vstack([np.eye(N), -np.eye(N), rng.normal(size=(60, N)) / np.maximum(z.half_widths, 1e-3)])
     anything = AnyThrust("any", s.system, path, s)

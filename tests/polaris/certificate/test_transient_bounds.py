@@ -131,7 +131,7 @@ def test_a_black_box_may_answer_a_fault_with_any_command():
     problem = load_scenario(TINY).with_assignments([*SOFT, LOSS, *WRONG]).problem()
     argument, (fault,) = Argument(document(problem), Record()), problem.system.transients
     loop = Tracking(problem.system, problem.gain, problem.feedback, problem.delta).loop
-    stated = wrong_thrust(problem.system, replace(fault, asked=True), problem.gain, loop)
+    stated = wrong_thrust(problem.system, replace(fault, boxes=True), problem.gain, loop)
     safety, law = argument.document.laws
     argument.document.laws = [safety, replace(law, kind="black_box", gain=None)]
     boxes = [entries(box) for box in checked_thrust(argument.document, argument.craft, [])]

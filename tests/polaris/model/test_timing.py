@@ -285,7 +285,7 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
     last = min(last, calm.settling)
     booked = tracking.responses(rows, feedback_bound)[: last + 1] - calm.responses(rows, None)[: last + 1]
-    others = np.abs(tracking.whole_transitions[: last + 1, : system.n, system.n :])
+    others = np.abs(tracking.loop_transitions[: last + 1, : system.n, system.n :])
     booked += others @ (tracking.remembered - calm.remembered)
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):

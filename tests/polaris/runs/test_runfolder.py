@@ -205,10 +205,10 @@ def test_tubes_of_the_file_hold_what_displaces_states_and_flights(more):
     schedule = polaris.synthesize(load_scenario(TINY, [QUARTER, *more]))
     arrays, tracking = tube_arrays(schedule), schedule.safety.tracking
     half = np.abs(arrays["generators"]).sum(axis=1, dtype=float).swapaxes(0, 1)
-    exact = np.array([step.tube.nodes.half_widths for step in schedule.steps]) + tracking.left_out
+    exact = np.array([step.tube.nodes.half_widths for step in schedule.steps]) + tracking.unmodelled
     assert np.all(half >= exact * (1 - 1e-12)) and np.all(half <= exact * (1 + 1e-6) + 1e-30)
     offset = schedule.safety.problem.system.timing.intersample_offset or 0.0
-    assert np.any(tracking.left_out > 0) or np.any(offset)
+    assert np.any(tracking.unmodelled > 0) or np.any(offset)
     intersamples = np.array([step.tube.intersample for step in schedule.steps])
     np.testing.assert_array_equal(arrays["intersample"], intersamples + offset)
     runs, (K, q) = simulate(schedule, 100, 0, initial="corners"), arrays["intersample"].shape[:2]

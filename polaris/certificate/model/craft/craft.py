@@ -124,7 +124,7 @@ class Craft:
         excess = ((x * arb(1 + ROUNDED) - y).upper() for x, y in pairs)
         return [x if x > 0 else arb(0) for x in excess]
 
-    def whole(self, rows: arb_mat) -> arb_mat:
+    def pad(self, rows: arb_mat) -> arb_mat:
         """Rows of the error as rows of the loop state."""
         missing = self.free.ncols() - rows.ncols()
         return beside(rows, arb_mat(rows.nrows(), missing)) if missing else rows
@@ -161,7 +161,7 @@ class Craft:
         if rows not in self._along:
             sampled = [InputSet.in_box(self.plant.B * each.push, each.size) for each in self.samples]
             bounds = RowIntersample(self.motion, rows.M, [*self.steady, *sampled])
-            self._along[rows] = bounds, Directions(self.whole(rows.M))
+            self._along[rows] = bounds, Directions(self.pad(rows.M))
         return self._along[rows]
 
     @cached_property
@@ -172,7 +172,7 @@ class Craft:
     @cached_property
     def merge_rows(self) -> arb_mat:
         """Rows of the error and of commands, now and some periods later under the law."""
-        rows = above(self.whole(self.unit.M), self.commands)
+        rows = above(self.pad(self.unit.M), self.commands)
         return above(*(rows * self.F**lag for lag in LAGS))
 
     @cached_property

@@ -55,7 +55,7 @@ class Tightening:
     @cached_property
     def carried(self) -> list[arb_mat]:
         """``row F^l`` for l = 0 ... N + 1, each of shape (r, states)."""
-        rows = self.craft.whole(self.full_rows)
+        rows = self.craft.pad(self.full_rows)
         return [rows * power for power in self.settling.powers]
 
     @cached_property
@@ -73,7 +73,7 @@ class Tightening:
 
     @cached_property
     def _stacked(self) -> arb_mat:
-        rows = self.craft.whole(rows_of(self.full_rows, *self.kinds[0]))
+        rows = self.craft.pad(rows_of(self.full_rows, *self.kinds[0]))
         return above(*(rows * power for power in self.settling.powers[:-1]))
 
     @cached_property

@@ -550,8 +550,8 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     (known,) = system.transients
     for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
         fault = replace(known, lasts=lasts * h)
-        more = wrong_thrust(system, replace(fault, asked=True), gain, loop)
-        none = wrong_thrust(system, replace(fault, gains=0 * gain, asked=False), 0 * gain, loop)
+        more = wrong_thrust(system, replace(fault, boxes=True), gain, loop)
+        none = wrong_thrust(system, replace(fault, gains=0 * gain, boxes=False), 0 * gain, loop)
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
         assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
     asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}

@@ -208,8 +208,8 @@ def checked(s, rows):
 
 def handed(s, rows):
     """Return what the exact error and all else that may be remembered need along rows at nodes, (., r)."""
-    z = s.whole_state(Zonotope.point(np.zeros(s.system.n)))
-    return np.abs(s.whole(rows) @ s.whole_transitions @ z.G).sum(axis=-1)
+    z = s.loop_state(Zonotope.point(np.zeros(s.system.n)))
+    return np.abs(s.pad(rows) @ s.loop_transitions @ z.G).sum(axis=-1)
 
 
 def needed(s, rows, ages):
@@ -265,7 +265,7 @@ def test_what_is_older_than_the_horizon_counts(case):
     """Sums over four horizons are within what holds for ever, which one horizon alone does not reach."""
     s = tracking(**case)
     limits, closed = s.tightening, s.tightening.closed
-    rows = s.whole(np.eye(s.system.n))
+    rows = s.pad(np.eye(s.system.n))
     carried = rows @ powers(closed.F, 4 * limits.horizon)
     total = sum(closed.gains(each, carried).sum(axis=0) @ each.size for each in closed.loop.channels)
     ever = limits.from_rest(rows)

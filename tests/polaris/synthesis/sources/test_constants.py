@@ -81,7 +81,7 @@ def test_an_outage_beside_a_constant_error_covers_the_flight_of_that_error(share
     seen = Observer(M, np.ones(1), L, constant=np.array([share]) if share else None)
     system = observing(Craft(A, B, B, np.array([1e3]), 0.0, M), seen, h)
     tracking, n = Tracking(system, gain, Feedback(1), h), 2
-    rows = tracking.whole(np.eye(2))
+    rows = tracking.pad(np.eye(2))
     claimed = tracking.tightening.from_rest(rows)[-1]
     claimed = claimed + tracking.difference_tightening(rows, [tracking._unmade(count)]).max(axis=(0, 2))
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * h)
