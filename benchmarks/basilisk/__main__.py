@@ -35,7 +35,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.on_board import FlightCode
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular
-from polaris.simulation.run_metrics import held_path
+from polaris.simulation.run_metrics import period_path
 
 from .onboard import FlightSoftware, held
 from .world import Errors, Flight, absolute, fly, inertial
@@ -167,7 +167,7 @@ class Scene:
     def distance(self, times: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> float:
         """Least to any unsafe set [m], along held inputs between the control periods."""
         h, s = times[1], np.linspace(0, 1, 8, endpoint=False)
-        path = held_path(self.system, h, x[:-1], x[1:], s)[..., :3].reshape(1, -1, 3)
+        path = period_path(self.system, h, x[:-1], x[1:], s)[..., :3].reshape(1, -1, 3)
         instants = (times[:-1, None] + h * s).ravel()
         sets = self.scenario.obstacles()
         truth = true_states(sets, self.system, instants, 1, rng)

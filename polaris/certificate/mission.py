@@ -198,7 +198,7 @@ def _joint(legs: list[CheckedLeg], i: int, claim: Mapping[str, Any]) -> Joint:
         raise Rejected("joint", f"{context}: the GO box is not about the middle of the next leg's start set")
     if len(claim["half_widths"]) != len(box["half_widths"]) or len(box["center"]) != len(leg.document.A):
         raise Rejected("joint", f"{context}: the GO box is one of other states")
-    _same_craft(leg.document, next_leg.document, context)
+    _check_craft(leg.document, next_leg.document, context)
     if any(map(_moves, legs[i + 1 :])):
         node = leg.stay / leg.period
         if abs(node - round(node)) > PLACED * (1 + node):
@@ -215,7 +215,7 @@ def _satellite(leg: CheckedLeg) -> bool:
     return any(each["kind"] == "satellite" for each in leg.scenario.get("obstacles", ()))
 
 
-def _same_craft(one: Document, two: Document, context: str) -> None:
+def _check_craft(one: Document, two: Document, context: str) -> None:
     """Refuse legs of two craft, and, where a loop remembers more than the error, of two loops."""
     if one.transients or two.transients:
         raise Rejected("joint", f"{context}: a fault may last across the hand-over")

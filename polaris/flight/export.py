@@ -14,7 +14,7 @@ from ..simulation.on_board import check_flyable, tables_of
 from .glue import MODULE, glue_files
 from .observer import observer_rounding, with_observer
 from .online import with_monitor
-from .rounding import disturbance_taken, stated_rounding
+from .rounding import as_disturbance, stated_rounding
 from .vectors import FLIGHTS, calls
 
 
@@ -74,7 +74,7 @@ def export_c(
     rounding = stated_rounding(document, tables, precision)
     if observer:
         rounding = observer_rounding(document, tables, precision, rounding)
-    if (share := disturbance_taken(document, rounding)) >= 1:
+    if (share := as_disturbance(document, rounding)) >= 1:
         rule = f"rounds by {share:.3g} of the disturbance bound, which must be less than 1; use double"
         raise ScenarioError("precision", precision, rule)
     tables = replace(tables, rounding=rounding).rounded(precision)

@@ -62,7 +62,7 @@ def _gaps(document: Document, tables: Tables, precision: str) -> Iterator[tuple[
         yield error + gap * u + reach * input_unit, gap
 
 
-def disturbance_taken(document: Document, error: float) -> float:
+def as_disturbance(document: Document, error: float) -> float:
     """Share of the disturbance bound that errors of commands take; 0 where nothing covers them."""
     D, B = np.array(document.D), np.array(document.B)
     through = np.linalg.lstsq(D, B, rcond=None)[0]

@@ -87,7 +87,7 @@ class Allocation:
                 )
             share = min(share, reach * (1 - ROUNDED))
         if kind == PAIRS:
-            mixes = np.array([_of_pairs(directions, capacity, case) for case, capacity in fault_cases])
+            mixes = np.array([_mix_pairs(directions, capacity, case) for case, capacity in fault_cases])
         else:
             rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in fault_cases])
             mixes = np.array([_exact(directions, mix / (share * target[:, None])) for mix in rough])
@@ -145,7 +145,7 @@ class Allocation:
         """Choose lambda of `shares` by signs of the inputs and columns of `each` (N, k), (2^m, k, m)."""
         if not self.solves:
             return np.zeros((0, each.shape[1], len(self.u_max)))
-        choose = _of_program if self.kind == PROGRAM else _of_norm
+        choose = _program_bound if self.kind == PROGRAM else _norm_bound
         corners = [(1.0 - 2.0 * s, self.sizes[s, np.arange(len(s))]) for s in self.signs]
         return np.array([[choose(self, column, *corner) for column in each.T] for corner in corners])
 
@@ -186,7 +186,7 @@ def line(direction: Array) -> tuple[tuple[float, ...], int]:
     return tuple((x if not flipped else -x) + 0.0 for x in direction.tolist()), flipped
 
 
-def _of_pairs(directions: Array, capacity: Array, case: str) -> Array:
+def _mix_pairs(directions: Array, capacity: Array, case: str) -> Array:
     """Return thrusts that make a unit of each input by twice the pseudo-inverse's positive part, (2, m, N).
 
     Thrusters without any thrust are out, and for each of them one that is opposite to it.
@@ -218,7 +218,7 @@ def _of_pairs(directions: Array, capacity: Array, case: str) -> Array:
     return mixes
 
 
-def _of_program(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+def _program_bound(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
     """Return lambda (m,) with the least bound of `each` (N,) at the corner of the box with signs `ways`."""
     m, lasts = len(ways), np.append(np.zeros(len(ways)), allocation.u_max @ sizes)
     cost = lasts + np.append(ways * allocation.u_max, 0.0)
@@ -233,7 +233,7 @@ def _of_program(allocation: Allocation, each: Array, ways: Array, sizes: Array) 
     return np.asarray(solved.x[:m]) if solved.status == 0 else np.zeros(m)
 
 
-def _of_norm(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+def _norm_bound(allocation: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
     """Return lambda (m,) with a low bound of `each` (N,) at that corner, by some steps of a descent."""
     D, total, push = allocation.directions, float(allocation.u_max @ sizes), ways * allocation.u_max
     scale = float(np.abs(each).max() / allocation.lengths.max()) or 1.0

@@ -140,7 +140,7 @@ class Craft(LinearSystem):
         return np.hstack([self.impulse_rates, *led, self.biases])
 
     @cached_property
-    def carried_away(self) -> Array:
+    def carry_offset(self) -> Array:
         """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
         if not self.timing.carried_impulse:
             return np.zeros(self.n)

@@ -16,7 +16,7 @@ from reach.tubes.flow import LinearFlow
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.controllers.controllers import AffineController
-from ..synthesis.safety.feedforward import taken_over
+from ..synthesis.safety.feedforward import hand_over_error
 from .decision_grid import DecisionGrid
 from .recovery import Recovery
 
@@ -50,7 +50,7 @@ class ErrorMotion:
         grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
         system, nodes = grid.system, grid.last
-        error = law.error if mode else taken_over(grid.tracking, grid.clearance.reference)
+        error = law.error if mode else hand_over_error(grid.tracking, grid.clearance.reference)
         flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta, error)
         zeta = np.zeros((nodes, 2, system.n))
         if mode in grid.own_references:

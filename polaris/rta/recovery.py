@@ -22,7 +22,7 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.safety.continuation import Continuation
-from ..synthesis.safety.feedforward import taken_over
+from ..synthesis.safety.feedforward import hand_over_error
 from .decision_grid import DecisionGrid
 
 NEVER = 1e200  # reciprocal of a limit that leaves no clearance; times any error it is still a number
@@ -103,7 +103,7 @@ class Recovery:
     def _radius(self) -> float:
         """Bound on ``norm(W e)`` reached under S by all that pushes, at any node, however late."""
         tracking = self.grid.tracking
-        error = taken_over(tracking, self.grid.clearance.reference)
+        error = hand_over_error(tracking, self.grid.clearance.reference)
         box = replace(tracking.flow, w_max=0.0, E=self.grid.system.B * error).period_box
         input_radius = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)
         return tracking.disturbance_radius + input_radius

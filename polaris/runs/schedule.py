@@ -290,7 +290,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> PlotData:
         np.array([-np.inf if step["margin"] is None else step["margin"] for step in steps], dtype=float),
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
-        slices=SliceData(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
+        slices=SliceData(**arrays.read_fields(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
         reached=goal.get("by_s"),
         delta_v_max=goal.get("delta_v_max_m_s"),
         tube=tubes["tube"],

@@ -89,7 +89,7 @@ def tradeoff(
     points, swept = _points(scenario, values, overrides), "printed" not in values
     for point in points.values():
         point.check_black_boxes(black_boxes)
-    target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
+    target = _open_folder(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
         tasks = [(target / name, one, swept, black_boxes) for name, one in points.items()]
         _compute(tasks, target, workers_of(executor), stages.counting("{} of {} points"))
@@ -139,7 +139,7 @@ def _row(target: Path, name: str, field: str, value: float | None) -> Row:
     return row_of(read_run(target / name), name, field, value)
 
 
-def _take_up(out: str | Path) -> Path:
+def _open_folder(out: str | Path) -> Path:
     """Make the folder, or take up one of an earlier trade-off; `ScenarioError` if there is something else."""
     target = check_target(out, TRADEOFF.names)
     files = read_list(target) if target.exists() else None

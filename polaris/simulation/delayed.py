@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
-from ..model.estimates.prediction import prediction_error, when_measured
+from ..model.estimates.prediction import add_pulses, prediction_error
 from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
@@ -72,7 +72,7 @@ class Predicting(Integrator):
             return self.estimate_bounds if timing.instant else system.measured + 0 * self.estimate_bounds
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
         slack = self.estimate_bounds - prediction_error(system, np.zeros(system.n), worst, age)
-        offset = when_measured(timing, timing.period, system.state_offset_at_nodes)
+        offset = add_pulses(timing, timing.period, system.state_offset_at_nodes)
         slack = np.clip(slack @ np.linalg.inv(np.abs(expm(system.A * age))).T - offset, 0.0, system.measured)
         noise, steps = slack, np.arange(len(slack)) + self.lag
         for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in

@@ -149,7 +149,7 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
     starts = {name: states[:, ::q] for name, states in truth.items()}
     drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
     for share in np.arange(len(limits) and PARTS) / PARTS:
-        within = held_path(system, h, x[:, :-1], x[:, 1:], np.array([share]))[..., 0, :]
+        within = period_path(system, h, x[:, :-1], x[:, 1:], np.array([share]))[..., 0, :]
         collided |= (signed_distances(limits, times[:-1] + share * h, within, system) <= 0).any(axis=(0, 2))
     collided |= (signed_distances(limits, times[-1:], x[:, -1:], system) <= 0).any(axis=(0, 2))
     node_modes = runs.flown
@@ -192,7 +192,7 @@ def _refined(runs: Runs, truth: Mapping[str, Array], nearest: SampledApproach) -
     run = np.arange(len(starts))[:, None]
 
     def between(x: Array) -> Array:
-        return held_path(system, h, x[run, starts], x[run, starts + 1], s).reshape(len(x), -1, x.shape[-1])
+        return period_path(system, h, x[run, starts], x[run, starts + 1], s).reshape(len(x), -1, x.shape[-1])
 
     t = (times[starts][..., None] + s * h).reshape(len(starts), -1)
     states = {name: between(path) for name, path in truth.items()}
@@ -205,7 +205,7 @@ def _refined(runs: Runs, truth: Mapping[str, Array], nearest: SampledApproach) -
     return SampledApproach(*(np.where(closer, new, old) for new, old in pairs))
 
 
-def held_path(system: LinearSystem, h: float, before: Array, after: Array, shares: Array) -> Array:
+def period_path(system: LinearSystem, h: float, before: Array, after: Array, shares: Array) -> Array:
     """Return states (..., S, n) at shares (S,) of a period h [s] between the states (..., n) at its ends.
 
     What is added to the free motion is constant: a held input, a held disturbance.

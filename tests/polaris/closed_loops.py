@@ -99,7 +99,7 @@ class Loop:
         off = self.system.timing.delay / (self.dt * self.parts)
         between = abs(off - round(off)) > 1e-9
         away = self.system.state_offset if between else self.system.state_offset_at_nodes
-        return away - self.system.carried_away if self.remembers else away  # what is carried is flown
+        return away - self.system.carry_offset if self.remembers else away  # what is carried is flown
 
     def fire(self, told: Array, rest: Array, off: Array) -> tuple[Array, Array]:
         """Return the inputs that commands (R, m) make in a period, and the impulses that are left (R, m)."""

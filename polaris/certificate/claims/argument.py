@@ -18,7 +18,7 @@ from ..model.limits import Barrier
 from ..model.plants import plant_of, within_limits
 from ..model.transients import wrong_thrust
 from .arrival import Arrival
-from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path
+from .coasting import JUMP_SLACK, PATH_SLACK, check_end, exact_path
 from .continuation import Continuation, HandOver, Tracker
 from .drift import Departures, Drifts
 from .flights import ControllerModel, FlownStep, enclose_step
@@ -105,7 +105,7 @@ class Argument:
     def reference(self) -> Path:
         """Check that the reference is the exact motion under the stored inputs, which are within limits."""
         doc = self.document
-        path = flown_path(doc, self.plant, doc.states[self.K])
+        path = exact_path(doc, self.plant, doc.states[self.K])
         size = [max(abs(state[i]) for state in doc.states) for i in range(self.n)]
         size = [x + 1e-6 * max(size) for x in size]  # a state that rests is zero up to rounding
         for k, (state, exact) in enumerate(zip(doc.states, path.starts, strict=True)):

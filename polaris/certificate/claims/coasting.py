@@ -20,7 +20,7 @@ JUMP_SLACK = 2e-5
 """Largest step of the reference at T, relative to its size. It tightens limits; more is no rounding."""
 
 
-def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
+def exact_path(document: Document, plant: Plant, tail: Vector) -> Path:
     """Return the exact motion under the stored inputs; after T from a state whose orbit closes exactly."""
     coasts = column(tail)
     if document.system_kind == "clohessy_wiltshire" and document.horizon == "infinite":

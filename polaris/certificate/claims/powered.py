@@ -21,7 +21,7 @@ from ..model.craft.tightening import Tightening
 from ..model.plants import within_limits
 from ..model.timing import carried_impulse
 from .arrival import Arrival
-from .coasting import JUMP_SLACK, check_end, flown_path
+from .coasting import JUMP_SLACK, check_end, exact_path
 from .continuation import Continuation, HandOver, Tracker
 from .corrections import Corrections
 from .flights import FlownStep
@@ -94,7 +94,7 @@ class BranchMotion:
     ) -> "BranchMotion":
         """Build the exact motion under the inputs; check that these are within limits, and it may coast."""
         tracker = corrections.tracker
-        path = flown_path(doc, tracker.craft.plant, branch.tail)
+        path = exact_path(doc, tracker.craft.plant, branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
         jump = largest(magnitude(path.jump).entries())
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - jump, "the tail of a branch starts elsewhere")

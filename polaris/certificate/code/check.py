@@ -5,7 +5,7 @@ from pathlib import Path
 
 from flint import arb, arb_mat
 
-from ..claims.coasting import flown_path
+from ..claims.coasting import exact_path
 from ..claims.continuation import Continuation
 from ..files.document import Document
 from ..files.structure import contents
@@ -14,7 +14,7 @@ from ..kernel.motion import Plant
 from ..kernel.verdict import Record, Rejected
 from ..model.plants import plant_of
 from .observer import OnBoard
-from .rounding import UNIT, command_error, disturbance_taken, row_maxima
+from .rounding import UNIT, as_disturbance, command_error, row_maxima
 from .selftest import calls_of, selftest
 from .text import FARTHEST, PRECISIONS, PREFIX, Table, Tables, parsed, rounded
 
@@ -58,13 +58,13 @@ def check_code(document: Document, folder: Path, record: Record) -> list[str]:
 def precisions(document: Document) -> str:
     """Return how exact flight code of a certificate is in each precision; its tables are rounded once."""
     plant, n, m = plant_of(document), len(document.A), len(document.u_max)
-    path = flown_path(document, plant, document.states[document.steps])
+    path = exact_path(document, plant, document.states[document.steps])
     parts = zip(*[(identity(n), arb_mat(n, m)), *plant.steps][: document.q], strict=True)
     transitions, gains = ([[list(map(float, row)) for row in M.tolist()] for M in part] for part in parts)
     tables, words = Tables(**_expected_tables(document), moved=transitions, pushed=gains), list[str]()
     for precision in PRECISIONS:
         error = command_error(document, tables.rounded(precision), precision, path)
-        disturbance = disturbance_taken(document, plant, error)
+        disturbance = as_disturbance(document, plant, error)
         words.append(f"{precision} within {float(error.upper()):.3g} N")
         if disturbance is not None and document.w_max > 0:
             share = float((disturbance / document.w_max).upper())
@@ -112,7 +112,7 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
 
     The error does what a disturbance does: the environment must leave as much of the declared bound.
     """
-    path = flown_path(document, plant, document.states[document.steps])
+    path = exact_path(document, plant, document.states[document.steps])
     error, bound = command_error(document, tables, precision, path), arb(tables.rounding)
     if tables.seen:
         error = OnBoard(document, plant, tables, precision).command_error(error)
@@ -121,7 +121,7 @@ def _check_rounding(document: Document, plant: Plant, tables: Tables, precision:
     )
     require("rounding", error * 2 - bound, f"{float(bound):.4g} N is stated, twice the bound or more")
     disturbance, statement = (
-        disturbance_taken(document, plant, bound),
+        as_disturbance(document, plant, bound),
         f"commands in {precision} are within {float(bound):.3g} N",
     )
     if disturbance is None or not document.w_max > 0:

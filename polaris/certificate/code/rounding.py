@@ -86,7 +86,7 @@ def least(rows: int, count: int, precision: str) -> arb_mat:
     return column([arb(SMALLEST[precision]) * 2 * (count + 1)] * rows)
 
 
-def disturbance_taken(document: Document, plant: Plant, error: arb) -> arb | None:
+def as_disturbance(document: Document, plant: Plant, error: arb) -> arb | None:
     """Bound on disturbances with the effect of command errors up to `error`; None if none has it.
 
     The thrusters' own errors grow with commands, by their shares.

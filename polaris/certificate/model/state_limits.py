@@ -31,7 +31,7 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
     if spec["kind"] == "turning":
         _check_turning(document, items, spec)
         return
-    polytopes = _of_kind(document, spec, inside)
+    polytopes = _polytopes(document, spec, inside)
     if len(items) != len(polytopes):
         raise Rejected("unsafe_sets", f"{name} has {len(items)} sets of states, not {len(polytopes)}")
     for item, facets in zip(items, polytopes, strict=True):
@@ -130,7 +130,7 @@ def _share(normal: list[float], facet: Facet, name: str) -> arb:
     return share
 
 
-def _of_kind(document: Document, spec: dict[str, Any], inside: bool) -> list[list[Facet]]:
+def _polytopes(document: Document, spec: dict[str, Any], inside: bool) -> list[list[Facet]]:
     """Return polytopes of states, by facets, whose union is unsafe."""
     if spec["kind"] == "states":
         limits = zip(spec["rows"], spec["bounds"], strict=True)

@@ -107,7 +107,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     for bit_error, exact in zip(document.bits, document.prompt_bits, strict=True):
         slack = bit_error * arb(1 + ROUNDED) - (1 + share) * exact - extra_error
         require("system", slack, f"error of the thrusters: {bit_error}")
-    offsets = sums(carried_away(plant), (absolute(plant.B) * column(plant.shifted or zeros)).entries())
+    offsets = sums(carry_offset(plant), (absolute(plant.B) * column(plant.shifted or zeros)).entries())
     for bounds, parts in ((document.at_nodes, offsets), (document.intersample_offset, intersample)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
@@ -141,7 +141,7 @@ def state_offset(document: Document, delay: float) -> list[arb]:
     return [x + share * y for x, y in zip(document.at_nodes, document.intersample_offset, strict=True)]
 
 
-def carried_away(plant: Plant) -> list[arb]:
+def carry_offset(plant: Plant) -> list[arb]:
     """Bounds on how far impulses that are carried, and errors of them, displace states."""
     gain = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
     return row_sums((gain + absolute(plant.B) * plant.along) * plant.carried)

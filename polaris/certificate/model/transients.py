@@ -31,7 +31,7 @@ from .craft.states import craft_of, remembers
 from .craft.tightening import Differences, Tightening, difference_along
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
-from .timing import carried_away, predicted
+from .timing import carry_offset, predicted
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:
@@ -233,7 +233,7 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     is within its bounds.
     """
     plant, blind = craft.plant, craft_of(document, craft.plant, craft.gain, observing=False)
-    error = sums(map(arb, document.measured_error), carried_away(plant))
+    error = sums(map(arb, document.measured_error), carry_offset(plant))
     n, box = len(error), [*craft.box[: -len(error)], *error]
     start = above(arb_mat(n, len(box)), diagonal(box))
     pushes = plant.thruster_error(plant.u_max)

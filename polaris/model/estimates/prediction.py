@@ -42,7 +42,7 @@ def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float
     return np.asarray((carried + forced) * (1 + ROUNDED))
 
 
-def unseen_by(system: Craft, tau: float) -> Array:
+def prediction_gains(system: Craft, tau: float) -> Array:
     """Bound the error of a prediction over tau [s] per unit of the errors `entering`, shape (n, k)."""
     if not tau > 0:
         return np.zeros(system.entering.shape)
@@ -93,7 +93,7 @@ def _spreading(system: Craft, h: float) -> Array:
     return np.linalg.pinv(moments)
 
 
-def when_measured(timing: Timing, h: float, offset: Array) -> Array:
+def add_pulses(timing: Timing, h: float, offset: Array) -> Array:
     """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
     mid = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
     return np.asarray(
@@ -116,11 +116,11 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     if jitter and layout:  # which make more than is commanded of what they have left
         thrusters = thrusters.raised(2 * jitter * timing.carried_impulse / h * (1 + ROUNDED))
     system = replace(system, timing=timing, thrusters=thrusters)
-    measured_offset = state_offset = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
+    measured_offset = state_offset = system.carry_offset + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
     if timing.pulse_thrust:
         pulse_bit, within = pulse_error(system, np.array(timing.pulse_thrust), h)
         timing = replace(timing, intersample_offset=tuple(within.tolist()), lead=lead_of(system, h))
-        measured_offset, state_offset = when_measured(timing, h, state_offset), state_offset + within
+        measured_offset, state_offset = add_pulses(timing, h, state_offset), state_offset + within
         system = replace(system, thrusters=exact.raised(pulse_bit))
     timing = replace(timing, state_offset=tuple(state_offset.tolist()))
     system = replace(system, timing=timing)
@@ -136,7 +136,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     idle = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))
     try:
         errors = [[prediction_error(idle, each, least, age) for each in starts] for age in ages.tolist()]
-        unseen = unseen_by(system, ages[-1])
+        unseen = prediction_gains(system, ages[-1])
     except ReachError as error:
         rule = f"must be shorter: a prediction of this system over {ages[-1]:g} s has no bound ({error})"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error

@@ -60,13 +60,13 @@ class Driver:
         schedule = self.folder.check(task)
         if schedule is None:
             return False
-        self._same_schedule(task, schedule)
+        self._check_schedule(task, schedule)
         self.done += task.runs
         return True
 
     def _keep(self, task: Task, batch: Batch) -> None:
         if not batch.failure:
-            self._same_schedule(task, batch.schedule)
+            self._check_schedule(task, batch.schedule)
             self.folder.write(task, batch)
             self.done += task.runs
         elif task.case not in self.failed:
@@ -74,7 +74,7 @@ class Driver:
             self.folder.fail(task.case, batch)
         self._report()
 
-    def _same_schedule(self, task: Task, schedule: str) -> None:
+    def _check_schedule(self, task: Task, schedule: str) -> None:
         """Refuse a schedule other than that of the case's earlier runs; `PolarisError`."""
         if self.schedules.setdefault(task.case, schedule) != schedule:
             label = self.folder.plan.cases[task.case].label

@@ -15,7 +15,7 @@ from ...model.system import Array
 from ...scenario.reading import parse_toml
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.metrics import CONFIDENCE, lower_bound
-from ..files.arrays import held_by
+from ..files.arrays import array_fields
 from ..files.folder import summary_of
 from ..inspections.inspection import ARRAYS
 from .batch import Batch, CampaignRuns, Case, Replayed, Task, of_mode
@@ -145,4 +145,4 @@ def _trajectory(run: InspectionRun) -> Replayed:
     for i in range(deputies):
         table |= {f"deputy_{i}_u_{axis}_N": run.u[:, i, k] for k, axis in enumerate("xyz")}
         table[f"deputy_{i}_status"] = run.status[:, i]
-    return Replayed(held_by(run, ARRAYS), table)
+    return Replayed(array_fields(run, ARRAYS), table)

@@ -52,7 +52,7 @@ def set_arrays(schedule: Schedule, slices: SliceData) -> dict[str, Any]:
         "radius": np.array([safety.recoverable.radius(int(node)) for node in nodes]),
         "start_center": (start := tracking.error(safety.start)).c,
         "start_generators": start.G[:, np.any(start.G != 0, axis=0)],
-        **held_by(slices, SLICES),
+        **array_fields(slices, SLICES),
     }
 
 
@@ -110,17 +110,17 @@ FLIGHTS = {  # attribute of the flights of a controller or method by the name of
 
 def flight_arrays(envelopes: Mapping[str, FlightEnvelope]) -> dict[str, Any]:
     """Return some runs of every controller or method, and the envelope of all of them."""
-    parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in envelopes.items())
+    parts = (array_fields(flights, FLIGHTS, f"{key}_") for key, flights in envelopes.items())
     return {name: values for part in parts for name, values in part.items() if values is not None}
 
 
-def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+def array_fields(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
     """Attributes of an item by the names their arrays have."""
     return {prefix + name: getattr(item, field) for name, field in names.items()}
 
 
-def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
-    """Return attributes by name from arrays: the inverse of `held_by`."""
+def read_fields(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+    """Return attributes by name from arrays: the inverse of `array_fields`."""
     return {field: arrays[prefix + name] for name, field in names.items()}
 
 

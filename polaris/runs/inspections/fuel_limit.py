@@ -11,7 +11,7 @@ from ...inspection.filters.fuel import FuelLimit
 from ...inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
 from ...scenario.scenario import FuelLimitScenario
 from ...scenario.tables.inspection import FuelLimitModel
-from ..files.arrays import held_by, read_finite, read_held
+from ..files.arrays import array_fields, read_fields, read_finite
 from ..files.folder import SCENARIO, RunKind
 from ..stages import Stages
 
@@ -97,11 +97,11 @@ def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
 
 def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
     """Write the flight and the predicted backup flights."""
-    arrays = held_by(run, ARRAYS)
+    arrays = array_fields(run, ARRAYS)
     arrays["latched_at_s"] = np.array(np.nan if run.latched_at is None else run.latched_at)
     arrays["predictions"] = np.array(len(run.predictions))
     for k, one in enumerate(run.predictions):
-        arrays |= held_by(one, PREDICTED, f"prediction_{k}_")
+        arrays |= array_fields(one, PREDICTED, f"prediction_{k}_")
     np.savez(folder / "fuel.npz", **arrays)
 
 
@@ -113,12 +113,12 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
         raise ValueError("fuel.npz: arrays of the wrong shape")
     latched = float(arrays["latched_at_s"])
     predictions = tuple(
-        Prediction(**read_held(arrays, PREDICTED, f"prediction_{k}_"))
+        Prediction(**read_fields(arrays, PREDICTED, f"prediction_{k}_"))
         for k in range(int(arrays["predictions"]))
     )
     return FuelRun(
         scenario.inspection(),
-        **read_held(arrays, ARRAYS),
+        **read_fields(arrays, ARRAYS),
         latched_at=None if np.isnan(latched) else latched,
         predictions=predictions,
     )

@@ -23,7 +23,7 @@ from ...inspection.flights.simulation import BACKUP, UNPROVEN, FlightBatch, Insp
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ...scenario.scenario import FlightScenario
 from ...scenario.tables.filters import AssuredFilter, BarrierFilter
-from ..files.arrays import held_by, read_finite, read_held
+from ..files.arrays import array_fields, read_fields, read_finite
 from ..files.folder import SCENARIO, RunKind
 from ..files.tables import write_csv
 from ..stages import Stages
@@ -58,7 +58,7 @@ def _write(folder: Path, scenario: FlightScenario, judged: EvaluatedRun) -> None
     for row in rows:
         row["deputies"] = " ".join(map(str, row["deputies"]))
     write_csv(folder / "constraints.csv", rows)
-    np.savez(folder / "flight.npz", **held_by(judged.run, ARRAYS))
+    np.savez(folder / "flight.npz", **array_fields(judged.run, ARRAYS))
 
 
 def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
@@ -70,7 +70,7 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
     shapes[-1] = shapes[-1][:1]
     if shapes != [(K + 1,), (K + 1, N, 6), (K + 1,), (K, N, 3), (K, N, 3), (K, N), (K,)]:
         raise ValueError("flight.npz: arrays of the wrong shape")
-    return InspectionRun(q, **read_held(arrays, ARRAYS))
+    return InspectionRun(q, **read_fields(arrays, ARRAYS))
 
 
 MEANING = {name: (kind.meaning, kind.unit) for name, kind in KINDS.items()}

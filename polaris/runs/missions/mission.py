@@ -26,7 +26,7 @@ from ...scenario.mission import MissionScenario, moves
 from ...scenario.tables.schedule import InitialBox
 from ...simulation.metrics import finite
 from ...simulation.mission import MissionFlights, fly_on
-from ...synthesis.legs.joint import Joint, joint, turn_of
+from ...synthesis.legs.joint import Joint, joint, turn_periods
 from ...synthesis.schedule.schedule import Schedule
 from ..files.arrays import read_arrays
 from ..files.controllers import system_table
@@ -78,7 +78,7 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
         only_node = stay if mission.fixed(i) else None
         leg_joint = joint(schedule, np.array(box.center), np.array(box.half_widths), only_node)
         end = (schedule.safety.reference.cells - scenario.steps) * schedule.safety.clearance.q
-        node = leg_joint.nodes(turn_of(schedule), end, stay)
+        node = leg_joint.nodes(turn_periods(schedule), end, stay)
         label = f"from leg {scenario.name} to {scenarios[i + 1].name}"
         if node is None:
             raise SynthesisInfeasible(f"{label}: {missing(leg_joint, schedule)}")
@@ -166,7 +166,7 @@ def _summary(mission: MissionScenario, outcome: FlownMission, seconds: Mapping[s
     clocks = list[dict[str, float | None]]()
     for schedule in (each.schedule for each in outcome.legs):
         problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
-        turn = finite(turn_of(schedule) * h)
+        turn = finite(turn_periods(schedule) * h)
         clocks.append({"horizon_s": problem.K * problem.delta, "period_s": h, "turn_s": turn})
     names = list(outcome.legs[0].schedule.safety.problem.system.state_names)
     data = {"legs": legs, **claims, "states": names, "clocks": clocks}

@@ -17,7 +17,7 @@ from ...synthesis.schedule.schedule import Schedule
 from ..allocating import thrusts_of
 from ..fault_times import FaultTimes
 from ..firing import begins
-from ..run_metrics import Runs, held_path
+from ..run_metrics import Runs, period_path
 from ..simulate import flown_modes
 
 PARTS = 8  # parts of a period in which it is looked at closely
@@ -190,7 +190,7 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
         )
         near = np.argpartition(ends, few - 1, axis=1)[:, :few]
         run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + intersample)
-        _look_closer(claims, runs, o, run, near[run, place], out)
+        _margins_within(claims, runs, o, run, near[run, place], out)
     if claims.asks is not None:  # flight code says where it clips S
         slack = np.where(runs.demanded > 1, 1 - runs.demanded, np.inf)
         out.margin[:, len(claims.unsafe) :] = slack.min(axis=1, keepdims=True) * system.u_max
@@ -205,14 +205,14 @@ def attained(claims: Claims, runs: Runs, faults: FaultTimes | None = None) -> At
     return out
 
 
-def _look_closer(
+def _margins_within(
     claims: Claims, runs: Runs, o: int, run: NDArray[np.intp], period: NDArray[np.intp], out: Attained
 ) -> None:
     """Note margins within some periods, along held inputs from node to node, and pulses about them."""
     system, h, u = claims.system, claims.h, claims.unsafe[o]
     s, rows = np.linspace(0, 1, PARTS + 1)[1:-1], u.rows(system)
     before, after = runs.states[run, period], runs.states[run, period + 1]
-    x = held_path(system, h, before, after, s)
+    x = period_path(system, h, before, after, s)
     late = (np.abs(system.B) + h * np.abs(system.A @ system.B)) @ system.shifted  # jitter deviates by no more
     growth = np.abs(rows) @ late
     if system.timing.pulse_thrust:  # not, then, what the polytopes are grown by because of them

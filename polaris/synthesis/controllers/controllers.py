@@ -19,7 +19,7 @@ from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.affine_law import LOOP_ALONE, AffineLaw, clipped_step, raised
-from ..tracker.intersample import affine_bow, at_nodes, clipped_bow
+from ..tracker.intersample import affine_bound, at_nodes, clipped_bound
 from ..tracker.tracking import Tracking
 
 ORDER, WIDE, WHOLE, FILTERED = 25.0, 60.0, 50.0, 80.0
@@ -119,7 +119,7 @@ class AffineController(AffineLaw):
         law, start = self.in_step(k), self.tracking.loop_state(start)
         if not self.system.proportional:
             return law._reach(start, k)[0]
-        bound = law.foreseen(start - self.whole_offset(k)[0], k)
+        bound = law.foreseen(start - self.loop_offset(k)[0], k)
         while True:
             tube, commanded = law._like(bound, law.step_error)._reach(start, k)
             if np.all(commanded <= bound):
@@ -139,7 +139,7 @@ class AffineController(AffineLaw):
             law = self._levels[key] = replace(self, level=commands, step_error=estimate_error, _levels={})
             if estimate_error is self.step_error:
                 vars(law).update(flow=self.flow, closed=self.closed, powers=self.powers)
-                vars(law).update(offset=self.offset, _whole_offsets=self._whole_offsets)
+                vars(law).update(offset=self.offset, _loop_offsets=self._loop_offsets)
         assert isinstance(law, AffineController)
         return law
 
@@ -149,20 +149,20 @@ class AffineController(AffineLaw):
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
         same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
         """
-        zeta, n = self.whole_offset(k), self.system.n
+        zeta, n = self.loop_offset(k), self.system.n
         d = start - zeta[0]
         nodes = self.powers @ d + self.disturbance
-        intersample = affine_bow(self, nodes[:-1], k)
+        intersample = affine_bound(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, intersample, k), "", None
         excesses = commanded + self.noise - self.system.u_max
         excess, axis = float(excesses.max()), int(np.argmax(excesses))
         if excess > 0 and self.clips:  # errors of the estimate come after the clip (Proposition 5 (a))
             nodes = self.powers @ d + self.disturbance_if_cut
-            intersample = affine_bow(self, nodes[:-1], k)
+            intersample = affine_bound(self, nodes[:-1], k)
             commanded = self._at_most(nodes, intersample, k)
         if self.clips and np.any(commanded > self.system.u_max):
             nodes, slopes = self._clipped_nodes(d, k)
-            intersample = clipped_bow(self, nodes[:-1], k)
+            intersample = clipped_bound(self, nodes[:-1], k)
             commanded = self._at_most(nodes, intersample, k)
         elif excess > 0 and not self.clips:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"

@@ -101,7 +101,7 @@ def joint(schedule: Schedule, center: Array, half_widths: Array, only: int | Non
     return Joint(center, np.asarray(half_widths * (1 - ROUNDING) - error), first, repeated, assured, nearest)
 
 
-def turn_of(schedule: Schedule) -> float:
+def turn_periods(schedule: Schedule) -> float:
     """Return the length of a turn of the reference after T in periods; infinite where it rests."""
     safety = schedule.safety
     eta, h = safety.problem.system.mean_motion, safety.tracking.flow.h

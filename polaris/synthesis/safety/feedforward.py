@@ -120,7 +120,7 @@ def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
     return np.asarray(tracking.noise + errors @ np.abs(tracking.gain).T)
 
 
-def taken_over(tracking: Tracking, reference: Reference) -> Array:
+def hand_over_error(tracking: Tracking, reference: Reference) -> Array:
     """Bound on the errors of S's thrust along a reference, right after it takes over, shape (m,) [N]."""
     system, commanded = tracking.system, tracking.system.u_max
     if tracking.feedback_bound is not None:

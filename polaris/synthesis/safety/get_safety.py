@@ -153,17 +153,17 @@ def find_safety(problem: Problem, along: Plan | None = None, like: Safety | None
     again.
     """
     try:
-        return _of_share(problem, along, like)
+        return _with_share(problem, along, like)
     except SynthesisInfeasible:
         if along is not None or problem.thrust_share is not None or not problem.system.proportional:
             raise
         for share in (*LESSER, *SHARES[1:]):
             with suppress(SynthesisInfeasible, NotCertified):
-                return _of_share(replace(problem, thrust_share=share), None)
+                return _with_share(replace(problem, thrust_share=share), None)
         raise
 
 
-def _of_share(problem: Problem, along: Plan | None, like: Safety | None = None) -> Safety:
+def _with_share(problem: Problem, along: Plan | None, like: Safety | None = None) -> Safety:
     """Return `find_safety` with the share of the thrust limits given for S's feedback, or the first."""
     clock, share = StageClock(), problem.thrust_share or SHARES[0]
     if like is not None and like.tracking.level == share:

@@ -34,14 +34,14 @@ def check_safety(safety: Safety, problem: Problem) -> None:
     Raises `ScenarioError`, naming the part, its value, and the required value.
     """
     _equal("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
-    _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
+    _equal_parts("safety.tracking.system", safety.tracking.system, problem.system)
     try:
         kind, share = safety.recoverable.kind, safety.problem.thrust_share
         derived = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
     except SynthesisInfeasible as error:
         rule = "must contain the initial set at the start"
         raise ScenarioError("safety.recoverable", str(error), rule) from error
-    _same_parts("safety", safety, derived)
+    _equal_parts("safety", safety, derived)
 
 
 def check_controller(controller: Controller, safety: Safety) -> None:
@@ -63,7 +63,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         rule = "must be built on the reference of this Safety, not of another one"
         raise ScenarioError("experimental", name, rule)
     system, own = getattr(controller, "system", problem.system), getattr(controller, "own", reference)
-    _same_parts(f"{name}.system", Craft.from_system(system), problem.system)
+    _equal_parts(f"{name}.system", Craft.from_system(system), problem.system)
     for fault in problem.system.transients:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
@@ -72,7 +72,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         if not within and not anything:
             rule = f"must be any thrust or a law known to the problem, as {fault.name} is isolated late"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
-    _same_parts(f"{name}.own.system", Craft.from_system(own.system), problem.system)
+    _equal_parts(f"{name}.own.system", Craft.from_system(own.system), problem.system)
     _equal(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
     shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
     own_shapes = np.shape(own.chi), np.shape(own.nu)
@@ -108,7 +108,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     return tube
 
 
-def _same_parts(field: str, actual: Any, needed: Any) -> None:
+def _equal_parts(field: str, actual: Any, needed: Any) -> None:
     """Refuse a value that differs from the required one in kind or parts, its arrays beyond rounding."""
     if actual is needed:
         return
@@ -117,10 +117,10 @@ def _same_parts(field: str, actual: Any, needed: Any) -> None:
             raise ScenarioError(field, type(actual).__name__, f"must be of the kind {type(needed).__name__}")
         for part in fields(needed):
             if part.name not in UNPROVEN:
-                _same_parts(f"{field}.{part.name}", getattr(actual, part.name), getattr(needed, part.name))
+                _equal_parts(f"{field}.{part.name}", getattr(actual, part.name), getattr(needed, part.name))
     elif isinstance(needed, tuple) and isinstance(actual, tuple) and len(actual) == len(needed):
         for i, (one, other) in enumerate(zip(actual, needed, strict=True)):
-            _same_parts(f"{field}[{i}]", one, other)
+            _equal_parts(f"{field}[{i}]", one, other)
     elif not (isinstance(needed, np.ndarray) and _close(actual, needed)):
         _equal(field, actual, needed, "one that its problem and plan lead to")
 

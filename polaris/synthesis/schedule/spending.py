@@ -52,7 +52,7 @@ class Spell:
             thrust = np.tile(np.full(1, np.inf) if limit is None else limit.spending(limit.u_max), (q, 1))
             return cls(law, tube, k, thrust, thrust)
         step_law, system = law.in_step(k), law.system
-        centre, spread = step_law.commanded(tube.states - step_law.whole_offset(k), tube.intersample, k)
+        centre, spread = step_law.commanded(tube.states - step_law.loop_offset(k), tube.intersample, k)
         largest = centre + 0.0
         for i in range(q + 1):
             top = (np.abs(centre[i]) + spread[i] + _noise(step_law, largest, i)) * (1 + ROUNDING)
@@ -78,7 +78,7 @@ class Spell:
         law = self.law
         assert isinstance(law, AffineController)
         step_law, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.intersample)
-        d, rounding = self.tube.states - step_law.whole_offset(self.k), law.reference.rounding[self.k]
+        d, rounding = self.tube.states - step_law.loop_offset(self.k), law.reference.rounding[self.k]
         limits = self.commands.max(axis=0), law.system.u_max
         cache: dict[bytes, Inputs] = {}
         inputs, middles = list[Inputs](), mu - d.c[:q] @ step_law.closed.K.T

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from ...model.craft import Craft
-from ...model.estimates.prediction import when_measured
+from ...model.estimates.prediction import add_pulses
 from ..tracker.channel import Channel, Share
 from ..tracker.loop import Array, Loop
 from .source import remembers
@@ -39,7 +39,7 @@ class Estimate:
             return None
         if timing.delay > 0:
             return cls(system.measured + state_offset(system, h))
-        return cls(np.maximum(base.navigation - system.carried_away, 0.0))
+        return cls(np.maximum(base.navigation - system.carry_offset, 0.0))
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel of noise, carried over the delay, and one for each number of periods."""
@@ -58,7 +58,7 @@ class Estimate:
 
 def state_offset(system: Craft, h: float) -> Array:
     """Bounds on the state offset by jitter and pulses at the time of measurement, shape (n,)."""
-    return when_measured(system.timing, h, system.state_offset_at_nodes - system.carried_away)
+    return add_pulses(system.timing, h, system.state_offset_at_nodes - system.carry_offset)
 
 
 def step_errors(system: Craft) -> Array:

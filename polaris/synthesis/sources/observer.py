@@ -30,7 +30,7 @@ class Filter:
         if observer is None or not remembers(system):
             return None
         error = system.measured if observer.settled is None else observer.settled
-        return cls(observer, state_offset(system, h), error + system.carried_away)  # it sees states with that
+        return cls(observer, state_offset(system, h), error + system.carry_offset)  # it sees states with that
 
     def extend(self, loop: Loop) -> Loop:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""

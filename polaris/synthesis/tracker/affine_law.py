@@ -187,12 +187,12 @@ class AffineLaw:
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
 
     @cached_property
-    def _whole_offsets(self) -> Array:
+    def _loop_offsets(self) -> Array:
         return np.pad(self.offset, ((0, 0), (0, 0), (0, self.tracking.loop.N - self.system.n)))
 
-    def whole_offset(self, k: int) -> Array:
+    def loop_offset(self, k: int) -> Array:
         """Return `offset` as loop states at the nodes of one cell, shape (q+1, N)."""
-        return np.asarray(self._whole_offsets[k])
+        return np.asarray(self._loop_offsets[k])
 
     @cached_property
     def answers(self) -> tuple[Array, list[tuple[Channel, Array]]]:

@@ -8,7 +8,7 @@ from ...model.system import Array
 from .affine_law import AffineLaw
 
 
-def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
+def affine_bound(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Intersample bound of an unclipped tube after each node, shape (q, n).
 
     `start` is a stack of q sets, loop states about the law's own reference at the nodes; k the planning step.
@@ -16,8 +16,8 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     return _intersample(law, k, (law.closed.rates @ start).extent + law.held_rates)
 
 
-def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
-    """Intersample bound of a tube with clipped commands, shape (q, n); arguments as `affine_bow`."""
+def clipped_bound(law: AffineLaw, start: Zonotope, k: int) -> Array:
+    """Intersample bound of a tube with clipped commands, shape (q, n); arguments as `affine_bound`."""
     loop, mu, u_max, B = law.closed.loop, law.own.nu[k], law.system.u_max, np.abs(law.system.B)
     command = (law.closed.K @ start).extent + np.maximum(np.abs(mu) - u_max, 0)
     push = np.minimum(command, u_max + np.abs(mu))

@@ -110,7 +110,7 @@ class Tracking(Contraction):
         """Bounds on the same at the start of a flight, where the first estimate is known, shape (N - n,)."""
         observer, bounds = self.system.observer, self.remembered.copy()
         if observer is not None and self.loop.settled is not None and observer.initial is not None:
-            bounds[-self.system.n :] = observer.initial + self.system.carried_away  # it sees states with that
+            bounds[-self.system.n :] = observer.initial + self.system.carry_offset  # it sees states with that
         return bounds
 
     @property
@@ -121,13 +121,13 @@ class Tracking(Contraction):
         """
         system = self.system
         along = system.thrusters.along * system.timing.carried_impulse * np.abs(system.B).sum(axis=1)
-        offset = (system.carried_away + along) * (1 + ROUNDING)
+        offset = (system.carry_offset + along) * (1 + ROUNDING)
         return np.asarray(offset if remembers(system) else 0 * offset)
 
     @property
     def unmodelled(self) -> Array:
         """Largest distance at nodes of a true state from the one that sets of the loop hold, shape (n,)."""
-        states = self.system.carried_away if remembers(self.system) else 0.0
+        states = self.system.carry_offset if remembers(self.system) else 0.0
         return np.asarray(self.system.state_offset_at_nodes - states + self.loop.offset_at_nodes)
 
     def loop_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:

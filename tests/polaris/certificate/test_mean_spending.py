@@ -51,12 +51,12 @@ class Flown:
         system, self.thrusts = self.system, PARTS * (self.p + 2 * self.m)
         self.answers = Flight(s, BEFORE, BEFORE + REMEMBERED).fly()[1]
         if system.observer is not None:
-            off = system.state_offset - system.carried_away
+            off = system.state_offset - system.carry_offset
             noise = system.observer.noise + np.abs(system.observer.measures) @ off
         elif system.timing.missed:
             noise = system.estimate_bound(system.u_max)
         else:
-            noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
+            noise = np.array(system.timing.measured_error) + system.state_offset - system.carry_offset
         left = np.full(self.m, system.timing.carried_impulse)
         self.sampled = np.concatenate([noise, left])
 

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.certificate.checker import verify
-from polaris.certificate.claims.coasting import flown_path
+from polaris.certificate.claims.coasting import exact_path
 from polaris.certificate.code import check
 from polaris.certificate.code.answers import (
     CLIPPED,
@@ -37,7 +37,7 @@ from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.model.plants import plant_of
 from polaris.cli.app import app
 from polaris.flight.export import default_prefix, export_c, flight_tables
-from polaris.flight.rounding import disturbance_taken
+from polaris.flight.rounding import as_disturbance
 from polaris.flight.vectors import calls
 from polaris.model.errors import ScenarioError
 from polaris.rta.decision_grid import DecisionGrid
@@ -223,7 +223,7 @@ def test_a_number_of_a_period_that_is_none_moves_s_nowhere(flown, number):
 def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, document, precision):
     """Against the exact law along the exact reference, in balls, inside and at the ends."""
     _, tables, _ = read_code(flown / precision)
-    path = flown_path(document, plant_of(document), document.states[document.steps])
+    path = exact_path(document, plant_of(document), document.states[document.steps])
     step, rng, q, worst = FlightStep(tables, precision), np.random.default_rng(5), document.q, 0.0
     gain, reach = matrix(document.laws[0].gain), np.array(tables.range)
     for place in range(6000):
@@ -244,7 +244,7 @@ def test_the_checker_says_how_exact_code_will_be_without_code(flown, document):
         error, share = re.search(rf"{precision} within (\S+) N, (\S+) of", statement).groups()
         _, tables, _ = read_code(flown / precision)
         assert float(error) == pytest.approx(tables.rounding, rel=0.5)
-        assert float(share) == pytest.approx(disturbance_taken(document, float(error)), rel=0.01)
+        assert float(share) == pytest.approx(as_disturbance(document, float(error)), rel=0.01)
     little = copy.copy(document)
     little.w_max = document.w_max * float(share) / 2
     assert [part.endswith("too much to fly") for part in precisions(little).split(";")] == [False, True]
@@ -266,14 +266,14 @@ def test_a_bound_on_rounding_that_does_not_hold_is_refused(flown, document, tmp_
         patch.setattr(document, "w_max", 0.3 * float.fromhex(stated))
         with pytest.raises(Rejected, match="of the disturbance bound"):
             check_code(document, honest, Record())
-        assert disturbance_taken(document, float.fromhex(stated)) > 1
+        assert as_disturbance(document, float.fromhex(stated)) > 1
         patch.setattr(document, "w_max", 0.0)
         assert "no disturbance bound covers that" in check_code(document, honest, Record())[1]
-        assert disturbance_taken(document, 1.0) == 0
+        assert as_disturbance(document, 1.0) == 0
         patch.setattr(document, "w_max", 0.02)
         patch.setattr(document, "D", [[1.0], [0.0], [0.0], [0.0]])
         assert "no disturbance bound covers that" in check_code(document, honest, Record())[1]
-        assert disturbance_taken(document, 1.0) == 0
+        assert as_disturbance(document, 1.0) == 0
 
 
 # -- the checker ------------------------------------------------------------------------------------

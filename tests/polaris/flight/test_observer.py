@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.certificate.checker import verify
-from polaris.certificate.claims.coasting import flown_path
+from polaris.certificate.claims.coasting import exact_path
 from polaris.certificate.code.answers import (
     CLIPPED,
     COMMAND,
@@ -211,7 +211,7 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, name, precisi
     """Against the exact observer, which knows the exact law's commands, about the reference and far away."""
     doc, (_, tables, _) = document(flown, name), read_code(flown / name / precision)
     plant, rng, worst, q = plant_of(doc), np.random.default_rng(5), 0.0, doc.q
-    path = flown_path(doc, plant, doc.states[doc.steps])
+    path = exact_path(doc, plant, doc.states[doc.steps])
     exact = OnBoard(doc, plant, tables, precision)
     held, force = (exact.exact()[key][0] for key in ("held", "force"))
     gain, limit = matrix(doc.laws[0].gain), list(map(flint.arb, doc.u_max))

@@ -17,7 +17,7 @@ from polaris.inspection.flights.simulation import FlightBatch, RunRecorder, fly_
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.campaign import local
-from polaris.runs.files.arrays import held_by
+from polaris.runs.files.arrays import array_fields
 from polaris.runs.inspections.inspection import ARRAYS
 from polaris.runs.inspections.monte_carlo import run_monte_carlo
 from polaris.scenario.scenario import load_scenario
@@ -76,8 +76,8 @@ def test_least_values_are_those_of_the_flight_flown_alone(drawn):
             # Half a second between the instants looked at: nothing moves by more than a metre.
             assert values.min() - 1.0 < block.least[name][run] <= values.min() + 1e-9
         np.testing.assert_allclose(block.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
-    for name, values in held_by(kept.flight(), ARRAYS).items():
-        np.testing.assert_allclose(values, held_by(flight, ARRAYS)[name], rtol=1e-9, atol=1e-9)
+    for name, values in array_fields(kept.flight(), ARRAYS).items():
+        np.testing.assert_allclose(values, array_fields(flight, ARRAYS)[name], rtol=1e-9, atol=1e-9)
 
 
 def test_results_come_back_from_their_columns(drawn):

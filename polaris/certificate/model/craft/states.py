@@ -9,7 +9,7 @@ from ...files.document import Document
 from ...kernel.balls import above, absolute, column, exponential, identity, magnitude, matrix, sums
 from ...kernel.motion import InputSet, Plant
 from ..plants import WHOLE
-from ..timing import carried_away, state_offset
+from ..timing import carry_offset, state_offset
 from .craft import Craft, Sample
 
 Blocks = dict[int, arb_mat]
@@ -170,7 +170,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     plant = replace(plant, by_lag=[])  # states hold that
     along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
-    carried = carried_away(plant)
+    carried = carry_offset(plant)
     shift = [
         _positive(x - y) + z for x, y, z in zip(state_offset(document, delay), carried, offset, strict=True)
     ]

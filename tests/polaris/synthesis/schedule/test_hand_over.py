@@ -21,7 +21,7 @@ from polaris.certificate.model.craft.settling import Settling
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.craft.tightening import Tightening
 from polaris.certificate.model.plants import plant_of
-from polaris.certificate.model.timing import carried_away
+from polaris.certificate.model.timing import carry_offset
 from polaris.model.estimates.observer import design
 from polaris.model.estimates.prediction import predicting
 from polaris.model.thrusters import Thrusters
@@ -133,13 +133,13 @@ def worst(s):
         thrust = system.thrusters.error(before)
         if system.observer is not None:
             noise = system.observer.noise + np.abs(system.observer.measures) @ (
-                system.state_offset - system.carried_away
+                system.state_offset - system.carry_offset
             )
         elif system.timing.missed:
             lag = k - BEFORE - system.timing.by_lag[0][0]
             noise = system.estimate_bound(system.u_max if lag < 0 else limits[lag])
         else:
-            noise = np.array(system.timing.measured_error) + system.state_offset - system.carried_away
+            noise = np.array(system.timing.measured_error) + system.state_offset - system.carry_offset
         for moved, total in ((x - own, states), (u, commands)):
             pushes = moved[:, : PARTS * (p + 2 * m)].reshape(len(moved), PARTS, p + 2 * m, -1)
             total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
@@ -197,7 +197,7 @@ def checked(s, rows):
     """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands."""
     tightenings = checker_tightenings(s, rows)
     noise = tightenings.craft.noise(tightenings.craft.lag_error(tightenings.craft.plant.u_max))
-    box = column([*carried_away(tightenings.craft.plant), *tightenings.craft.box])
+    box = column([*carry_offset(tightenings.craft.plant), *tightenings.craft.box])
     nodes = [(magnitude(rows) * box).entries() for rows in tightenings.carried[: AFTER + 1]]
     handed = [nodes, [tightenings.boxed(box, lag) for lag in range(AFTER + 1)]]
     parts = zip((tightenings.at_nodes, tightenings.disturbed), handed, strict=True)

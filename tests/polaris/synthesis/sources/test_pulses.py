@@ -34,7 +34,7 @@ from polaris.simulation.firing import Firing
 from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion  # private: its bare motion, without a schedule
-from polaris.simulation.run_metrics import held_path
+from polaris.simulation.run_metrics import period_path
 from polaris.simulation.simulate import flown_modes, simulate
 from reach import discretize
 from tests.kept import kept
@@ -156,7 +156,7 @@ def test_pulses_are_followed_within_a_period(placed):
     assert np.allclose(ends, other, atol=2e-3 if placed == "centred" else 1e-2)
     moved = pulse_offset(system, before[:, None], ends[:, None], h, places[:, None])
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
-    true = true - held_path(system, h, before, other, places)
+    true = true - period_path(system, h, before, other, places)
     for part in (slice(3), slice(3, 6)):
         size, largest = np.abs(true[..., part]).max(), np.array(system.timing.intersample_offset)[part]
         assert np.abs(moved - true)[..., part].max() < 0.03 * size
