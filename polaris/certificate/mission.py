@@ -19,7 +19,7 @@ from .files.structure import LARGEST_SCENARIO, Int, Items, Named, conform, conte
 from .kernel.balls import dot, plain
 from .kernel.verdict import Failed, Record, Rejected
 from .model.plants import plant_of
-from .model.state_limits import turned
+from .model.state_limits import rotate
 from .model.timing import carried_impulse
 
 FORMAT = "polaris-mission"
@@ -171,7 +171,7 @@ def _places(table: Mapping[str, Any], start: Fraction) -> dict[str, list[arb]]:
     if table.get("kind") == "turning":
         angle, error = table["rate_rad_s"] * t, table.get("rate_error_rad_s", 0.0) * t * 180 / arb.pi()
         sides = [[arb(x) for x in row] for row in table["normals"]]
-        normals = [x for side in sides for x in turned(side, table.get("axis"), angle)]
+        normals = [x for side in sides for x in rotate(side, table.get("axis"), angle)]
         return {"normals": normals, "angle_error_deg": [table.get("angle_error_deg", 0.0) + error]}
     if table.get("kind") == "satellite" or not any(table.get("velocity_m_s") or ()):
         return {}

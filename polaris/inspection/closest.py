@@ -42,7 +42,7 @@ def flight_parts(z: Array, n: float) -> Array:
     return np.stack([np.stack(part, axis=-1) for part in parts])
 
 
-def flown(parts: Array, n: float, t: Array) -> tuple[Array, Array, Array]:
+def free_motion(parts: Array, n: float, t: Array) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration, (F, 3) each, of free flights (4, F, 3) at times t (F,)."""
     a, b, c, d = parts
     t = t[:, None]
@@ -171,7 +171,7 @@ class ClosestApproach:
             return
         parts, start, end = flight_parts(z[row], n), self.times[segment], self.times[segment + 1]
         pull = pull[row]
-        first, last = flown(parts, n, start), flown(parts, n, end)
+        first, last = free_motion(parts, n, start), free_motion(parts, n, end)
         speed = np.sqrt(np.maximum(dot(first[1], first[1]), dot(last[1], last[1]))) + pull * (length / 2)
         reach = np.sqrt(squares.max(axis=1))[row] + intersample[row]
         quartic = pull * (3 * pull + n * (4 * speed + n * reach))  # bound on |q''''|
@@ -210,7 +210,7 @@ class _Search:
                 return
             index, start, end = index[open_], start[open_], end[open_]
             middle = (start + end) / 2
-            motion = flown(np.take(self.parts, index, axis=1), self.n, middle)
+            motion = free_motion(np.take(self.parts, index, axis=1), self.n, middle)
             self._keep(index, middle, motion[0])
             halves = _ends(*motion)
             first = np.concatenate([first[:, open_], halves], axis=1)
@@ -222,7 +222,7 @@ class _Search:
         """Minimum of a convex q between two times, where its rate changes its sign."""
         parts = np.take(self.parts, index, axis=1)
         for _ in range(NEWTON):
-            _, rate, bend = _ends(*flown(parts, self.n, time))
+            _, rate, bend = _ends(*free_motion(parts, self.n, time))
             low, high = np.where(rate < 0, time, low), np.where(rate < 0, high, time)
             step = time - rate / np.where(bend > 0, bend, 1.0)
             after = np.where((bend > 0) & (step >= low) & (step <= high), step, (low + high) / 2)
@@ -230,7 +230,7 @@ class _Search:
             time = after
             if change < 1e-7:
                 break
-        self._keep(index, time, flown(parts, self.n, time)[0])
+        self._keep(index, time, free_motion(parts, self.n, time)[0])
 
     def _keep(self, index: NDArray[np.intp], time: Array, place: Array) -> None:
         """Write down distances that are smaller than those known."""

@@ -41,7 +41,7 @@ def printable(text: str, most: int = 200) -> str:
     return line if len(line) <= most else line[: most - 3] + "..."
 
 
-def _whole(value: Any) -> Any:
+def _require_int(value: Any) -> Any:
     """Refuse true and 1.0 where the whole number 1 is meant; they compare equal to it."""
     if type(value) is not int:
         raise ValueError("must be the whole number 1")
@@ -78,7 +78,7 @@ Index = Annotated[Whole, Field(ge=0, le=99)]
 Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
-VersionOne = Annotated[Literal[1], BeforeValidator(_whole)]
+VersionOne = Annotated[Literal[1], BeforeValidator(_require_int)]
 Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN, max_length=64)]
 _READ = rf"^(error|state|time|reference_input|(relative_)?(position|velocity):{NAME_PATTERN[1:-1]})$"
 Input = Annotated[str, Strict(), Field(pattern=_READ)]  # what a network may read

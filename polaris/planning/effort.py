@@ -29,7 +29,7 @@ class Allowance:
     deadline: tuple[float, float]
     spare: Spare
 
-    def spent(self, path: Candidate | None, used: float) -> str:
+    def limit_reached(self, path: Candidate | None, used: float) -> str:
         """Return the name of the limit that stops the stage, or an empty string."""
         index = 0 if self.spare(path) else 1
         if used >= self.effort[index]:

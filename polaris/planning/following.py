@@ -48,10 +48,10 @@ class FollowingSearch(PathSearch):
             law_rows[k] = rows.state_rows(law.F, k)
             free[k] = law.F @ rows.free[k] + law.f[k]
         u_max = rows.problem.system.u_max
-        self._own = np.eye(N) - (law_rows / u_max[:, None]).reshape(N, N)
+        self._map = np.eye(N) - (law_rows / u_max[:, None]).reshape(N, N)
         self._free = (free / u_max).ravel()
         eye = np.eye(N)
-        self.lp.add(np.hstack([self._own, -self._own, np.zeros((N, 2)), -eye, eye]), self._free, self._free)
+        self.lp.add(np.hstack([self._map, -self._map, np.zeros((N, 2)), -eye, eye]), self._free, self._free)
         self.base = self.lp.rows
         self.guide: CheckedPath | None = None
 
@@ -64,7 +64,7 @@ class FollowingSearch(PathSearch):
 
     def departures(self, path: Candidate) -> Array:
         """Largest departure from the law in every step, in shares of full thrust, shape (K,)."""
-        parts = np.abs(self._own @ path.z - self._free)
+        parts = np.abs(self._map @ path.z - self._free)
         return np.asarray(parts.reshape(self.rows.problem.K, -1).max(axis=1))
 
     def best(self, start: Mapping[Key, int]) -> Candidate | None:

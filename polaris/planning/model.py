@@ -184,7 +184,7 @@ def by_back_end(
     for _ in range(MAX_ROUNDS):
         if best is not None and within():
             break
-        if stopped := allowed.spent(best, effort.used):
+        if stopped := allowed.limit_reached(best, effort.used):
             return outcome(stopped)
         effort.stats["rounds"] += 1
         start = perf_counter()
@@ -221,7 +221,7 @@ def _run(
     def hear(incumbent: float, bound: float, nodes: float) -> str:
         effort.report(stage, min(top, incumbent), bound)
         no_plan = best is None and incumbent == np.inf  # a search that finds nothing may have to end early
-        return allowed.spent(None, used + nodes) if no_plan and allowed.spare(None) else ""
+        return allowed.limit_reached(None, used + nodes) if no_plan and allowed.spare(None) else ""
 
     if best is not None:
         model.begin_at(best)

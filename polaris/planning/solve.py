@@ -138,7 +138,7 @@ class Planner:
                 self.search,
                 best,
                 self.options.gap,
-                lambda path: allowed.spent(path, self.effort.used),
+                lambda path: allowed.limit_reached(path, self.effort.used),
                 lambda top, bound: self.effort.report(stage, top, bound),
             )
             self.effort.add_time(stage.replace(" ", "_"), start)

@@ -20,7 +20,7 @@ from ..synthesis.schedule.schedule import Schedule
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight, fly
 from .method import Method
-from .method_result import MethodResult, flown, measure
+from .method_result import MethodResult, executed_modes, measure
 from .methods import METHODS
 
 BATCH = 100  # runs flown at a time, to bound the memory used
@@ -199,7 +199,7 @@ def _show(
     grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array
 ) -> tuple[FlightEnvelope, list[dict[str, Any]]]:
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
-    modes = flown(grid, flight)
+    modes = executed_modes(grid, flight)
     decisions = [
         {
             "t": k * grid.period,

@@ -170,7 +170,7 @@ class Engine(Integrator):
         self.grid = grid
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), 1)
         self.thrusters = self.system.on_time if len(self.fired) else self.system.thrusters
-        self._asked: dict[int, Array] = {}
+        self._desired: dict[int, Array] = {}
 
     def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
         """Clipped command of a law that sees states with their drawn errors.
@@ -181,14 +181,14 @@ class Engine(Integrator):
         self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
         estimate = self.estimate(node, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
-        self._asked = {i: self.grid.command(i, node, estimate) for i in boxes}
-        command = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, estimate)
+        self._desired = {i: self.grid.command(i, node, estimate) for i in boxes}
+        command = self._desired[mode] if mode in self._desired else self.grid.command(mode, node, estimate)
         return np.asarray(np.clip(command, -self.system.u_max, self.system.u_max))
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """As `Integrator.command`; black boxes have answered in `desired`."""
-        if number in self._asked:
-            return self._asked[number][self.rows]
+        if number in self._desired:
+            return self._desired[number][self.rows]
         return super().command(number, k, at, x)
 
     def step(

@@ -116,7 +116,7 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
     records = flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v
     runs = Runs(grid.schedule, *records, planned)
     metrics = evaluate(runs, conditions.seed, name)
-    modes = flown(grid, flight)
+    modes = executed_modes(grid, flight)
     return replace(
         metrics,
         experimental_share=experimental_share(flight.times, modes),
@@ -127,7 +127,7 @@ def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: st
     )
 
 
-def flown(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
+def executed_modes(grid: DecisionGrid, flight: Flight) -> NDArray[np.int_]:
     """Return the modes after every node, shape (R, N): filtered inputs equal to the desired count as U's."""
     codes = np.repeat(flight.why, grid.nodes, axis=1)
     if grid.delay:

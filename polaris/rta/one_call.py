@@ -164,6 +164,6 @@ class CallByCall(ABC):
         return no_thrust if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
 
-def named(labels: Sequence[str], values: Array) -> dict[str, float]:
+def by_name(labels: Sequence[str], values: Array) -> dict[str, float]:
     """Values by their names."""
     return dict(zip(labels, values.tolist(), strict=True))

@@ -13,7 +13,7 @@ from ..certificate.files.document import FORMAT, VERSION, canonical, digest
 from ..model.scene.obstacle import chaser_radius
 from ..synthesis.safety.passive import Drift, clear
 from ..synthesis.schedule.schedule import Schedule
-from .files.controllers import flown
+from .files.controllers import system_tables
 from .files.ownership import sha256
 from .files.tables import strict, write_text
 
@@ -34,7 +34,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: sha256(path) for path in files},
-        **flown(schedule),
+        **system_tables(schedule),
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),

@@ -25,7 +25,7 @@ from ..synthesis.schedule.rules import SwitchingRules
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.search import ScheduleSearch
 from ..synthesis.schedule.synthesize import switching_logic, with_safety
-from .files.controllers import flown
+from .files.controllers import system_tables
 from .files.folder import SCENARIO, RunFolder, readable
 from .run import read_run
 from .schedule import SCHEDULE
@@ -231,7 +231,7 @@ class _Library(Sequence[Schedule]):
 
 def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
     """Return the key, the stated and the derived value of all that follows from a document's choices."""
-    safety, derived = schedule.safety, flown(schedule)
+    safety, derived = schedule.safety, system_tables(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
     feedback_bound, cells = safety.tracking.feedback_bound, safety.reference.cells
     both = document.unsafe, unsafe

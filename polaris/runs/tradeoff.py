@@ -152,7 +152,7 @@ def _open_folder(out: str | Path) -> Path:
     return target
 
 
-def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
+def _is_complete(folder: Path, scenario: ScheduleScenario) -> bool:
     """Return True if a point is there, undamaged, of this scenario and these versions."""
     try:
         same = (folder / SCENARIO).read_bytes() == scenario.copy_text().encode()
@@ -170,7 +170,7 @@ def _compute(
     points: Sequence[Point], target: Path, workers: Workers, progress: Callable[[int, int], None]
 ) -> None:
     """Write the run folders of the points that are not there yet, or whose black boxes are asked anew."""
-    missing = [point for point in points if point[3] or not _whole(*point[:2])]
+    missing = [point for point in points if point[3] or not _is_complete(*point[:2])]
     count, done = len(points), len(points) - len(missing)
     progress(done, count)
 

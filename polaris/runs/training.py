@@ -52,7 +52,7 @@ def _flights(scenario: Any, runs: int, options: dict[str, Any]) -> TrainingFligh
     return TrainingFlights(scene, runs, **options)
 
 
-def _shown(numbers: Array) -> Numbers:
+def _clipped(numbers: Array) -> Numbers:
     return np.clip(numbers, -FAR, FAR).astype(np.float32)
 
 
@@ -86,7 +86,7 @@ class FlightsVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         super().reset(seed=seed, options=options)
         self.flights.restart(np.ones(self.num_envs, dtype=bool), self.np_random, fresh=seed is not None)
         self.over[:] = False
-        return _shown(self.flights.observe()), {}
+        return _clipped(self.flights.observe()), {}
 
     def step(self, actions: Numbers) -> tuple[Numbers, Array, Any, Any, Info]:
         """Fly one period of those episodes that are not over."""
@@ -97,7 +97,7 @@ class FlightsVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         reward, failed, ended = data.pop("reward"), data[self.flights.failed], data.pop("ended")
         self.over = failed | ended
         info = data | {f"_{name}": moving for name in data}
-        return _shown(self.flights.observe()), reward, failed, ended & ~failed, info
+        return _clipped(self.flights.observe()), reward, failed, ended & ~failed, info
 
 
 class SwitchingVectorEnv(FlightsVectorEnv):

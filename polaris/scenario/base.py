@@ -29,7 +29,7 @@ Owner = TypeVar("Owner")
 Built = TypeVar("Built")
 
 
-def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
+def cached(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
     """Make a method without arguments keep its result: values that rules asked for are built once."""
     name = f"_kept_{build.__name__}"
 

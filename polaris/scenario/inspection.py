@@ -19,7 +19,7 @@ from ..model.checks import counted
 from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
 from ..model.estimates.prediction import prediction_error
-from .base import Scenario, kept
+from .base import Scenario, cached
 from .reading import did_you_mean
 from .tables import inspection as models
 from .tables.fields import check_length, in_file_terms, whole_parts
@@ -42,7 +42,7 @@ class InspectionScenario(Scenario):
     def deputies(self) -> int:
         """Number N of deputies."""
 
-    @kept
+    @cached
     def inspection(self) -> Inspection:
         """Return the problem."""
         problem: Inspection = self.model.parameters.make("parameters", deputies=self.deputies)
@@ -219,7 +219,7 @@ class FuelLimitScenario(InspectionScenario):
         summary = f"1 deputy, {flight.duration_s:g} s in periods of {flight.period_s:g} s"
         return f"{summary}, fuel limit {limit:g} m/s"
 
-    @kept
+    @cached
     def backup(self) -> BackupTracker:
         """Return the backup controller."""
         fuel, q, default = self.model.fuel, self.inspection(), Ellipses.for_inspection(self.inspection())

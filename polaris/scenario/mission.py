@@ -12,8 +12,8 @@ import numpy as np
 
 from ..model import keys as f
 from ..model.errors import ScenarioError
-from ..model.scene.turning import turned
-from .base import SCHEDULE, Scenario, kept
+from ..model.scene.turning import rotate
+from .base import SCHEDULE, Scenario, cached
 from .reading import parse_toml, write_toml
 from .schedule import ScheduleScenario
 from .tables.fields import Head, unit, whole_parts
@@ -113,7 +113,7 @@ class MissionScenario(Scenario):
         """Return True if GO after a leg is given at the planned instant or never: later sets move."""
         return any(map(moves, self.model.legs[i + 1 :]))
 
-    @kept
+    @cached
     def legs(self) -> tuple[ScheduleScenario, ...]:
         """Return the legs' scenarios; sets that move are where they are when a leg starts as planned."""
         document = self.to_dict() if self.text is None else parse_toml(self.text, self.source or "mission")
@@ -142,7 +142,7 @@ def advanced(obstacle: Mapping[str, Any], t: float) -> dict[str, Any]:
     """Return the keys of the table of a set that moves or turns that say where it is at a time [s]."""
     if obstacle["kind"] == "turning":
         angle, drift = obstacle["rate_rad_s"] * t, obstacle.get("rate_error_rad_s", 0.0) * t
-        normals = np.add(*turned(np.array(obstacle["normals"], float), obstacle.get("axis"), np.array(angle)))
+        normals = np.add(*rotate(np.array(obstacle["normals"], float), obstacle.get("axis"), np.array(angle)))
         error = obstacle.get("angle_error_deg", 0.0) + math.degrees(drift)
         return {"normals": normals.tolist(), "angle_error_deg": error}
     v = obstacle["velocity_m_s"]

@@ -31,7 +31,7 @@ def scenario_warnings(scenario: Scenario) -> list[str]:
         return []
     system, step, steps = scenario.system(), scenario.step, scenario.steps
     motion = system.mean_motion or 0.0
-    (push, shove), size = _pushed(system, step), _size(scenario, system)
+    (push, shove), size = _step_distances(system, step), _size(scenario, system)
     notes = {
         f"horizon: {steps} steps of {step:g} s take long (bundled scenes have 60 steps); use longer steps or"
         " a shorter flight?": steps > MANY_STEPS,
@@ -85,7 +85,7 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
     return notes
 
 
-def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
+def _step_distances(system: LinearSystem, step: float) -> tuple[float, float]:
     """Return the distances [m] that full thrust, and the disturbance, move the position in one step."""
     inputs = np.hstack([system.B, system.D])
     block = np.zeros((system.n + inputs.shape[1],) * 2)

@@ -18,7 +18,7 @@ from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
 from ..model.tolerances import ROUNDING
 from . import rules
-from .base import Scenario, kept
+from .base import Scenario, cached
 from .reading import write_toml
 from .tables.errors import TimingTable, allocation, timed, transients
 from .tables.fields import whole_parts
@@ -111,7 +111,7 @@ class ScheduleScenario(Scenario):
         """Closed-loop runs."""
         return self.model.simulation
 
-    @kept
+    @cached
     def system(self) -> Craft:
         """Return the controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, Craft.from_system(self.model.system.build())
@@ -130,14 +130,14 @@ class ScheduleScenario(Scenario):
             system = model.navigation.apply(system, horizon, period, timing, late)
         return timed(system, timing, period, model.thrusters, limits, model.faults)
 
-    @kept
+    @cached
     def allocation(self) -> Allocation | None:
         """Return the allocation of inputs to thrusters in every fault, where anything is said of it."""
         thrusters, faults = self.model.thrusters, self.model.faults
         base = allocation(thrusters, faults, self.model.system.build().u_max)
         return base if thrusters is None else thrusters.in_turn(base, self.period(), faults)
 
-    @kept
+    @cached
     def period(self) -> float:
         """Control period [s]: the file's, or the one that is chosen without it."""
         if (period := self.model.feedback.period_s) is not None:
@@ -151,12 +151,12 @@ class ScheduleScenario(Scenario):
         gains = [gain, *gains_of(self.model, system)]
         return self.step / choose_feedback(system, gains, self.step, None).nodes_per_cell
 
-    @kept
+    @cached
     def initial_set(self) -> Zonotope:
         """Return the initial set Theta, shape (n,); a ball is enclosed by a zonotope."""
         return self.model.initial_set.build(self.system())
 
-    @kept
+    @cached
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
@@ -166,7 +166,7 @@ class ScheduleScenario(Scenario):
         offset = float(np.linalg.norm(np.abs(system.position) @ system.state_offset)) * (1 + ROUNDING)
         return tuple(part.blurred(system.timing.clock, offset).inflated(radius) for part in parts)
 
-    @kept
+    @cached
     def goal(self) -> Goal:
         """Return the goal at which the reference must end."""
         goal: Goal = self.model.goal.build(self.system())
@@ -224,7 +224,7 @@ class ScheduleScenario(Scenario):
         statement = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
         return {"probability": statement[0], "confidence": statement[1], "seed": self.simulation.seed}
 
-    @kept
+    @cached
     def policies(self) -> dict[str, tuple[Path, Policy]]:
         """Neural networks and their files, by the name of their controller."""
         if not any(isinstance(spec, Neural) for spec in self.model.experimental):
@@ -260,7 +260,7 @@ class ScheduleScenario(Scenario):
         """Files besides its own that it names."""
         return sorted({file for file, _ in self.policies().values()})
 
-    @kept
+    @cached
     def problem(self) -> Problem:
         """Return the problem that Algorithm 1 is asked."""
         from ..synthesis.safety.problem import Problem

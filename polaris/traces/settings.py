@@ -155,17 +155,17 @@ def restamp(trace: Trace) -> Trace:
             rule = "must be three rows or more, only the first two with the same time, to be restamped"
             raise ScenarioError(f"agents.{name}.state_trace", agent.times[:3].tolist(), rule)
     unsafe = {
-        name: replace(item, times=_own(item.times)) if stamped_by_simulator(item.times) else item
+        name: replace(item, times=_next(item.times)) if stamped_by_simulator(item.times) else item
         for name, item in trace.unsafe.items()
     }
     agents = {
-        name: replace(item, times=_own(item.times), modes=np.r_[item.modes, UNKNOWN][1 : len(item.times)])
+        name: replace(item, times=_next(item.times), modes=np.r_[item.modes, UNKNOWN][1 : len(item.times)])
         for name, item in trace.agents.items()
     }
     return replace(trace, agents=agents, unsafe=unsafe)
 
 
-def _own(times: Array) -> Array:
+def _next(times: Array) -> Array:
     return np.append(times[1:], 2 * times[-1] - times[-2])
 
 

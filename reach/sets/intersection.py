@@ -145,7 +145,7 @@ class FurthestSearch:
         self.planes = [axes if flat is None else np.zeros((0, self.n)) for flat in self.flat]
         # Of other sets with flat faces the program itself gives the coefficients of a point.
         both = zip(parts, self.flat, strict=True)
-        self._asked = [part for part, flat in both if flat is None or isinstance(part, HPolytope)]
+        self._exact = [part for part, flat in both if flat is None or isinstance(part, HPolytope)]
         self._cache: dict[bytes, tuple[Array, Array]] = {}
 
     def split(self, direction: Array) -> tuple[Array, Array]:
@@ -217,6 +217,6 @@ class FurthestSearch:
         point = self.split(direction)[0]
         for share in (1e-8, 1e-6, 1e-4):
             pulled = point + min(share / deep, 1.0) * (middle - point)
-            if all(bool(part.contains(pulled, 1e-10)) for part in self._asked):
+            if all(bool(part.contains(pulled, 1e-10)) for part in self._exact):
                 return np.asarray(pulled)
         return np.full(self.n, np.nan)

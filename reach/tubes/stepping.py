@@ -194,7 +194,7 @@ def _adaptive(
             node = block.first + reached + np.vstack([np.zeros(len(D)), np.cumsum(gain, axis=0)])
             slack = np.maximum(tolerance / 2, ceiling - np.maximum(node[1:], node[:-1]))
             share = (tolerance / 2 - losses) * np.maximum(count * h / (1 - progress), 0.05)
-            error = max(_most(bend, slack), _most(loss, share))
+            error = max(_largest_ratio(bend, slack), _largest_ratio(loss, share))
         if error > 1 and h > FINEST:
             level += 1 + (error > 16) + (error > 256)
             patience = 4  # blocks before a longer step is tried again
@@ -237,7 +237,7 @@ def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
     return np.where(np.isfinite(value), value, 0.0)
 
 
-def _most(values: Array, allowed: Array) -> float:
+def _largest_ratio(values: Array, allowed: Array) -> float:
     """Largest ratio, none where the value is zero."""
     ratio = np.divide(values, allowed, out=np.full_like(values, np.inf), where=np.not_equal(allowed, 0))
     return float(np.nan_to_num(np.max(np.where(values == 0, 0.0, ratio)), nan=np.inf, posinf=np.inf))

@@ -226,7 +226,7 @@ class Arrival:
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T, each for itself [m/s]."""
         for node in range(len(self._summed) - 1, nodes):
-            impulse = self.flight.spent(self._commands, self.starts, self._first + node)
+            impulse = self.flight.spending(self._commands, self.starts, self._first + node)
             self._summed.append(self._summed[-1] + impulse)
         steps = self.fly_tail(nodes)
         for node in range(len(self._by_spell) - 1, nodes):

@@ -152,7 +152,7 @@ class Continuation:
         tops = [largest([end[i] for end in ends for i in (axis, m + axis)]) for axis in range(m)]
         return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, pairs, strict=True)]
 
-    def spent(self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], period: int) -> arb:
+    def spending(self, tightenings: Tightening, hand_overs: tuple[HandOver, ...], period: int) -> arb:
         """Bound on S's spending in a period [N s]."""
         plant = self.tracker.craft.plant
         pairs = zip(plant.u_max, self.commanded(tightenings, hand_overs, period), strict=True)

@@ -105,7 +105,7 @@ class Drifts:
 
     document: Document
     plant: Plant
-    _known: dict[tuple[int, int], tuple[arb_mat, arb_mat, list[arb]]] = field(
+    _cache: dict[tuple[int, int], tuple[arb_mat, arb_mat, list[arb]]] = field(
         default_factory=dict, repr=False
     )
 
@@ -146,7 +146,7 @@ class Drifts:
     def _bookings(self, item: int, facet: int) -> tuple[arb_mat, arb_mat, list[arb]]:
         """Return a facet's row ``-n C``, its curvature in a part, and the disturbance by the end of each."""
         key = item, facet
-        if key not in self._known:
+        if key not in self._cache:
             motion = self._motion
             row = -self.document.unsafe[item].rows(self.plant.C, [facet])
             rows = matrix([(row * M).entries() for M in self._powers[:-1]])
@@ -154,8 +154,8 @@ class Drifts:
             disturbance = list(accumulate(gains, lambda a, b: (a + b).upper()))
             constants = (motion.constant_gain(rows, push, self._claim.parts) for push in self.plant.bias)
             disturbance = sums(disturbance, *constants)
-            self._known[key] = row, motion.curvature(row * self.plant.A), disturbance
-        return self._known[key]
+            self._cache[key] = row, motion.curvature(row * self.plant.A), disturbance
+        return self._cache[key]
 
     def check(self, least: float | None) -> str:
         """Check that every drift that the certificate calls clear is; return the confirmed facts."""

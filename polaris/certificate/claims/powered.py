@@ -121,7 +121,7 @@ class BranchMotion:
 
     def affords(self, abort: Takeover, budget: float | None, claims: FileClaims) -> None:
         """Check S's spending against the budget, the tank, and the stated figure."""
-        delta_v, claim = self.spent(abort, abort.step.cell), claims.aborts[abort.k] if claims.aborts else None
+        delta_v, claim = self.cost(abort, abort.step.cell), claims.aborts[abort.k] if claims.aborts else None
         limits = {"claimed": claim, "the budget of": budget, "the tank of": claims.tank}
         for limit, top in limits.items():
             if top is not None:
@@ -137,7 +137,7 @@ class BranchMotion:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
         return Arrival(self.flight, (abort.start,), arb(0)).distance(*self._orbit, (cell - doc.steps) * doc.q)
 
-    def spent(self, abort: Takeover, cell: int) -> arb:
+    def cost(self, abort: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s].
 
         The lesser of the sum of its periods' bounds and of that of all periods at once.
@@ -146,7 +146,7 @@ class BranchMotion:
         plant, tightenings = tracker.craft.plant, tracker.tightenings("commands", tracker.commands)
         combined, by_faults = self._together(abort, cell), [arb(0)]
         periods = range(abort.k * doc.q, cell * doc.q)
-        total = sum((self.flight.spent(tightenings, (abort.start,), i) for i in periods), arb(0))
+        total = sum((self.flight.spending(tightenings, (abort.start,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [

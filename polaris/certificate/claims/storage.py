@@ -59,7 +59,7 @@ class Storage:
         P = period.F.transpose() * self.P * period.F + period.state_cost + _part(product, 0, N, 0, N)
         p = period.F.transpose() * self.p - period.K_t * weighted + _part(product, 0, N, N, N + 1)
         added = (middle.transpose() * weighted)[0, 0] + product[N, N]
-        return _rounded(P, p, self.cost + period.cost + added / 2)
+        return _enlarged(P, p, self.cost + period.cost + added / 2)
 
     def jumped(self, jump: arb_mat) -> Storage:
         """Return the storage before the loop state moves by up to a box (N, 1)."""
@@ -67,7 +67,7 @@ class Storage:
         quadratic = sum((x * y for x, y in zip(product.entries(), jump.entries(), strict=True)), arb(0))
         linear = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
         cost = self.cost + linear + quadratic * (1 + 1 / arb(APART)) / 2
-        return _rounded(self.P * (1 + arb(APART)), self.p, cost)
+        return _enlarged(self.P * (1 + arb(APART)), self.p, cost)
 
 
 def _sizes(M: arb_mat, p: arb_mat) -> list[float]:
@@ -89,7 +89,7 @@ def _part(M: arb_mat, top: int, bottom: int, left: int, right: int) -> arb_mat:
     return rows_of(rows, *range(left, right)).transpose()
 
 
-def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
+def _enlarged(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     """Return a storage of exact numbers that is at least as large."""
     P = (P + P.transpose()) * 0.5
     radii = [4 * sum(float(x.rad()) for x in row) for row in P.tolist()]

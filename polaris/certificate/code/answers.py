@@ -227,11 +227,11 @@ class OnlineStep:
             tightenings = [summed(a, [b], [size], precision) for a, b in zip(*rows, strict=True)]
             cell, part = divmod(node + lag, q)
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
-            if not self._kept(tables.clearance[cell], part, tightenings, values, share):
+            if not self._within(tables.clearance[cell], part, tightenings, values, share):
                 return False
             if part == 0 and cell > 0:
                 previous = tables.clearance[cell - 1][: tables.facets]
-                if not self._kept(previous, q, tightenings, values, share):
+                if not self._within(previous, q, tightenings, values, share):
                     return False
             if lag == 0:
                 gap = [summed(0.0, row, gap, precision) for row in tables.held]
@@ -241,7 +241,7 @@ class OnlineStep:
                 gap = [summed(0.0, row, gap, precision) for row in tables.loop]
         return True
 
-    def _kept(
+    def _within(
         self, clearance: Table, part: int, tightenings: Sequence[float], values: Sequence[float], share: float
     ) -> bool:
         precision = self.precision

@@ -246,7 +246,7 @@ class Nozzles:
         return [[x / (1 - arb(self.mass)) for x in row] for row in errors]
 
     @property
-    def pushed(self) -> list[list[arb]]:
+    def part_sums(self) -> list[list[arb]]:
         """Return the sum of the thrusters' parts of every input, rows, by a unit of each command, (m, m).
 
         Sizes are added. No part of a thrust is longer than the thrust itself.

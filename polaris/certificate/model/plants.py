@@ -119,7 +119,7 @@ def _lead(document: Document, plant: Plant) -> Lead:
         rows = (identity(m) + plant.table).tolist()
         fixed = sums([sum(row, arb(0)) * plant.carried / plant.h for row in rows], map(arb, plant.bits))
     else:
-        rows, size = layout.pushed, plant.carried / (layout.max_carried(arb(1)) * plant.h)
+        rows, size = layout.part_sums, plant.carried / (layout.max_carried(arb(1)) * plant.h)
         fixed = [
             x + size * y for x, y in zip(map(arb, plant.bits), layout.at_once(layout.sizes), strict=True)
         ]

@@ -78,7 +78,7 @@ def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, A
         middle = rate * (k + arb(0.5)) * delta
         for f, side in enumerate(sides):
             along, across, tangent = _split(side, axis)
-            ends = [turned(side, axis, x) for x in (middle - wide, middle + wide)]
+            ends = [rotate(side, axis, x) for x in (middle - wide, middle + wide)]
             c, s = middle.cos() / wide.cos(), middle.sin() / wide.cos()
             length = dot(side, side).sqrt()
             for i, normal in enumerate((*ends, _sum((1, along), (c, across), (s, tangent)))):
@@ -104,7 +104,7 @@ def _split(side: list[arb], axis: list[float] | None) -> tuple[list[arb], list[a
     return along, [x - y for x, y in zip(side, along, strict=True)], cross(about, side)
 
 
-def turned(side: list[arb], axis: list[float] | None, angle: arb) -> list[arb]:
+def rotate(side: list[arb], axis: list[float] | None, angle: arb) -> list[arb]:
     """Return a normal turned by an angle [rad] about an axis; in the plane about the origin."""
     along, across, tangent = _split(side, axis)
     return _sum((1, along), (angle.cos(), across), (angle.sin(), tangent))

@@ -71,15 +71,15 @@ def show_legacy(agents: Legacy) -> None:
     """Print the values of RTAEval's methods, in their order."""
     for name, methods in agents.items():
         print_line(f"{name}: as RTAEval computes it, defects included", "bold")
-        rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
+        rows = [(method, LEGACY_FORMS[method], Text(_text(value))) for method, value in methods.items()]
         show_table(table("method", "returns", "value", words=3, rows=rows))
 
 
-def _shown(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, Raises):
         return str(value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {_shown(item)}" for name, item in value.items()) + "}"
+        return "{" + ", ".join(f"{name}: {_text(item)}" for name, item in value.items()) + "}"
     if isinstance(value, tuple):
-        return ", ".join(_shown(item) for item in value)
+        return ", ".join(_text(item) for item in value)
     return f"{value:.6g}"

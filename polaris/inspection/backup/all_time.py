@@ -13,7 +13,7 @@ from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..constraints.constraint import KINDS
 from ..vectors import dot, length
-from .brake import Brake, turned
+from .brake import Brake, rotate
 from .tube import TOLERANCE, VARIATION
 
 SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
@@ -74,7 +74,7 @@ class AllTime:
             plans = np.concatenate([x, old[0]], axis=1), np.concatenate([around, old[1]], axis=1)
         z = np.concatenate([x, plans[0][:, i] - plans[0][:, j]], axis=1)
         # Axes that keep their direction in space: those of Hill's frame at the time t.
-        p = z[..., :3] @ turned(-n * D * np.arange(len(x)))
+        p = z[..., :3] @ rotate(-n * D * np.arange(len(x)))
         intersample, bow_hill, jolt = self._intersamples(z)
         wide = np.concatenate([around, plans[1][:, i] + plans[1][:, j]], axis=1)
         radius = np.repeat([q.separation, q.deputy_separation], [N, len(i)])

@@ -57,7 +57,7 @@ class Brake:
         self._solve = np.linalg.inv(to_rest @ Gamma)  # the thrust after which V is v: solve v - hold x
         self._hold = self._solve @ to_rest @ Phi
         self.to_rest = to_rest
-        self._turn = np.kron(np.eye(2), turned(-n * D))  # a state at rest, a period later
+        self._turn = np.kron(np.eye(2), rotate(-n * D))  # a state at rest, a period later
         self.resting = np.vstack([np.eye(3), self.spin])
         # The constant thrust after which a state at rest has the velocity of rest again, per metre.
         self._pushed = np.linalg.inv(Gamma[3:])  # the thrust that changes the velocity so
@@ -138,7 +138,7 @@ class Brake:
         n, D = self.inspection.mean_motion, self.period
         Phi, Gamma = self.motion
         loop, input_map = (Phi - Gamma @ self._hold).T, (Gamma @ self._solve).T
-        rotations = turned(n * D * np.arange(1, len(velocities) + 1))
+        rotations = rotate(n * D * np.arange(1, len(velocities) + 1))
         increments = velocities @ rotations @ input_map
         out = np.empty((len(velocities) + 1, *x.shape))
         out[0] = x
@@ -151,7 +151,7 @@ class Brake:
         """A plan with at least `count` samples: one that ends at rest stays so."""
         if len(x) >= count:
             return x
-        turn = turned(self.inspection.mean_motion * self.period * np.arange(1, count - len(x) + 1))
+        turn = rotate(self.inspection.mean_motion * self.period * np.arange(1, count - len(x) + 1))
         return np.concatenate([x, np.concatenate([x[-1, :, :3] @ turn, x[-1, :, 3:] @ turn], axis=2)])
 
     def thrusts(self, x: Array) -> Array:
@@ -170,7 +170,7 @@ class Brake:
         return np.asarray(np.clip(u, -limit, limit))
 
 
-def turned(angle: ArrayLike) -> Array:
+def rotate(angle: ArrayLike) -> Array:
     """Rotations about z by angles (...) [rad], shape (..., 3, 3)."""
     out = np.zeros((*np.shape(angle), 3, 3))
     out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)

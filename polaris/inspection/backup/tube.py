@@ -120,14 +120,14 @@ class ErrorTube:
         full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(hold.still, 2))
         kick, step = self._grow * np.array([D**2 / 2, D]), self._grow * np.array([D, 1.0])
         missed = np.array([np.linalg.norm(hold.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
-        gains, steps = _pushed(powers, *kick), _pushed(powers, *step)
+        gains, steps = _jump_response(powers, *kick), _jump_response(powers, *step)
         # Velocity per newton by which thrust changes late; changes of each period while a deputy is held.
         self._late, turns = unknown.jitter / q.mass, self._hold * n * D * q.distance_max
         axes = np.cumsum(np.abs(powers @ Gamma @ self.gain) @ eta, axis=0)
         axes = axes + np.abs(powers @ (Phi * eta)).sum(-1)
         axes = np.vstack([np.abs(powers[0]) @ eta, axes])
         common = np.stack([length(axes[:, :3]), length(axes[:, 3:6]), axes[:, 6:].max(axis=1)], axis=1)
-        common[1:] += np.cumsum(_pushed(powers, *missed), axis=0)
+        common[1:] += np.cumsum(_jump_response(powers, *missed), axis=0)
         total, late = (np.vstack([np.zeros(3), np.cumsum(part, axis=0)]) for part in (gains, steps))
         common += fixed * total + self._late * turns * late
         # What the powers that are left out add, for ever.
@@ -192,7 +192,7 @@ def _sizes(outputs: Array) -> Array:
     return np.array([length(outputs[:3]), length(outputs[3:6]), outputs[6:].max()])
 
 
-def _pushed(powers: Array, place: float, speed: float) -> Array:
+def _jump_response(powers: Array, place: float, speed: float) -> Array:
     """Position, velocity and thrust per axis, (K, 3), of jumps by so much [m], [m/s] in any direction."""
     blocks = [np.linalg.norm(powers[:, k : k + 3, j : j + 3], 2, axis=(1, 2)) for k in (0, 3) for j in (0, 3)]
     thrust = length(powers[:, 6:, :3]) * place + length(powers[:, 6:, 3:]) * speed

@@ -6,7 +6,7 @@ from ...model.checks import number, of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.filter_input import FilterInput
-from ...rta.one_call import Backup, CallByCall, RawDecision, named
+from ...rta.one_call import Backup, CallByCall, RawDecision, by_name
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..constraints.families import BarrierRows
 from ..vectors import dot
@@ -51,7 +51,7 @@ class ActiveSetFilter(CallByCall):
         sampled = self.families.sampled
         labels, names = np.array(self.families.labels), self.families.labels
         self._words = (*names, *(f"thrust[{i}]" for i in range(self.inspection.deputies)))
-        self._most = self.inspection.thrust_max * (1 - 1e-12)
+        self._limit = self.inspection.thrust_max * (1 - 1e-12)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
@@ -92,7 +92,7 @@ class ActiveSetFilter(CallByCall):
         values = rows.h[0]
         if len(values) > len(self._names):
             values = np.minimum.reduceat(values, self._starts)
-        margins, short = named(self._names, values), worst == SHORT
+        margins, short = by_name(self._names, values), worst == SHORT
         answer = RawDecision(
             u, changed, on_backup, self._nobody, margins, notes, short=short, regular=regular
         )
@@ -111,7 +111,7 @@ class ActiveSetFilter(CallByCall):
 
     def _active(self, rows: BarrierRows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
-        G, bound, families, full = rows.G[0], rows.bound[0], self.families, self._most
+        G, bound, families, full = rows.G[0], rows.bound[0], self.families, self._limit
         if self.filtering.loops:
             tight = self.filtering.loops.tight(G, bound, families.first, families.second, u, TIGHT, full)
         else:

@@ -15,7 +15,7 @@ from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.filter_input import FilterInput
-from ...rta.one_call import CallByCall, RawDecision, Switch, named
+from ...rta.one_call import CallByCall, RawDecision, Switch, by_name
 from ..backup.all_time import AllTime
 from ..backup.planner import BackupPlanner, Proven
 from ..constraints.families import Families
@@ -129,7 +129,7 @@ class Assured(CallByCall):
             notes.append("no plan is known to be safe for all time")
         labels = np.array(self.check.labels)
         active = tuple(labels[proven.margins < 0].tolist()) if not proven.good else ()
-        margins = named(self.check.labels, proven.margins)
+        margins = by_name(self.check.labels, proven.margins)
         after, tube = self.planner.extended(proven, 3)
         later = Proven(after[1:], tube[1:], proven.margins, proven.t + self.period)
         self.take_over(later if proven.good else None)

@@ -75,8 +75,8 @@ class TurningKeepIn(StateLimit):
     def _inflated(self, radius: float) -> Self:
         return replace(self, b=np.asarray(self.b) - radius)
 
-    def _turned(self, angles: Array) -> tuple[Array, Array]:
-        return turned(np.asarray(self.H), self.axis, angles)
+    def _rotate(self, angles: Array) -> tuple[Array, Array]:
+        return rotate(np.asarray(self.H), self.axis, angles)
 
     def polytopes(self, system: LinearSystem) -> list[tuple[Array, Array]]:
         """Return the outside of every side at t = 0."""
@@ -102,8 +102,8 @@ class TurningKeepIn(StateLimit):
                 f"{self.path}.rate", self.rate, f"{rule} {half_angle.max():.3g}; take shorter steps"
             )
         middle: Array = np.asarray(self.rate * (steps + 0.5) * delta, dtype=float)
-        along, across = self._turned(middle)
-        sides = [along + self._turned(middle + angle)[1] for angle in (-half_angle, half_angle)]
+        along, across = self._rotate(middle)
+        sides = [along + self._rotate(middle + angle)[1] for angle in (-half_angle, half_angle)]
         corners = np.stack([*sides, along + across / np.cos(half_angle)[:, None, None]])  # (3, k, F, d)
         timed, far, each = [], FAR**3, np.arange(len(steps))
         for f, b in enumerate(np.asarray(self.b)):
@@ -131,13 +131,13 @@ class TurningKeepIn(StateLimit):
         t, place = np.asarray(t, dtype=float), np.asarray(p, dtype=float) @ system.position.T
         error, distance = self.angle_error_rad + self.rate_error * t, np.full(nominal.shape, np.inf)
         for share in (-1.0, 0.0, 1.0):
-            along, across = self._turned(self.rate * t + share * error)
+            along, across = self._rotate(self.rate * t + share * error)
             slack = self.b - np.einsum("...fd,...d->...f", along + across, place)
             distance = np.minimum(distance, slack.min(axis=-1))
         return np.asarray(np.where(np.isinf(nominal), np.inf, distance))
 
 
-def turned(H: Array, axis: ArrayLike | None, angles: Array) -> tuple[Array, Array]:
+def rotate(H: Array, axis: ArrayLike | None, angles: Array) -> tuple[Array, Array]:
     """Return parts of normals H (F, d) along the axis, and across it turned by angles [rad], (..., F, d)."""
     s, c = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
     if axis is None:

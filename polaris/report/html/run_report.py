@@ -111,7 +111,7 @@ def answers(summary: Mapping[str, Any], picture: PlotData) -> Markup:
         ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
         ("What does it cost?", Measure.from_key("delta_v_m_s").text(flights["delta_v_m_s"]), cost),
-        ("Who flies when?", "U " + share, f"{counted(switches, 'switch', 'switches')}; {_when(picture)}"),
+        ("Who flies when?", "U " + share, f"{counted(switches, 'switch', 'switches')}; {_spans(picture)}"),
     )
     runs = [(len(list(stretch)), mode_colour(mode)) for mode, stretch in groupby(picture.modes.tolist())]
     return Markup(macros("run.html").answers(cards, runs, _time(picture.duration)))
@@ -121,7 +121,7 @@ def _time(t: float) -> str:
     return f"{t:.6g} s"
 
 
-def _when(picture: PlotData) -> str:
+def _spans(picture: PlotData) -> str:
     """Describe the times at which S flies."""
     delta, spans = picture.reference.delta, stretches(picture.modes == 0)
     if len(spans) > MOST_TOLD:

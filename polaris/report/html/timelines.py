@@ -25,7 +25,7 @@ def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any
     """Return the plot data of a page: a scene and the flights in it; `position` (d, n) is that of a state."""
     controllers, chosen = timeline.controllers, dict[str, Samples]()
     for key, runs in ((one.key, one.flights) for one in controllers):  # the closest approach among them
-        chosen[key] = kept(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])
+        chosen[key] = drawn_samples(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])
     return {
         "scene": scene_data(scene),
         "end": plain(max((one.flights.times[-1] for one in controllers), default=timeline.opened)),
@@ -39,7 +39,7 @@ def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any
     }
 
 
-def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples:
+def drawn_samples(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples:
     """Samples of `count` that are drawn: evenly many, the ends, changes of modes (r, N-1), required ones."""
     if count <= MOST:
         return np.arange(count)

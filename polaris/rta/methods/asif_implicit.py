@@ -94,7 +94,7 @@ class ImplicitASIF(Method):
         slack = SLACK * np.abs(limit)
         limit = limit - slack
         clearance = limit - tightening
-        allowed = clearance - self._kept(k, e, limit)
+        allowed = clearance - self._reserve(k, e, limit)
         desired = observed.desired / grid.system.u_max
         margins = (allowed - desired @ rows.T) * window
         margin, u = margins.min(axis=1), desired.copy()
@@ -115,7 +115,7 @@ class ImplicitASIF(Method):
         reasons = np.where(infeasible, 2, np.where((margin < 0) & (u != desired).any(axis=1), 1, 0))
         return Choice(mode, margin, reasons, u * grid.system.u_max)
 
-    def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
+    def _reserve(self, k: int, e: Array, limit: Array) -> Array | float:
         """Clearance that this decision must leave, (R, rows): a share of that of S from now on."""
         if self.slope == 1:
             return 0.0

@@ -211,7 +211,7 @@ class Monitor(Method):
         """
         R = len(e)
         mode, margin = np.zeros(R, dtype=int), np.full(R, -np.inf)
-        limit = np.where(flying == 0, self._most(k), 1.0)
+        limit = np.where(flying == 0, self._limit(k), 1.0)
         for candidate in self.modes:
             share = np.full(R, np.inf)
             for before in (0, 1) if self.grid.delay else (0,):
@@ -223,7 +223,7 @@ class Monitor(Method):
             mode = np.where(undecided & (share <= limit), candidate, mode)
         return mode, margin
 
-    def _most(self, k: int) -> float:
+    def _limit(self, k: int) -> float:
         """Share of the clearance that U may need to take over from S; at the start nobody has flown."""
         return 1 - self.reentry if k else 1.0
 
@@ -249,7 +249,7 @@ class Monitor(Method):
     def _quickest(self, k: int, e: Array, flying: int) -> tuple[int, float, tuple[Permission, int] | None]:
         """Mode; margin and tightest limit of the controller chosen, or of the best refused."""
         before, lowest, nearest = 1 if self.grid.delay and flying else 0, np.inf, None
-        limit = 1.0 if flying else self._most(k)
+        limit = 1.0 if flying else self._limit(k)
         for candidate in self.modes:
             cautious = self.prospects[0, before]
             prospect = self.prospects.get((candidate, before), cautious)

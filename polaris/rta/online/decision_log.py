@@ -55,10 +55,10 @@ class DecisionLog:
         max_files: int | None = None,
     ) -> None:
         self._every, self._lines, self._size = whole("flush_every", flush_every, 1), 0, 0
-        self._most = None if max_bytes is None else whole("max_bytes", max_bytes, 1)
+        self._limit = None if max_bytes is None else whole("max_bytes", max_bytes, 1)
         self._files = None if max_files is None else whole("max_files", max_files, 2)
         self._own, self._number, self._full = isinstance(target, (str, Path)), 0, list[tuple[Path, object]]()
-        if self._most is None and self._files is not None or not self._own and self._most is not None:
+        if self._limit is None and self._files is not None or not self._own and self._limit is not None:
             raise ScenarioError(
                 "max_files, max_bytes", (max_files, max_bytes), "must be of a file with max_bytes"
             )
@@ -82,7 +82,7 @@ class DecisionLog:
             If it cannot be written; ValueError also where the stream is closed.
         """
         line = json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n"
-        if self._most is not None and self._size > 0 and self._size + len(line) > self._most:
+        if self._limit is not None and self._size > 0 and self._size + len(line) > self._limit:
             self._go_on()
         self._stream.write(line)
         self._size += len(line)

@@ -23,10 +23,10 @@ ALLOCATION = ("directions", "limits", "mixes")  # what is published of an alloca
 
 def write_gains(path: Path, schedule: Schedule) -> None:
     """Write ``gains.json``: the law, and the certificate's system and controllers."""
-    write_text(path, json_text({"law": LAW, **flown(schedule)}))
+    write_text(path, json_text({"law": LAW, **system_tables(schedule)}))
 
 
-def flown(schedule: Schedule) -> dict[str, Any]:
+def system_tables(schedule: Schedule) -> dict[str, Any]:
     """Return the system, its sampling and its controllers."""
     safety, feedback = schedule.safety, schedule.safety.tracking.feedback
     return {

@@ -161,13 +161,13 @@ class Navigation(EstimateTable, Sight):
                 raise ScenarioError("navigation.measurement", None, rule)
             return self.measurement.apply(system, horizon, period, timing, late)
         if not self.phases:
-            return replace(system, estimate_error=_seen(declared, sights[0]), sights=np.array(sights))
+            return replace(system, estimate_error=_with_sight(declared, sights[0]), sights=np.array(sights))
         begin = [0.0, *(phase.from_s for phase in self.phases)]
         if np.any(np.diff(begin) <= 0):
             raise ScenarioError("navigation.phases", begin[1:], "must have increasing from_s")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         sights += [phase.sight(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
-        bounds, (steps, step) = np.array(list(map(_seen, [declared, *later], sights))), horizon
+        bounds, (steps, step) = np.array(list(map(_with_sight, [declared, *later], sights))), horizon
         oldest = timing.delay + timing.missed * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         mask = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
@@ -195,6 +195,6 @@ class Navigation(EstimateTable, Sight):
         return sets
 
 
-def _seen(bounds: Array, sight: Array) -> Array:
+def _with_sight(bounds: Array, sight: Array) -> Array:
     """Return bounds on errors of states (n,) with those of the position by range and bearing."""
     return np.asarray(bounds + np.pad(sight[2:], (0, len(bounds) - 3))) if np.any(sight) else bounds

@@ -130,7 +130,7 @@ class LookAhead:
                 key: [path for path in paths if path.objective + potential > bars[path.total]]
                 for key, paths in waiting[k].items()
             }
-            for path in self._kept(groups):
+            for path in self._beam(groups):
                 for mode in range(len(self.objective)):
                     stays = mode == path.place.mode and k > 0
                     switches = path.switches + (k > 0 and not stays) + (mode != SAFETY)
@@ -146,7 +146,7 @@ class LookAhead:
             _raise(bars, added)
             yield added
 
-    def _kept(self, groups: dict[tuple[int, int], list[_Path]]) -> list[_Path]:
+    def _beam(self, groups: dict[tuple[int, int], list[_Path]]) -> list[_Path]:
         """Return the beam: of each group the best by objective and the nearest, and some in between.
 
         Paths are left out first if another is as good and as near, with no more switches.

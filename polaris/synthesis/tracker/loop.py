@@ -246,7 +246,7 @@ class ClosedLoop:
         plant[:, : self.loop.n] = self.loop.A
         return np.asarray(plant + self.loop.B @ (self.loop.applied - self.K))
 
-    def pushed(self, channel: Channel) -> Array | None:
+    def input_map(self, channel: Channel) -> Array | None:
         """Return the map from a channel's value to the input of its period, shape (m, k)."""
         if channel.noise is None:
             return channel.push

@@ -65,6 +65,6 @@ def held_rates(closed: ClosedLoop, channels: Sized) -> Array:
     """Bound the rate of the plant's states due to values that hold for a period, shape (n,)."""
     B, total = np.abs(closed.loop.B), np.zeros(closed.loop.n)
     for channel, size in channels:
-        if (push := closed.pushed(channel)) is not None:
+        if (push := closed.input_map(channel)) is not None:
             total = total + B @ np.abs(push @ spread(channel, size, push.shape[1])).sum(axis=1)
     return total

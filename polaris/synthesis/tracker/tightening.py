@@ -165,7 +165,7 @@ class Tightening:
         older = np.abs(carried[N]) @ reach
         rates = self.carried(self.closed.rates)
         rate = self.closed.gains(channel, rates[:N]).sum(axis=0) + np.abs(rates[N]) @ reach
-        push = self.closed.pushed(channel)
+        push = self.closed.input_map(channel)
         if push is not None:
             rate = rate + np.abs(self.closed.loop.B) @ np.abs(push)
         between = self.curvature(plant) @ rate
@@ -220,7 +220,7 @@ class Tightening:
         carried, fixed = self.carried(rates), np.zeros(len(rows))
         rate = self._from_rest(carried, bound).max(axis=0)
         for channel in loop.channels:
-            sizes, push = self.largest(channel, bound), self.closed.pushed(channel)
+            sizes, push = self.largest(channel, bound), self.closed.input_map(channel)
             if push is not None:
                 size = np.linalg.norm(push, axis=1) * sizes[0] if channel.ball else np.abs(push) @ sizes
                 rate = rate + np.abs(loop.B) @ size

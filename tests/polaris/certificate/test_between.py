@@ -39,7 +39,7 @@ def derived(forger):
 
     def spent(self, taken, budget, stated):
         known["before"].append(float(taken.before.upper()))
-        known["abort"].append((taken.k, float(self.spent(taken, taken.step.cell).upper())))
+        known["abort"].append((taken.k, float(self.cost(taken, taken.step.cell).upper())))
         affords(self, taken, budget, stated)
 
     def off(self, taken, cell):

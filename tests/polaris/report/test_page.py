@@ -15,7 +15,7 @@ from polaris.cli import app as cli
 from polaris.cli.show.schedule import show_summary
 from polaris.report import write_report
 from polaris.report.html.assets import own_script, plotly
-from polaris.report.html.timelines import kept
+from polaris.report.html.timelines import drawn_samples
 from polaris.runs.run import read_run
 from tests.polaris.report.folders import EVIL, rename, rewrite_json, write_comparison, write_tiny
 from tests.polaris.report.test_pieces import Tags
@@ -88,7 +88,7 @@ def test_nothing_is_asked_of_the_network(html):
 def test_paths_are_those_of_the_folder(run, html):
     data, flights = data_of(html), read_run(run).plot_data().flights["polaris"]
     controller = next(one for one in data["pilots"] if one["key"] == "polaris")
-    chosen = kept(len(flights.times))
+    chosen = drawn_samples(len(flights.times))
     assert controller["labels"] == list(flights.labels) and controller["labels"][0] == "nominal"
     for one, states in zip(controller["runs"], flights.states, strict=True):
         assert np.allclose(np.array(one["p"]).T, states[chosen, :2], rtol=1e-5, atol=1e-9)

@@ -14,7 +14,7 @@ from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacles import BallObstacle, perceive
 from polaris.report.html.page import script_json, table
 from polaris.report.html.scene import plain
-from polaris.report.html.timelines import MOST, kept
+from polaris.report.html.timelines import MOST, drawn_samples
 from polaris.report.scene.geometry import boxed, cut_surface, hull, polyhedron
 from polaris.report.sentences import limit_words, set_of_limit, side_words
 from polaris.report.tables import Cell, Measure, Table, value_cell, words
@@ -123,10 +123,10 @@ def test_table_has_heads_scopes_and_inert_texts():
 def test_thinning_keeps_ends_changes_and_what_must_be():
     modes = np.zeros((2, 9999), dtype=int)
     modes[1, 4321:] = 1
-    chosen = kept(10_000, modes, [1234])
+    chosen = drawn_samples(10_000, modes, [1234])
     assert {0, 4321, 1234, 9999} <= set(chosen.tolist()) and MOST <= len(chosen) <= MOST + 2
-    assert len(kept(10_000, np.arange(9999) % 2)) <= 2 * MOST + 1
-    assert kept(5).tolist() == [0, 1, 2, 3, 4]
+    assert len(drawn_samples(10_000, np.arange(9999) % 2)) <= 2 * MOST + 1
+    assert drawn_samples(5).tolist() == [0, 1, 2, 3, 4]
 
 
 def volume(surface):

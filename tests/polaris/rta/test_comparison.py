@@ -16,7 +16,7 @@ from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, Flight, fly
 from polaris.rta.method import Claim
-from polaris.rta.method_result import DEFINITIONS, MethodResult, flown, measure
+from polaris.rta.method_result import DEFINITIONS, MethodResult, executed_modes, measure
 from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
 from polaris.runs.run import read_run
@@ -33,7 +33,7 @@ def test_filtered_inputs_count_as_us_only_where_they_are_the_desired_ones():
         states, ones = np.zeros((1, N + 1, 4)), np.ones(why.shape[1])
         margins = np.zeros(why.shape)
         more = inputs, inputs.max(axis=2), zero, modes, margins, why, zero, ones
-        return flown(made, Flight(np.arange(N + 1.0), states, *more)).tolist()
+        return executed_modes(made, Flight(np.arange(N + 1.0), states, *more)).tolist()
 
     assert who(scene("robot"), [-1, -1, 1, 0], [0, 1, 0, 0]) == [[1, -1, 1, 0]]
     made = scene("robot", period=0.25, latency=0.1)  # five nodes per decision, two of them late
@@ -52,7 +52,7 @@ def test_metrics_by_hand():
     assert metrics.switches[0] == np.count_nonzero(np.diff(modes))
     assert metrics.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * made.h / made.system.mass)
     assert metrics.mean_distance[0] >= metrics.min_distance[0]
-    who = flown(made, flights["asif_implicit"])  # a switch is a change to a filtered input, or back
+    who = executed_modes(made, flights["asif_implicit"])  # a switch is a change to a filtered input, or back
     assert (who == -1).any() and (who == 1).any()
     changes = np.count_nonzero(np.diff(who, axis=1), axis=1)
     assert measured["asif_implicit"].switches.tolist() == changes.tolist() and changes.min() > 0

@@ -290,7 +290,7 @@ def test_a_trade_off_proves_nothing_of_boxes_and_asks_them_anew(tmp_path, monkey
     given = scenario, tmp_path / "front", {"system.disturbance_max": [0.02]}
     with pytest.raises(ScenarioError, match="executor"):
         polaris.tradeoff(*given, black_boxes=boxes, executor=local(1))
-    monkeypatch.setattr(tradeoff_module, "_whole", lambda *_: True)  # nothing tells whose box it was
+    monkeypatch.setattr(tradeoff_module, "_is_complete", lambda *_: True)  # nothing tells whose box it was
     monkeypatch.setattr(tradeoff_module, "run", lambda *_, **more: 1 / (more["black_boxes"] != boxes))
     with pytest.raises(ZeroDivisionError):
         polaris.tradeoff(*given, black_boxes=boxes)
