@@ -190,7 +190,7 @@ class Declared:
         return {
             f"{states} states": str(states or ""),
             "values per period": "".join(
-                str(size) for size in (*(each.size for each in craft.samples), craft.off)
+                str(size) for size in (*(each.size for each in craft.samples), craft.errors)
             ),
             "pushes": "".join(str(push.cover) for push in (*craft.steady, *craft.bits)),
             "shares of commands": str((shares, craft.lag)) if any(shares) else "",
