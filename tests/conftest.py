@@ -58,6 +58,6 @@ def pytest_collection_modifyitems(items):
         item.add_marker(pytest.mark.property)
         if PROFILE == "same" and function not in fewer:
             fewer.add(function)
-            asked = function._hypothesis_internal_use_settings
-            fifth = settings(asked, max_examples=-(-asked.max_examples // 5))
+            original = function._hypothesis_internal_use_settings
+            fifth = settings(original, max_examples=-(-original.max_examples // 5))
             function._hypothesis_internal_use_settings = fifth

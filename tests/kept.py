@@ -86,31 +86,31 @@ def kept(name, make):
         if file.exists():
             return pickle.loads(file.read_bytes())
         result = make()
-        made = result[1] if isinstance(result, tuple) else result
-        if not getattr(made, "safety", made).cut_by_clock:  # a slow moment is not left to quick ones
-            beside = file.with_suffix(f".{os.getpid()}")
-            beside.write_bytes(pickle.dumps(result))
-            beside.replace(file)
+        schedule = result[1] if isinstance(result, tuple) else result
+        if not getattr(schedule, "safety", schedule).cut_by_clock:  # a slow moment is not left to quick ones
+            temporary = file.with_suffix(f".{os.getpid()}")
+            temporary.write_bytes(pickle.dumps(result))
+            temporary.replace(file)
     return result
 
 
 @cache
-def scheduled(name, *more):
+def scheduled(name, *overrides):
     """(scenario, schedule) of a bundled scenario, with overrides."""
 
     def make():
-        scenario = load_scenario(name, [*more])
+        scenario = load_scenario(name, [*overrides])
         return scenario, synthesize(scenario)
 
-    return kept("-".join([name, *more]), make)
+    return kept("-".join([name, *overrides]), make)
 
 
 @cache
-def printed(name, *more):
+def printed(name, *overrides):
     """Return `scheduled` by the printed algorithms alone: U along one reference planned without it."""
 
     def make():
-        scenario = load_scenario(name, ["recoverable.recourse=none", *more])
+        scenario = load_scenario(name, ["recoverable.recourse=none", *overrides])
         return scenario, synthesize(scenario)
 
-    return kept("-".join(["printed", name, *more]), make)
+    return kept("-".join(["printed", name, *overrides]), make)

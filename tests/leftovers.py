@@ -11,8 +11,8 @@ def left_by_a_dead_process(target: Path, word: str = "new") -> Path:
     """A half-written folder beside `target`."""
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
-    left = target.with_name(f".{target.name}.{word}-{ownership.host()}-{process.pid}-0123abcd")
-    left.mkdir()
-    ownership.start_list(left)
-    (left / "half").write_bytes(b"half")
-    return left
+    leftover = target.with_name(f".{target.name}.{word}-{ownership.host()}-{process.pid}-0123abcd")
+    leftover.mkdir()
+    ownership.start_list(leftover)
+    (leftover / "half").write_bytes(b"half")
+    return leftover

@@ -5,6 +5,6 @@ import os
 CAMPAIGN = bool(os.environ.get("POLARIS_CAMPAIGN"))
 
 
-def fewer(whole, part):
-    """Return how many seeds, runs or examples a long test takes: `part`, or `whole` in a campaign."""
-    return whole if CAMPAIGN else part
+def fewer(full, part):
+    """Return how many seeds, runs or examples a long test takes: `part`, or `full` in a campaign."""
+    return full if CAMPAIGN else part

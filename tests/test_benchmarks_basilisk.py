@@ -36,8 +36,8 @@ def test_software_commands_what_the_scheduled_controller_does(run):
         k, place = divmod(tick, q)
         law, xi = schedule.controllers[schedule.modes[k]], safety.fine(q)[k, place]
         x = xi + rng.normal(size=6) * [5, 5, 5, 0.05, 0.05, 0.05]
-        wanted = np.clip(law.command(k, xi, fine[schedule.modes[k]][k, place], x), -0.2, 0.2)
-        assert np.allclose(software.command(tick, x), wanted, atol=1e-9)
+        expected = np.clip(law.command(k, xi, fine[schedule.modes[k]][k, place], x), -0.2, 0.2)
+        assert np.allclose(software.command(tick, x), expected, atol=1e-9)
 
 
 def test_a_late_command_is_that_of_the_predicted_state(run):
@@ -58,17 +58,17 @@ def test_what_is_left_of_a_bit_is_carried_to_the_next_period(run, tmp_path):
     declared = tmp_path / "static" / "scenario.toml"
     table = '\n[thrusters]\nimpulse_bit_N_s = 0.3\nremainder = "{}"\n'
     plain = declared.read_text()
-    commands, made = np.random.default_rng(1).uniform(-0.25, 0.25, (200, 3)), {}
+    commands, impulses = np.random.default_rng(1).uniform(-0.25, 0.25, (200, 3)), {}
     for remainder in ("carried", "dropped"):
         declared.write_text(plain + table.format(remainder))
         software = FlightSoftware(tmp_path / "static")
-        made[remainder] = np.array([software.impulse(u) for u in commands])
-        whole = np.abs(made[remainder] / 0.3 - np.round(made[remainder] / 0.3)) < 1e-9
-        assert np.all(whole | np.isclose(np.abs(made[remainder]), 2.0))  # the limit: 0.2 N for 10 s
-    asked = np.clip(commands, -0.2, 0.2) * 10
-    owed = np.abs(np.cumsum(asked - made["carried"], axis=0)).max()
+        impulses[remainder] = np.array([software.impulse(u) for u in commands])
+        multiple = np.abs(impulses[remainder] / 0.3 - np.round(impulses[remainder] / 0.3)) < 1e-9
+        assert np.all(multiple | np.isclose(np.abs(impulses[remainder]), 2.0))  # the limit: 0.2 N for 10 s
+    commanded = np.clip(commands, -0.2, 0.2) * 10
+    owed = np.abs(np.cumsum(commanded - impulses["carried"], axis=0)).max()
     assert 0.25 < owed <= 0.3 + 1e-9
-    assert 0.14 < np.abs(asked - made["dropped"]).max() <= 0.15 + 1e-9
+    assert 0.14 < np.abs(commanded - impulses["dropped"]).max() <= 0.15 + 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -76,12 +76,12 @@ def craft(tmp_path_factory):
     """Files of a run folder that flight software reads, without a synthesis: the bundled craft at rest."""
     scenario, folder = load_scenario("cubesat"), tmp_path_factory.mktemp("craft") / "cubesat"
     problem, period = scenario.problem(), scenario.period()
-    system, made, rng = problem.system, problem.allocation, np.random.default_rng(0)
+    system, allocation, rng = problem.system, problem.allocation, np.random.default_rng(0)
     table = {name: np.asarray(getattr(system, name)).tolist() for name in ("A", "B")}
     table["input_max"] = system.u_max.tolist()
     table["timing"] = {"measured_error": [0.2] * 3 + [0.004] * 3}
     table["observer"] = {x: getattr(system.observer, x).tolist() for x in ("measures", "noise", "gain")}
-    table["allocation"] = {x: getattr(made, x).tolist() for x in ("directions", "limits", "mixes")}
+    table["allocation"] = {x: getattr(allocation, x).tolist() for x in ("directions", "limits", "mixes")}
     gain = np.hstack([1e-4 * np.eye(3), 1e-2 * np.eye(3)]) * rng.uniform(0.5, 1, (3, 6))
     laws = [{"name": name, "gain": (share * gain).tolist()} for name, share in (("S", 1.0), ("U", 0.5))]
     nodes = round(problem.delta / period)
@@ -103,17 +103,17 @@ def test_the_observer_on_board_forgets_what_it_did_not_know(craft):
     phi, gamma = held(system.A, system.B, 1.0)
     assert (software.delay, software.since, software.period) == (1.0, 1.0, 2.0)
     software.estimate = np.linalg.solve(phi @ phi @ phi, x + [0.1, -0.1, 0.1, 0.004, 0.004, -0.004])
-    seen, off = None, []
+    measured, errors = None, []
     for tick in range(-20, 100):
-        u = software.command(tick, seen)
+        u = software.command(tick, measured)
         assert np.any(u) == (tick >= 0)
-        known = phi @ software.estimate + gamma @ software.before  # what was in force until now
-        off.append(np.abs(known - x).max())
+        predicted = phi @ software.estimate + gamma @ software.before  # what was in force until now
+        errors.append(np.abs(predicted - x).max())
         if tick >= 0:
-            assert u == pytest.approx(np.clip(software.law(tick, known), -system.u_max, system.u_max))
-        seen = phi @ x + gamma @ u
-        x = phi @ seen + gamma @ u
-    assert off[0] > 0.09 and off[-1] < 0.1 * off[0]
+            assert u == pytest.approx(np.clip(software.law(tick, predicted), -system.u_max, system.u_max))
+        measured = phi @ x + gamma @ u
+        x = phi @ measured + gamma @ u
+    assert errors[0] > 0.09 and errors[-1] < 0.1 * errors[0]
 
 
 @pytest.mark.parametrize("kind", ["pseudo_inverse", "linear_program", "nearest"])
@@ -146,14 +146,14 @@ def test_the_page_has_200_flights_of_cubesat_within_what_is_proven():
     page = (Path(__file__).parents[1] / "docs" / "model-error.md").read_text(encoding="utf-8")
     text = page.split("<!-- table cubesat -->")[1].split("<!-- end -->")[0]
     rows = [[x.strip(" %") for x in row.split("|")[1:-1]] for row in text.splitlines() if row[:2] == "| "]
-    _, *flown, proven = rows
-    assert [int(row[1]) for row in flown] == [100, 50, 50]
-    for row in flown:
+    _, *flights, proven = rows
+    assert [int(row[1]) for row in flights] == [100, 50, 50]
+    for row in flights:
         assert row[2] == "0" and float(row[3]) > 0 and row[4] == row[1]
         assert all(float(share) <= 100 for share in row[8:])
-    whole = flown[0]
-    assert float(whole[3]) > float(proven[3]) > 0
-    assert float(whole[5]) < float(proven[5]) and float(whole[7]) < float(proven[7])
+    overall = flights[0]
+    assert float(overall[3]) > float(proven[3]) > 0
+    assert float(overall[5]) < float(proven[5]) and float(overall[7]) < float(proven[7])
 
 
 @pytest.mark.slow
@@ -162,15 +162,15 @@ def test_cubesat_with_valves_stuck_keeps_within_what_was_proven_in_basilisk(tmp_
     from benchmarks.basilisk.craft import fly_scene, table
 
     settings = ["simulation.runs=2", "schedule.bound_programs=0"]
-    scene, flown = fly_scene("cubesat", 4, tmp_path / "cubesat", settings)
+    scene, flights = fly_scene("cubesat", 4, tmp_path / "cubesat", settings)
     proven = scene.proven
-    assert [one.stuck for one in flown] == ["", "stuck_off", "", "stuck_on"]
-    for one in flown:
+    assert [one.stuck for one in flights] == ["", "stuck_off", "", "stuck_on"]
+    for one in flights:
         assert one.distance > 0 and one.tube <= 1 + 1e-6 and one.thrust <= 1
         assert one.residual < 1 and 0.1 < one.seen <= 1
         assert one.stuck or (one.distance >= proven["distance"] and one.goal <= proven["goal"])
         assert one.stuck or one.delta_v <= proven["delta_v"]
-    assert len(table(scene, flown)) == 4
+    assert len(table(scene, flights)) == 4
 
 
 @pytest.mark.slow

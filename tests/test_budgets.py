@@ -41,13 +41,13 @@ def lines(folder):
 
 def public_names(source):
     """Return the names of the public functions and classes that a module defines at its level."""
-    names, left = set(), list[ast.AST](ast.parse(source).body)
-    while left:
-        node = left.pop()
+    names, pending = set(), list[ast.AST](ast.parse(source).body)
+    while pending:
+        node = pending.pop()
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.If | ast.Try | ast.ExceptHandler):  # in any of its branches
-            left += list(ast.iter_child_nodes(node))
+            pending += list(ast.iter_child_nodes(node))
     return {name for name in names if not name.startswith("_")}
 
 

@@ -66,19 +66,19 @@ def blocks(path):
         yield Block(path.name, line, match["kind"], match["check"] or "", match["body"])
 
 
-def assert_shown(shown, real, where, numbers):
+def assert_shown(printed, real, place, numbers):
     """Every piece of the shown output between dots occurs in the real one, in order."""
     at = 0
     real = " ".join(real.split())
-    for piece in filter(None, (" ".join(part.split()) for part in shown.split("..."))):
+    for piece in filter(None, (" ".join(part.split()) for part in printed.split("..."))):
         parts = re.split(f"({NUMBER})", piece)
         pattern = "".join(f"({NUMBER})" if i % 2 else re.escape(part) for i, part in enumerate(parts))
         match = re.compile(pattern).search(real, at)
-        assert match, f"{where}: no such output\n  {piece}\nin\n  {real[at:]}"
+        assert match, f"{place}: no such output\n  {piece}\nin\n  {real[at:]}"
         at = match.end()
-        for wanted, got in zip(map(float, parts[1::2]), map(float, match.groups()), strict=True):
-            same = math.isclose(wanted, got, rel_tol=CLOSE, abs_tol=1e-9)
-            assert same or not numbers, f"{where}: shows {wanted:g}, is {got:g}\n  {piece}"
+        for expected, actual in zip(map(float, parts[1::2]), map(float, match.groups()), strict=True):
+            same = math.isclose(expected, actual, rel_tol=CLOSE, abs_tol=1e-9)
+            assert same or not numbers, f"{place}: shows {expected:g}, is {actual:g}\n  {piece}"
 
 
 class Shell:
@@ -103,9 +103,9 @@ class Shell:
         if command not in self.known and re.fullmatch(r"polaris [^|<>;&$`*?~]+", command):
             self.known[command] = self.here(shlex.split(command)[1:])
         if command not in self.known:
-            how = {"cwd": self.folder, "env": self.environment, "encoding": "utf-8", "timeout": 600}
+            options = {"cwd": self.folder, "env": self.environment, "encoding": "utf-8", "timeout": 600}
             both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-            done = subprocess.run(command, shell=True, **how, **both, check=False)
+            done = subprocess.run(command, shell=True, **options, **both, check=False)
             self.known[command] = done.stdout, done.returncode
         return self.known[command]
 
@@ -127,14 +127,14 @@ class Shell:
         assert not pieces[0], f"{block.page}:{block.line}: output without a command"
         commands, outputs = pieces[1::2], pieces[2::2]
         code = 0
-        for i, (command, shown) in enumerate(zip(commands, outputs, strict=True)):
-            where = f"{block.page}:{block.line}: {command}"
+        for i, (command, expected) in enumerate(zip(commands, outputs, strict=True)):
+            place = f"{block.page}:{block.line}: {command}"
             if command == "echo $?":
-                assert shown.strip() == str(code), f"{where}: was {code}"
+                assert expected.strip() == str(code), f"{place}: was {code}"
                 continue
             real, code = self.run(command)
-            assert code == 0 or "echo $?" in commands[i + 1 : i + 2], f"{where}: exit code {code}\n{real}"
-            assert_shown(shown, real, where, block.check != "words")
+            assert code == 0 or "echo $?" in commands[i + 1 : i + 2], f"{place}: exit code {code}\n{real}"
+            assert_shown(expected, real, place, block.check != "words")
 
 
 def require_extra(path):
@@ -156,13 +156,13 @@ def test_the_command_runs_in_a_process_of_its_own(shell):
 def kept_schedules(monkeypatch):
     """Bundled scenarios, as they are or as the algorithms are printed, are not synthesised again."""
 
-    def known(scenario, *given, **more):
+    def known(scenario, *arguments, **options):
         name = getattr(scenario, "name", None)
-        for changes, made in (([], scheduled), (["recoverable.recourse=none"], printed)):
-            bundled = name in polaris.bundled_scenarios() and not (given or more)
+        for changes, build in (([], scheduled), (["recoverable.recourse=none"], printed)):
+            bundled = name in polaris.bundled_scenarios() and not (arguments or options)
             if bundled and scenario.model == polaris.load_scenario(name, changes).model:
-                return made(name)[1]
-        return real(scenario, *given, **more)
+                return build(name)[1]
+        return real(scenario, *arguments, **options)
 
     real = synthesize.synthesize
     monkeypatch.setattr(polaris, "synthesize", known)  # first: the door looks the name up
@@ -183,16 +183,16 @@ def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
     plt.switch_backend("agg")
     namespace, printed = {"__name__": path.stem}, None
     for block in blocks(path):
-        where = f"{block.page}:{block.line}"
+        place = f"{block.page}:{block.line}"
         if block.check == "make":
             targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
-            assert set(re.findall(r"^\$ make (\S+)$", block.body, re.M)) <= set(targets), where
+            assert set(re.findall(r"^\$ make (\S+)$", block.body, re.M)) <= set(targets), place
         elif block.check == "install":
-            assert block.body == "$ python -m pip install .\n", where
+            assert block.body == "$ python -m pip install .\n", place
         elif block.check.startswith("file "):
             shell.write(block)
         elif block.check == "slow":
-            assert block.kind == "console", where
+            assert block.kind == "console", place
         elif block.kind == "console":
             shell.check(block)
         elif block.kind == "python":
@@ -202,10 +202,10 @@ def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
             printed = out.getvalue()
             continue
         elif block.kind == "text":
-            assert printed is not None, f"{where}: output of what?"
-            assert_shown(block.body, printed, where, block.check != "words")
+            assert printed is not None, f"{place}: output of what?"
+            assert_shown(block.body, printed, place, block.check != "words")
         else:
-            raise AssertionError(f"{where}: nothing runs this block")
+            raise AssertionError(f"{place}: nothing runs this block")
         printed = None
     plt.close("all")
 
@@ -240,7 +240,7 @@ SLOW = [
 
 @pytest.mark.parametrize("name", ["static", *SLOW])
 def test_table_of_scenarios_is_what_a_run_gives(name, shell, kept_schedules):
-    share, switches, spent, proven, goal, alone, under = scenario_rows()[name]
+    share, switches, delta_v, proven, goal, alone, under = scenario_rows()[name]
     _, code = shell.run(f"polaris run {name}")
     assert code == 0
     summary = json.loads((shell.folder / "runs" / name / "summary.json").read_text(encoding="utf-8"))
@@ -250,12 +250,12 @@ def test_table_of_scenarios_is_what_a_run_gives(name, shell, kept_schedules):
     assert (end["kind"], expected[end["horizon"]]) == ("proved", proven)
     assert float(share.split()[0]) == pytest.approx(100 * summary["polaris"]["experimental_share"], abs=3.0)
     assert int(switches) == pytest.approx(summary["polaris"]["switches"], abs=1)
-    assert float(spent.split()[0]) == pytest.approx(summary["polaris"]["delta_v_m_s"], rel=0.05)
+    assert float(delta_v.split()[0]) == pytest.approx(summary["polaris"]["delta_v_m_s"], rel=0.05)
     assert end["goal"]["reached"] is True
     assert float(goal.split()[0]) == pytest.approx(end["goal"]["by_s"], rel=0.02)
-    for shown, who in ((alone, "experimental"), (under, "polaris")):
-        metres = summary[who]["min_distance_m"]
-        assert float(shown.split()[0]) == pytest.approx(metres, rel=CLOSE, abs=0.06)
+    for text, source in ((alone, "experimental"), (under, "polaris")):
+        metres = summary[source]["min_distance_m"]
+        assert float(text.split()[0]) == pytest.approx(metres, rel=CLOSE, abs=0.06)
 
 
 INTERFACES = {"polaris": "api.md", "polaris.inspection": "inspection-api.md", "reach": "reach-api.md"}
@@ -272,10 +272,10 @@ def test_interface_page_has_every_public_name_once(package):
     door = importlib.import_module(package)
     public = set(door.__all__) - {"__version__"}
     same = {name for name in public if getattr(reach, name, None) is getattr(door, name)}
-    taken = same if package != "reach" else set()
-    assert sorted(documented(INTERFACES[package])) == sorted(f"{package}.{name}" for name in public - taken)
+    links = same if package != "reach" else set()
+    assert sorted(documented(INTERFACES[package])) == sorted(f"{package}.{name}" for name in public - links)
     text = (DOCS / INTERFACES[package]).read_text(encoding="utf-8")
-    assert all(f"](reach-api.md#reach.{name})" in text for name in taken)
+    assert all(f"](reach-api.md#reach.{name})" in text for name in links)
 
 
 def anchors(path):
@@ -295,8 +295,8 @@ def test_links_lead_somewhere(path):
             continue
         file, _, anchor = target.partition("#")
         place = (path.parent / file) if file else path
-        made = file in (SCHEMA_FILE, INSPECTION_FILE)  # when pages are built
-        assert made or place.is_file(), f"{path.name}: {target}"
+        generated = file in (SCHEMA_FILE, INSPECTION_FILE)  # when pages are built
+        assert generated or place.is_file(), f"{path.name}: {target}"
         if anchor and place.suffix == ".md":
             assert anchor in anchors(place), f"{path.name}: {target}"
 
@@ -430,10 +430,10 @@ def test_formulas_are_set_in_a_browser(name, site):
 @pytest.mark.parametrize("name", ["compare", "own_scene", pytest.param("network", marks=pytest.mark.slow)])
 def test_notebooks_print_what_they_show(name):
     path = DOCS / "notebooks" / f"{name}.ipynb"
-    shown = notebooks.printed(notebooks.nbformat.read(path, as_version=4))
+    printed = notebooks.printed(notebooks.nbformat.read(path, as_version=4))
     real = notebooks.printed(notebooks.executed(path))
-    assert len(shown) == len(real) and any(shown)
-    for cell, (stored, new) in enumerate(zip(shown, real, strict=True)):
+    assert len(printed) == len(real) and any(printed)
+    for cell, (stored, new) in enumerate(zip(printed, real, strict=True)):
         assert_shown(stored, new, f"{name}, code cell {cell}", numbers=True)
 
 

@@ -20,20 +20,20 @@ FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 def unclear(source):
     """Return the lines and texts of docstrings with such an opener and of locals with such a name."""
-    texts, seen = set(), [(ast.parse(source), False)]
-    while seen:
-        node, inside = seen.pop()
+    texts, pending = set(), [(ast.parse(source), False)]
+    while pending:
+        node, inside = pending.pop()
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             text = ast.get_docstring(node, clean=False) or ""
             if OPENERS.match(text):
                 texts.add((node.body[0].lineno, text.strip().splitlines()[0]))
         if isinstance(node, FUNCTIONS) and (inside or getattr(node, "name", "_").startswith("_")):
-            given = {each for each in ast.walk(node.args) if isinstance(each, ast.arg)}
-            texts |= {(each.lineno, each.arg) for each in given if each.arg in LOCALS}
+            arguments = {each for each in ast.walk(node.args) if isinstance(each, ast.arg)}
+            texts |= {(each.lineno, each.arg) for each in arguments if each.arg in LOCALS}
         inside = (inside or isinstance(node, FUNCTIONS)) and not isinstance(node, ast.ClassDef)
         if inside and isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id in LOCALS:
             texts.add((node.lineno, node.id))
-        seen += [(child, inside) for child in ast.iter_child_nodes(node)]
+        pending += [(child, inside) for child in ast.iter_child_nodes(node)]
     return sorted(texts)
 
 

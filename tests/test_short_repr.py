@@ -18,11 +18,11 @@ DOORS = [importlib.import_module(package) for package in PACKAGES]
 PUBLIC = {thing for door in DOORS for name in door.__all__ if inspect.isclass(thing := getattr(door, name))}
 
 
-def reachable(result, seen, depth=0):
+def reachable(result, by_id, depth=0):
     """All objects of these packages within a result."""
-    if depth > 8 or id(result) in seen:
+    if depth > 8 or id(result) in by_id:
         return
-    seen[id(result)] = result
+    by_id[id(result)] = result
     if dataclasses.is_dataclass(result) and not isinstance(result, type):
         parts = [getattr(result, field.name) for field in dataclasses.fields(result)]
     elif isinstance(result, dict):
@@ -30,18 +30,18 @@ def reachable(result, seen, depth=0):
     else:
         parts = list(result) if isinstance(result, (tuple, list)) else []
     for part in parts:
-        reachable(part, seen, depth + 1)
+        reachable(part, by_id, depth + 1)
 
 
 def test_results_and_all_public_objects_in_them_are_short():
     scenario, schedule = synthesised()
     runs = polaris.simulate(schedule, 2, 0)
-    seen = {}
-    reachable([scenario, schedule, flown(), runs, polaris.evaluate(runs, 0, "polaris")], seen)
-    met = [one for one in seen.values() if type(one) in PUBLIC]
-    names = {type(one).__name__ for one in met}
+    by_id = {}
+    reachable([scenario, schedule, flown(), runs, polaris.evaluate(runs, 0, "polaris")], by_id)
+    public = [one for one in by_id.values() if type(one) in PUBLIC]
+    names = {type(one).__name__ for one in public}
     assert {"Schedule", "Safety", "Runs", "Metrics", "ControllerRuns", "Reference"} <= names
-    for one in met:
+    for one in public:
         assert len(repr(one)) <= LONGEST, type(one)
 
 

@@ -51,8 +51,8 @@ def test_the_page_is_short():
 def test_statements_are_few_and_numbered_in_one_sequence():
     assert len(STATED) <= STATEMENTS
     assert set(STATED) >= PAPER and len(set(STATED)) == len(STATED)
-    own = [each for each in STATED if each not in PAPER]
-    assert [int(each.split()[1]) for each in own] == list(range(3, 3 + len(own)))
+    additional = [each for each in STATED if each not in PAPER]
+    assert [int(each.split()[1]) for each in additional] == list(range(3, 3 + len(additional)))
 
 
 @pytest.mark.parametrize("folders", [("polaris", "reach"), ("tests",)], ids=" + ".join)

@@ -78,7 +78,7 @@ def falsify_command(
     check_file(out or f"{scenario.name}.case.json", force=force)
     compiled = None if code is None else FlightCode(code)
     attack = falsify(loaded.schedule(), runs, seed, code=compiled)
-    print_result(attack.summary(), as_json, partial(_show_falsification, scenario.name, attack))
+    print_result(attack.summary(), as_json, partial(show_falsification, scenario.name, attack))
     if attack.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, attack, force=force)
         option = "" if code is None else f" --code {shlex.quote(code)}"
@@ -151,7 +151,7 @@ def verify(
     return main([run] if code is None else [run, "--code", code])
 
 
-def _show_falsification(name: str, attack: Falsification) -> None:
+def show_falsification(name: str, attack: Falsification) -> None:
     """Print the least margin of every limit beside the proven one, and a violation if there is one."""
     from ..report.scene.palette import input_labels
     from ..report.sentences import side_words

@@ -33,17 +33,13 @@ class CampaignOptions:
     seed: int | None = Option(None, min=0, help="Seed; equal seeds give equal runs; default 0.")
     grid: list[str] = Option([], metavar="KEY=V1,V2,...", help="Values to combine; repeatable.")
     assignments: Assignments = None
-    mode: list[str] = Option(
-        [], help="Controller: polaris (default), safety, experimental, experimental_2, ...; repeatable."
-    )
+    mode: list[str] = Option([], help="Controller: polaris (default), safety, experimental, ...; repeatable.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
     batch: int | None = Option(None, min=1, help="Runs per task; default 250.")
     initial: str | None = Option(None, help="Initial states: mixed (default), random, corners, center.")
     disturbance: str | None = Option(None, help="failing (default), mixed, random, worst, none.")
     worst: int = Option(5, min=0, help="Number of worst runs listed per case and mode.")
-    resume: bool = Option(
-        True, "--resume/--fresh", help="Fly only the missing runs, or start again and replace the folder."
-    )
+    resume: bool = Option(True, "--resume/--fresh", help="Fly only missing runs, or replace the folder.")
 
 
 SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")

@@ -33,9 +33,7 @@ class CompareOptions:
     runs: int = Option(50, min=1, help="Runs per method.")
     seed: int = Option(0, min=0, help="Seed of the random conditions.")
     methods: str | None = Option(None, help="Keys of methods, separated by commas; default all.")
-    period: float | None = Option(
-        None, help="Time between decisions [s]; default the control period, or about 1 s."
-    )
+    period: float | None = Option(None, help="Time between decisions [s]; default the period or about 1 s.")
     latency: float = Option(0.0, help="Delay from a measurement to the effect of its decision [s].")
     estimate_error: str | None = Option(
         None,

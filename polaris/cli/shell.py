@@ -93,9 +93,7 @@ Assignments = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a value, such as planner.gap=0.01; repeatable."
     ),
 ]
-Figures = Annotated[
-    bool, typer.Option("--figures/--no-figures", help="Draw figures; `polaris plot` draws them later.")
-]
+Figures = Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures; later: `polaris plot`.")]
 Json = Annotated[bool, typer.Option("--json", help="Print only the result, as JSON.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing file that is not a result.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
@@ -130,9 +128,8 @@ class BlackBoxes:
         from ..runs.black_box_program import black_box_program
 
         with ExitStack() as programs:
-            started = {
-                name: black_box_program(words, self.answer_within) for name, words in self.commands.items()
-            }
+            pairs = self.commands.items()
+            started = {name: black_box_program(words, self.answer_within) for name, words in pairs}
             yield {name: programs.enter_context(each) for name, each in started.items()}
 
 

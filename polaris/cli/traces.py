@@ -24,9 +24,7 @@ class EvaluateOptions:
         " Default: the entries after the position in 2, 4 or 6 states if they agree with its change, else"
         " differences.",
     )
-    heading: str | None = Option(
-        None, metavar="ENTRIES", help="Heading entry, or heading and pitch entries [rad], such as 3,4."
-    )
+    heading: str | None = Option(None, metavar="ENTRIES", help="Heading, or heading,pitch entries [rad].")
     speed: int | None = Option(None, metavar="ENTRY", min=0, help="Speed entry [m/s].")
     mean_motion: float | None = Option(
         None, metavar="RAD_S", help="Mean motion of Hill's frame; adds times to collision in drift."
@@ -54,10 +52,8 @@ def evaluate_command(
     system = None
     if eta is not None:
         system = clohessy_wiltshire(positive("--mean-motion", eta, "rad/s"), mass=1.0, u_max=1.0)
-    axes: dict[str, Any] = {
-        "dims": options.dims,
-        "velocity": parse_velocity(options.velocity, options.heading, options.speed),
-    }
+    velocity = parse_velocity(options.velocity, options.heading, options.speed)
+    axes: dict[str, Any] = {"dims": options.dims, "velocity": velocity}
     loaded = read_trace(trace)
     if options.legacy:
         agents = evaluate_legacy(loaded, **axes)

@@ -241,9 +241,8 @@ def draw_dossier(run: RunFolder, path: Path) -> None:
     dossier = Dossier.from_run(run)
     texts, pictures = dossier.pages(), [leg.run.plot_data() for leg in dossier.legs[:MOST_SCENES]]
     suffixes = [f" of leg {leg.name}" * bool(leg.name) for leg in dossier.legs]
-    drawn: list[tuple[str, Callable[..., Any], Any]] = [
-        (f"Scene{name}", scene_figure, one) for name, one in zip(suffixes, pictures, strict=False)
-    ]
+    drawn = list[tuple[str, Callable[..., Any], Any]]()
+    drawn += [(f"Scene{name}", scene_figure, one) for name, one in zip(suffixes, pictures, strict=False)]
     drawn.append((f"Flights{suffixes[0]} over time", distance_figure, pictures[0]))
     count = len(texts) + len(drawn)
     with printing(), PdfPages(path, metadata={"CreationDate": None, "Title": "Dossier"}) as pdf:

@@ -49,9 +49,8 @@ def synthesis(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = [("Reference", text)]
     start, limit = details["start_margin"], details["start_limit"]
     if start is not None:
-        rows.append(
-            ("Start margin", f"{directed(start, '.1%')} of the clearance (limiting: {limit_words(limit)})")
-        )
+        text = f"{directed(start, '.1%')} of the clearance (limiting: {limit_words(limit)})"
+        rows.append(("Start margin", text))
     rows.append(("Recoverable sets", str(details["recoverable"])))
     rows.append(("U flies", share(details)))
     if "proven_share" in details:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..synthesis.schedule.schedule import Schedule
 
-TOLD = "begins", "ends", "thrust", "share", "lost"
-"""What a saved case says of a fault."""
+CASE_KEYS = "begins", "ends", "thrust", "share", "outage"
+"""Fields of a fault that a saved case holds."""
 
 KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"  # in the order in which `columns` tells them apart
 
@@ -33,17 +33,17 @@ class FaultTimes:
 
     def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "FaultTimes":
         """Return the faults of some of the flights."""
-        values = {name: getattr(self, name)[chosen] for name in TOLD}
+        values = {name: getattr(self, name)[chosen] for name in CASE_KEYS}
         return FaultTimes(**values, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """Return the first of the flights, as `from_table` reads it."""
-        return {name: getattr(self, name)[0].tolist() for name in TOLD}
+        return {name: getattr(self, name)[0].tolist() for name in CASE_KEYS}
 
     @classmethod
     def from_table(cls, table: dict[str, Any], n: int) -> "FaultTimes":
         """One flight with n states from a `table`."""
-        values: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
+        values: dict[str, Any] = {name: np.array([table[name]]) for name in CASE_KEYS}
         return cls(**values, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
@@ -104,12 +104,12 @@ def drawn(
     system, worst = tracking.system, rng.random(count) < 0.5
     which = rng.integers(0, len(system.transients), count)
     ends, length = np.where(worst, targets, rng.integers(1, targets + 1)), np.zeros(count, dtype=int)
-    thrust, share, lost = np.zeros((count, system.m)), np.ones(count), np.zeros(count, dtype=bool)
+    thrust, share, outage = np.zeros((count, system.m)), np.ones(count), np.zeros(count, dtype=bool)
     kicks = np.einsum("lrn,nm->rlm", rows @ tracking.transitions, system.B)
     for number, fault in enumerate(system.transients):
         group, thrusters, stuck = np.flatnonzero(which == number), len(fault.thrust), fault.name == "stuck_on"
         length[group] = np.clip(int(fault.lasts / tracking.flow.h * per_node + 1e-9), 1, targets.max())
-        lost[group] = not thrusters
+        outage[group] = not thrusters
         if thrusters and len(group):
             along = kicks[group] @ fault.thrust.T * (1 if stuck else -1)
             age, best = np.divmod(along.reshape(len(group), -1).argmax(axis=1), thrusters)
@@ -117,7 +117,7 @@ def drawn(
             ends[group] -= np.where(worst[group], np.minimum(age * per_node, ends[group] - 1), 0)
             thrust[group], share[group] = fault.thrust[chosen], -1.0 if stuck else fault.share
     ends = -(-np.maximum(ends, length) // per_node) * per_node
-    return FaultTimes(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))
+    return FaultTimes(ends - length, ends, thrust, share, outage, np.zeros((count, system.n)))
 
 
 def in_every_second(

@@ -16,34 +16,34 @@ from tests.golden.scenes import SMALL, scenes
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make rows, print how they differ from the stored ones, and return the exit code."""
-    asked = _parser().parse_args(arguments)
-    known, table, counts = scenes(), read_table(), {WORSE: 0, BETTER: 0}
-    if unknown := set(asked.only or ()) - set(known):
+    options = _parser().parse_args(arguments)
+    available, table, counts = scenes(), read_table(), {WORSE: 0, BETTER: 0}
+    if unknown := set(options.only or ()) - set(available):
         print(f"--only: no scene is called {', '.join(sorted(unknown))}")
         return 2
-    names = asked.only or (SMALL if asked.part == "small" else list(known))
-    if asked.missing:
+    names = options.only or (SMALL if options.part == "small" else list(available))
+    if options.missing:
         names = [name for name in names if name not in table]
     for name in names:
-        begun = time.process_time()
-        row, message = make_row(known[name])
-        seconds = time.process_time() - begun
-        said = ", ".join(filter(None, [f"exit code {row['exit_code']}", row.get("verdict"), message]))
-        print(f"{name}: {said} ({seconds:.1f} CPU-s)")
+        start = time.process_time()
+        row, message = make_row(available[name])
+        seconds = time.process_time() - start
+        outcome = ", ".join(filter(None, [f"exit code {row['exit_code']}", row.get("verdict"), message]))
+        print(f"{name}: {outcome} ({seconds:.1f} CPU-s)")
         differences = compare(table[name], row) if name in table else []
         for difference in differences:
             counts[difference.kind] = counts.get(difference.kind, 0) + 1
             print(f"  {difference}")
-        if asked.write:
-            made = table | {name: row}
-            table = {each: made[each] for each in known if each in made}
+        if options.write:
+            merged = table | {name: row}
+            table = {each: merged[each] for each in available if each in merged}
             write_table(table)
         elif name not in table:
             counts[WORSE] += 1
             print("  worse  it is not in the table (--write adds it)")
         sys.stdout.flush()
     print(f"{len(names)} rows: {counts[WORSE]} faults, {counts[BETTER]} better")
-    return int(counts[WORSE] > 0 and not asked.write)
+    return int(counts[WORSE] > 0 and not options.write)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -44,20 +44,20 @@ def make_row(scene: Scene) -> tuple[Row, str]:
 
 def proven(schedule: Schedule) -> Row:
     """Return what a schedule proves: modes, least margins, end condition, goal, and the size of U's tubes."""
-    flown = [step.tube.nodes.half_widths for step in schedule.steps if step.mode]
-    least = [step.margin.value for step in schedule.steps if step.mode]
+    widths = [step.tube.nodes.half_widths for step in schedule.steps if step.mode]
+    margins = [step.margin.value for step in schedule.steps if step.mode]
     safety, goal = schedule.safety, schedule.arrival
     return {
         "modes": "".join("U" if mode else "S" for mode in schedule.modes),
         "share": schedule.share(),
-        "margin": finite(float(min(least))) if least else None,
+        "margin": finite(float(min(margins))) if margins else None,
         "start_margin": finite(float(safety.start_margin.value)),
         "end": safety.end.horizon,
         "goal": goal.reached,
         "goal_tolerance_m": goal.tolerance,
         "goal_by_s": goal.by,
         "goal_distance_m": finite(goal.distance),
-        "tube": np.max([np.max(half, axis=0) for half in flown], axis=0).tolist() if flown else None,
+        "tube": np.max([np.max(half, axis=0) for half in widths], axis=0).tolist() if widths else None,
     }
 
 
@@ -70,6 +70,6 @@ def read_table() -> dict[str, Row]:
 def write_table(rows: dict[str, Row]) -> None:
     """Store rows; a table is replaced as a whole, so that none is lost if the machine stops."""
     lines = ",\n".join(json.dumps(row, allow_nan=False) for row in rows.values())
-    beside = TABLE.with_suffix(".new")
-    beside.write_text(f"[\n{lines}\n]\n", encoding="utf-8", newline="\n")
-    os.replace(beside, TABLE)
+    temporary = TABLE.with_suffix(".new")
+    temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8", newline="\n")
+    os.replace(temporary, TABLE)

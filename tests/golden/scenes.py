@@ -54,8 +54,8 @@ class Scene:
     def digest(self) -> str:
         """Return what tells whether the scene is still the same, words about it and last digits aside."""
         document = tomllib.loads(self.text())
-        said = {key: value for key, value in document.items() if key not in ("title", "description")}
-        text = json.dumps(_rounded([said, self.overrides()]), sort_keys=True)
+        content = {key: value for key, value in document.items() if key not in ("title", "description")}
+        text = json.dumps(_rounded([content, self.overrides()]), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def load(self, folder: Path) -> ScheduleScenario:
@@ -75,13 +75,13 @@ def errors(scenario: ScheduleScenario) -> dict[str, Any]:
     period = problem.period or problem.delta / PARTS
     if round(problem.delta / period) > PARTS:
         period = problem.delta / FEWER
-    known = (0.03 * scenario.initial_set().half_widths).tolist()
+    state_error = (0.03 * scenario.initial_set().half_widths).tolist()
     overrides: dict[str, Any] = {"recoverable.kind": "polytope", "feedback.period_s": period}
     overrides |= {"timing.delay_s": period, "thrusters.magnitude_error": 0.01, "thrusters.mass_error": 0.005}
     overrides |= {"thrusters.impulse_bit_N_s": 0.01 * period * float(np.min(system.u_max))}
     if system.mean_motion is None:
-        return overrides | {"navigation.state_error": known}
-    parts = {"position_error_m": known[: system.d], "velocity_error_m_s": known[system.d :]}
+        return overrides | {"navigation.state_error": state_error}
+    parts = {"position_error_m": state_error[: system.d], "velocity_error_m_s": state_error[system.d :]}
     overrides |= {f"navigation.{name}": part for name, part in parts.items()}
     return overrides | {"thrusters.misalignment_deg": 0.5}
 

@@ -37,8 +37,8 @@ def test_a_worse_row_is_a_fault(stored, change):
     less = {"margin": 0.1, "tube": [2.0, 0.02], "goal_distance_m": 6.0}  # passes where U flies more
     more = less | {"modes": "UUUU", "share": 1.0}
     assert kinds(PROVED, more) == {BETTER, OTHER} and kinds(PROVED, {"scene": "c3d4"}) == {OTHER}
-    for lost in ({"verdict": "UNKNOWN"}, {"end": "none"}, {"goal": False}):
-        assert WORSE in kinds(PROVED, more | lost)
+    for loss in ({"verdict": "UNKNOWN"}, {"end": "none"}, {"goal": False}):
+        assert WORSE in kinds(PROVED, more | loss)
 
 
 def test_the_table_has_a_row_for_every_scene_and_most_are_proved():
@@ -54,8 +54,8 @@ def test_the_table_has_a_row_for_every_scene_and_most_are_proved():
 def judge(name):
     """Nothing that is stored of a scene is lost."""
     row, message = rows.make_row(scenes()[name])
-    lost = [str(each) for each in compare(STORED[name], row) if each.kind == WORSE]
-    assert not lost, "\n".join([*lost, message])
+    losses = [str(each) for each in compare(STORED[name], row) if each.kind == WORSE]
+    assert not losses, "\n".join([*losses, message])
 
 
 @pytest.mark.parametrize(

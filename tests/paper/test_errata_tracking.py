@@ -63,9 +63,9 @@ def test_item_3_printed_disturbance_gain_is_valid_but_loose():
     printed = bounds.gamma / bounds.beta * np.linalg.norm(SYSTEM.D, 2) * SYSTEM.w_max
     tight = tracking().disturbance(SYSTEM.position)[-1].max()
     flow, parts = tracking().flow, 4
-    pushed = [expm(SYSTEM.A * (j + 0.5) * flow.h / parts) @ SYSTEM.D for j in range(parts)]
+    effects = [expm(SYSTEM.A * (j + 0.5) * flow.h / parts) @ SYSTEM.D for j in range(parts)]
     rows = SYSTEM.position[0] @ powers(flow.phi, int(1500 / flow.h))
-    exact = sum(np.linalg.norm(rows @ each, axis=1).sum() for each in pushed) * flow.h / parts * SYSTEM.w_max
+    exact = sum(np.linalg.norm(rows @ each, axis=1).sum() for each in effects) * flow.h / parts * SYSTEM.w_max
     assert exact <= tight * 1.001 <= printed and printed > 1.3 * tight and tight < 1.25 * exact
 
 

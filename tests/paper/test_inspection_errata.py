@@ -34,8 +34,8 @@ def test_note_14_eq_34_is_undefined_on_the_axis():
     with np.errstate(invalid="ignore"):
         assert np.isnan(printed_projection(200 * axis, axis, np.pi / 6)).all()
     cone = SunCone(np.pi / 6, n, Braking(Q.a_max, 0.1, Q.return_speed))
-    on, beside = (cone(np.r_[200 * axis + [0, off, 0], 0.1, 0.2, 0.0], 0.0) for off in (0.0, 1e-9))
-    assert np.isfinite(on.gradient).all() and on.h == pytest.approx(beside.h, abs=1e-6)
+    on, near = (cone(np.r_[200 * axis + [0, offset, 0], 0.1, 0.2, 0.0], 0.0) for offset in (0.0, 1e-9))
+    assert np.isfinite(on.gradient).all() and on.h == pytest.approx(near.h, abs=1e-6)
     # Elsewhere it is the printed projection: its distance is the signed distance used here.
     p = np.array([-300.0, 250.0, 40.0])
     gap = np.linalg.norm(p - printed_projection(p, axis, np.pi / 6))
@@ -91,5 +91,5 @@ def test_item_15_integral_of_the_whole_error_is_uncontrollable_at_zero():
     B = np.vstack([B[:6], np.zeros((6, 3))])
     assert hautus_rank(A, B) == 9 < len(A)
     # A left null vector, written down: integral of velocity error minus position error is constant.
-    left = np.hstack([-np.eye(3), np.zeros((3, 6)), np.eye(3)])
-    assert not (left @ A).any() and not (left @ B).any()
+    null_rows = np.hstack([-np.eye(3), np.zeros((3, 6)), np.eye(3)])
+    assert not (null_rows @ A).any() and not (null_rows @ B).any()

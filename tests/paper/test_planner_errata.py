@@ -23,10 +23,10 @@ def box(center, half, K):
     return TimedPolytope("box", NORMALS, np.tile(NORMALS @ center + np.r_[half, half], (K, 2, 1)))
 
 
-def problem(body, **more):
+def problem(body, **options):
     start, margins = np.array([0, -1000, 0, 0, 0, 0.0]), (np.full((40, 6), 10.0),)
     goal = EllipticalNMT(ETA, 100.0, 250.0)
-    return PlanProblem(CW, start, 40, 75.0, (body,), margins, np.full((40, 3), 0.9), goal, **more)
+    return PlanProblem(CW, start, 40, 75.0, (body,), margins, np.full((40, 3), 0.9), goal, **options)
 
 
 def test_note_8_second_row_of_eq_23_admits_the_inside_of_the_set():

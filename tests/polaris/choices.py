@@ -119,8 +119,8 @@ def _branches(honest):
         for label, (key, to) in BRANCH.items():
             yield label.format(place), _on("powered", "branches", place, key, to=to)
         for i in range(len(branch["tail"])):
-            moved = _on("powered", "branches", place, "tail", i, to=lambda x: hexed(plain(x) + 0.2))
-            yield f"tail of branch {place}, state {i}", moved
+            altered = _on("powered", "branches", place, "tail", i, to=lambda x: hexed(plain(x) + 0.2))
+            yield f"tail of branch {place}, state {i}", altered
     if len(branches) > 1:
         yield "branches exchanged", _on("powered", "branches", to=lambda rows: rows[::-1])
 

@@ -17,9 +17,9 @@ from reach.sets.zonotope import Zonotope
 from tests.kept import kept, scheduled
 
 
-def synthesised(name, *more):
+def synthesised(name, *overrides):
     """(scenario, schedule) of a bundled scenario, with overrides."""
-    return scheduled(name, *more)
+    return scheduled(name, *overrides)
 
 
 @cache
@@ -30,8 +30,8 @@ def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
     start = Zonotope.box([0, 400.0, 0, 0.24, 0, 0], [3, 3, 3, 0.01, 0.01, 0.01])
     box = BoxObstacle("debris", [125.0, 230.0, 0.0], [25.0] * 3)
     stiff = lqr_gain(system, [0.25] * 3 + [100.0] * 3, [400.0] * 3)
-    goal, more = EllipticalNMT(0.0012, 40.0, 80.0), {"period": period, "recoverable": recoverable, **weights}
-    return Problem(system, start, (box,), 60, 30.0, goal=goal, extra_margin=20.0, gains=(stiff,), **more)
+    goal, extra = EllipticalNMT(0.0012, 40.0, 80.0), {"period": period, "recoverable": recoverable, **weights}
+    return Problem(system, start, (box,), 60, 30.0, goal=goal, extra_margin=20.0, gains=(stiff,), **extra)
 
 
 @cache
@@ -51,15 +51,15 @@ def small_controllers(period=None, w_max=1e-5):
     safety = small_safety(period, w_max)
     system, stiff = safety.problem.system, safety.problem.gains[0]
     coasting = Reference.propagate(system, 30.0, safety.reference.chi[0], np.zeros((60, 3)))
-    away = Reference(system, 30.0, np.tile([0, 430.0, 0, 0, 0, 0], (61, 1)), np.zeros((60, 3)))
+    distant = Reference(system, 30.0, np.tile([0, 430.0, 0, 0, 0, 0], (61, 1)), np.zeros((60, 3)))
 
-    def affine(name, own, clips):
-        return AffineController(name, system, stiff, safety.reference, own, safety.tracking, clips)
+    def affine(name, reference, clips):
+        return AffineController(name, system, stiff, safety.reference, reference, safety.tracking, clips)
 
     return {
         "shared": affine("shared", safety.reference, False),
         "coasting": affine("coasting", coasting, False),
-        "clipped": affine("clipped", away, True),
+        "clipped": affine("clipped", distant, True),
         "any": AnyThrust("any", system, safety.reference, safety.tracking),
     }
 

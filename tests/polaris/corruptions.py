@@ -86,21 +86,21 @@ def inner(corrupt):
                 turned_over = change("reference", "states", k, i, to=negated)
                 yield f"sign of state {i} at step {k}", turned_over, REFERENCE
     for k in range(K):
-        moved = change("reference", "inputs", k, 0, to=lambda u: hexed(plain(u) + 1e-3))
-        yield f"input {k} off by a thousandth", moved, REFERENCE
+        altered = change("reference", "inputs", k, 0, to=lambda u: hexed(plain(u) + 1e-3))
+        yield f"input {k} off by a thousandth", altered, REFERENCE
         for axis in (0, 1):
-            pushed = change("reference", "inputs", k, axis, to=lambda u: hexed(plain(u) - 2e-3))
-            yield f"input {axis} of step {k} less", pushed, REFERENCE
+            new_input = change("reference", "inputs", k, axis, to=lambda u: hexed(plain(u) - 2e-3))
+            yield f"input {axis} of step {k} less", new_input, REFERENCE
         for i in (1, 2):
-            moved = change("reference", "states", k + 1, i, to=lambda x: hexed(plain(x) + 1e-6))
-            yield f"state {i} after step {k} off by a millionth", moved, REFERENCE
+            altered = change("reference", "states", k + 1, i, to=lambda x: hexed(plain(x) + 1e-6))
+            yield f"state {i} after step {k} off by a millionth", altered, REFERENCE
     for k in range(0, K, 3):
         beyond = change("reference", "inputs", k, 0, to=(1.01).hex())
         yield f"input {k} beyond the limit", beyond, REFERENCE | {"thrust"}
     for cell in range(K, cells):
         for axis in (0, 1):
-            pushed = change("reference", "inputs", cell, axis, to=(1e-4).hex())
-            yield f"input {axis} of the tail's cell {cell}", pushed, REFERENCE
+            new_input = change("reference", "inputs", cell, axis, to=(1e-4).hex())
+            yield f"input {axis} of the tail's cell {cell}", new_input, REFERENCE
     for cell in range(0, cells, 2):
         for o, item in enumerate(data["unsafe_sets"]):
             other = opposite(plain(item["normals"]), data["facets"][cell][o])
@@ -164,8 +164,8 @@ def against_files(corrupt):
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}
         yield f"name of {mode}", change("controllers", mode, "name", to="other"), {"controllers"}
-    moved = change("controllers", 1, "reference_inputs", 3, 0, to=(0.01).hex())
-    yield "own reference", moved, {"controllers"}
+    altered = change("controllers", 1, "reference_inputs", 3, 0, to=(0.01).hex())
+    yield "own reference", altered, {"controllers"}
     yield "unclipped", change("controllers", 1, "kind", to="affine"), {"controllers"}
     yield "kind of sets", change("recoverable", to="ball"), {"recoverable_sets"}
     yield "other scenario", change("scenario", "name", to="other"), {"system"}
@@ -222,9 +222,9 @@ def shifted(rows):
 
 def later(offsets):
     """Return the offsets of the next cell, moved towards the set's inside where nothing else would change."""
-    moved = shifted(offsets)
-    if moved != offsets:
-        return moved
+    next_cells = shifted(offsets)
+    if next_cells != offsets:
+        return next_cells
     return [[hexed([x - 0.1 for x in plain(b)]) for b in pair] for pair in offsets]
 
 

@@ -41,43 +41,43 @@ class Software:
         return periods, self.delay - (periods - 1) * self.h if periods else 0.0
 
     def fly(
-        self, periods: int, runs: int, kicks: np.ndarray, noise: np.ndarray, left: np.ndarray, first: int
+        self, periods: int, runs: int, kicks: np.ndarray, noise: np.ndarray, remainder: np.ndarray, first: int
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Fly from rest; return states at nodes and feedback, by node, (runs, .) each.
 
         `kicks` (CELLS, runs, n) move the state in the middle of the cells of period 0, `noise` (runs, .)
-        belongs to the measurement used at node `first`, `left` is the impulse that period 0 leaves.
+        belongs to the measurement used at node `first`, `remainder` is the impulse that period 0 leaves.
         """
         (n, m), h, (age, late) = self.B.shape, self.h, self.periods
         phase, cell = round((h - late) / h * CELLS) if age else 0, self.h / CELLS
         steps = np.array([expm(self.A * cell * j) for j in range(CELLS + 1)])
-        pushed = np.array([hold(self.A, self.B, cell * (j + 1))[1] for j in range(CELLS)])
+        responses = np.array([hold(self.A, self.B, cell * (j + 1))[1] for j in range(CELLS)])
         whole, tail, head = (hold(self.A, self.B, t) for t in (h, late, h - late))
         x, c, estimate = np.zeros((runs, n)), np.zeros((runs, m)), np.zeros((runs, n))
         measured, past = [np.zeros((runs, n))] * age, [np.zeros((runs, m))] * (age + 1)  # newest last
         nodes, feedback = [x], []
         for k in range(periods):
-            seen, wrong = measured[-age] if age else x, noise * (k == first)
+            latest, wrong = measured[-age] if age else x, noise * (k == first)
             if self.measures is None:
-                estimate = seen + wrong if noise.shape[1] else seen
+                estimate = latest + wrong if noise.shape[1] else latest
             else:  # from the last measurement to this one, then the correction
                 if age:
                     estimate = estimate @ tail[0].T + past[-age - 1] @ tail[1].T
                     estimate = estimate @ head[0].T + past[-age] @ head[1].T
                 else:
                     estimate = estimate @ whole[0].T + past[-1] @ whole[1].T
-                y = seen @ self.measures.T + wrong
+                y = latest @ self.measures.T + wrong
                 estimate = estimate + (y - estimate @ self.measures.T) @ self.correction.T
-            known = estimate
+            predicted = estimate
             if age:  # prediction under the commands that were issued
-                known = known @ tail[0].T + past[-age] @ tail[1].T
+                predicted = predicted @ tail[0].T + past[-age] @ tail[1].T
                 for back in range(age - 1, 0, -1):
-                    known = known @ whole[0].T + past[-back] @ whole[1].T
-            u = -known @ self.gain.T
-            rest = left * (k == 0)
+                    predicted = predicted @ whole[0].T + past[-back] @ whole[1].T
+            u = -predicted @ self.gain.T
+            rest = remainder * (k == 0)
             v, c = u + (c - rest) / h, rest
             past = [*past[1:], u]  # what is left of impulses is not known
-            ends = x @ steps[1:].transpose(0, 2, 1) + v @ pushed.transpose(0, 2, 1)
+            ends = x @ steps[1:].transpose(0, 2, 1) + v @ responses.transpose(0, 2, 1)
             for j in range(CELLS if k == 0 else 0):
                 kick = kicks[j] @ expm(self.A * cell / 2).T
                 ends[j:] += kick @ steps[: CELLS - j].transpose(0, 2, 1)

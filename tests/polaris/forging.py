@@ -43,9 +43,9 @@ QUARTER = COARSE.replace("0.5", "0.25")
 def make(assignments, folder):
     """A run of a variant of the tiny scene in which U flies in the middle, too."""
     variant = ["tracking.R=[60,60]", "simulation.runs=2", *assignments]
-    made = run(TINY, folder / "run", overrides=variant)
-    assert made.summary["guarantee"]["kind"] == "proved" and 1 in made.json("schedule.json")["modes"]
-    return made.path
+    target = run(TINY, folder / "run", overrides=variant)
+    assert target.summary["guarantee"]["kind"] == "proved" and 1 in target.json("schedule.json")["modes"]
+    return target.path
 
 
 class Forger:
@@ -58,8 +58,8 @@ class Forger:
 
     def judge(self, files):
         """Verdict on the folder with some files replaced: name to text; the certificate may be one."""
-        given = files.get(CERTIFICATE)
-        data = self.tree(CERTIFICATE) if given is None else json.loads(given.replace("\x00", ""))
+        certificate = files.get(CERTIFICATE)
+        data = self.tree(CERTIFICATE) if certificate is None else json.loads(certificate.replace("\x00", ""))
         try:
             for name, text in files.items():
                 if name != CERTIFICATE:
@@ -191,8 +191,8 @@ class Lie:
 
     def follow(self):
         """(states, inputs) of U's own reference."""
-        given = self.gains["controllers"][1]
-        return np.array(given["reference_states"]), np.array(given["reference_inputs"])
+        controller = self.gains["controllers"][1]
+        return np.array(controller["reference_states"]), np.array(controller["reference_inputs"])
 
 
 def places(data, at=()):
@@ -255,31 +255,31 @@ def forgeries(data, at, value, share):
     number = float.fromhex(value) if _hexadecimal(value) else value
     if isinstance(number, float):
         step = share * abs(number) or share * around(data, at)
-        moved = {"up": number + step, "down": number - step}
+        steps = {"up": number + step, "down": number - step}
     if isinstance(value, bool):
-        made = {"negated": not value, "as text": str(value)}
+        edits = {"negated": not value, "as text": str(value)}
     elif _hexadecimal(value):
-        made = {what: x.hex() for what, x in moved.items()} | {"a number": number, "nan": "nan", "null": None}
+        edits = {tag: x.hex() for tag, x in steps.items()} | {"a number": number, "nan": "nan", "null": None}
     elif isinstance(value, int):
-        made = {"up": value + 1, "down": value - 1, "as text": str(value), "true": True}
-        made["a half more"] = value + 0.5
+        edits = {"up": value + 1, "down": value - 1, "as text": str(value), "true": True}
+        edits["a half more"] = value + 0.5
     elif isinstance(value, float):
-        made = moved | {"as text": repr(value), "true": True}
+        edits = steps | {"as text": repr(value), "true": True}
     elif isinstance(value, str):
-        made = {"another text": f"{value}-other", "no text": "", "a number": 1}
+        edits = {"another text": f"{value}-other", "no text": "", "a number": 1}
     elif value is None:
-        made = {"a number": 1.0, "no text": ""}
+        edits = {"a number": 1.0, "no text": ""}
     elif isinstance(value, list):
-        made = {"a number": 1}
+        edits = {"a number": 1}
         if value:
-            made |= {"emptied": [], "last dropped": value[:-1], "first dropped": value[1:]}
-            made["last repeated"] = [*value, value[-1]]
+            edits |= {"emptied": [], "last dropped": value[:-1], "first dropped": value[1:]}
+            edits["last repeated"] = [*value, value[-1]]
         if value != value[::-1]:
-            made |= {"reversed": value[::-1], "rotated": [*value[1:], value[0]]}
+            edits |= {"reversed": value[::-1], "rotated": [*value[1:], value[0]]}
     else:
-        made = {f"without {key}": {k: v for k, v in value.items() if k != key} for key in value}
-        made |= {"an unknown key": value | {"unknown_key": 1}, "a list": []}
-    yield from made.items()
+        edits = {f"without {key}": {k: v for k, v in value.items() if k != key} for key in value}
+        edits |= {"an unknown key": value | {"unknown_key": 1}, "a list": []}
+    yield from edits.items()
 
 
 def one_at_a_time(forger, seed, few, share, names=(*TREES, *TABLES)):
@@ -292,8 +292,8 @@ def one_at_a_time(forger, seed, few, share, names=(*TREES, *TABLES)):
                 cases = _cells(value, share)
             else:
                 cases = forgeries(data, at, value, share)
-            for what, new in cases:
-                label = f"{name}: {pattern(at) or 'all of it'} {what}"
+            for change, new in cases:
+                label = f"{name}: {pattern(at) or 'all of it'} {change}"
                 try:
                     text = written(name, replaced(data, at, new))
                 except (AttributeError, TypeError, csv.Error):

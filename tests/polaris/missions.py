@@ -24,19 +24,19 @@ def shared(moving=False):
     return table
 
 
-def leg(name, start, goal, duration=14.0, half_widths=WIDE, **more):
+def leg(name, start, goal, duration=14.0, half_widths=WIDE, **fields):
     """The table of a leg."""
     box = {"kind": "box", "center": start, "half_widths": half_widths}
     stop = {"kind": "stationary", "state": goal}
     time = {"duration_s": duration, "step_s": 1.0}
-    return {"name": name, "initial_set": box, "goal": stop, "horizon": time, **more}
+    return {"name": name, "initial_set": box, "goal": stop, "horizon": time, **fields}
 
 
-def tour(moving=False, **more):
+def tour(moving=False, **fields):
     """A mission of three legs."""
     a, b, c = PLACES
-    out = leg("out", [0.0, 0.0, 0.0, 0.0], a, half_widths=[0.05, 0.05, 0.01, 0.01], **more)
-    return shared(moving) | {"legs": [out, leg("across", a, b, **more), leg("home", b, c, **more)]}
+    out = leg("out", [0.0, 0.0, 0.0, 0.0], a, half_widths=[0.05, 0.05, 0.01, 0.01], **fields)
+    return shared(moving) | {"legs": [out, leg("across", a, b, **fields), leg("home", b, c, **fields)]}
 
 
 def random_tour(seed):

@@ -65,7 +65,7 @@ class OutOfTime(Loop):
         sides = [np.maximum(sign * thrust, 0.0) @ mix for sign, mix in zip((1, -1), mixes, strict=True)]
         return sides[0] + sides[1]
 
-    def made(self, thrust, rest, off):
+    def made(self, thrust, remainder, error):
         """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
         timing, layout, limits = self.system.timing, self.system.nozzles, self.system.u_max
         along = self.errors.along
@@ -73,32 +73,32 @@ class OutOfTime(Loop):
         if layout is not None:
             thrust, limits = self.allocated(thrust), layout.allocation.limits
             carried, bit = layout.bit * layout.carried, layout.bit / self.h * (not layout.carried)
-            off, along = np.clip(off @ self.ways.T * 1e3, -1, 1), layout.along
+            error, along = np.clip(error @ self.ways.T * 1e3, -1, 1), layout.along
         if carried:
-            asked = thrust * self.h + rest
+            impulse = thrust * self.h + remainder
             full = limits * self.h
-            size = np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried
-            size = np.minimum(np.where(size > 0, np.abs(asked), 0.0) if fine else size, full)
-            u = size * np.sign(asked) / self.h
-            return u, asked - u * self.h, off * along * u
+            size = np.floor(np.abs(impulse) / carried * (1 + 1e-12)) * carried
+            size = np.minimum(np.where(size > 0, np.abs(impulse), 0.0) if fine else size, full)
+            u = size * np.sign(impulse) / self.h
+            return u, impulse - u * self.h, error * along * u
         u = np.round(thrust / bit) * bit if bit else thrust
         u = np.where(np.abs(thrust) >= bit, thrust, u) if fine else u
         u = np.clip(u, -limits, limits)
-        return u, rest, off * along * u
+        return u, remainder, error * along * u
 
     @property
     def bit(self):
         """Multiple to which inputs are rounded [N]; 0 where none is dropped."""
         return 0.0 if self.system.timing.carried_impulse else self.errors.rounding(self.system.m)
 
-    def fly(self, attack, who):
+    def fly(self, attack, rule):
         """Fly runs; what is made lasts from one instant to another, per input, whatever the step."""
         system, (R, n), m = self.system, attack.x0.shape, self.system.m
         states, clipped = np.zeros((self.N + 1, R, n)), np.zeros((self.N, R, m), dtype=bool)
         modes, wrong = np.zeros((self.N, R), dtype=np.int8), np.zeros((self.N, R, n))
         states[0] = x = attack.x0
         Ad, Dd = held(system.A, system.B, self.dt)[0], held(system.A, system.D, self.dt)[1]
-        eta, off = (np.broadcast_to(each, (self.N, R, k)) for each, k in ((attack.eta, n), (attack.off, m)))
+        eta, error = (np.broadcast_to(each, (self.N, R, k)) for each, k in ((attack.eta, n), (attack.off, m)))
         sees = Computer(self, states, eta, attack.w) if self.remembers else None
         ways, count = self.ways, len(self.ways)
         rest, thrust, last = np.zeros((R, count)), np.zeros((R, m)), np.zeros((R, count))
@@ -109,7 +109,7 @@ class OutOfTime(Loop):
         def command(i):
             nonlocal rest, thrust, last, until, bursts
             k, j = divmod(i, self.per)
-            flying = who(i, states[i])
+            flying = rule(i, states[i])
             if sees is not None:
                 sees.look(i)
                 wrong[i] = sees.wrong
@@ -117,32 +117,32 @@ class OutOfTime(Loop):
                 wrong[i] = eta[i]
             raw = np.empty((R, m))
             for number in np.unique(flying).tolist():
-                mine, free = flying == number, number and number not in self.laws
-                seen = states[i, mine] + wrong[i, mine]
-                raw[mine] = attack.free[i, mine] if free else self.command(number, k, j, seen)
+                mask, free = flying == number, number and number not in self.laws
+                measured = states[i, mask] + wrong[i, mask]
+                raw[mask] = attack.free[i, mask] if free else self.command(number, k, j, measured)
             share = np.abs(raw[flying == 0]) / system.u_max
             self.most = max(self.most, float(share.max(initial=0.0)))
             clipped[i : i + self.parts] = np.abs(raw) > system.u_max
             modes[i : i + self.parts] = flying
             thrust = np.clip(raw, -system.u_max, system.u_max)
-            u, rest, more = self.made(thrust, rest, off[i])
-            way = ((last - u - more) * (attack.way[i] @ system.B @ ways.T)).sum(axis=1, keepdims=True)
-            late = jitter * np.sign(way) if i else np.zeros((R, 1))
+            u, rest, u_error = self.made(thrust, rest, error[i])
+            effect = ((last - u - u_error) * (attack.way[i] @ system.B @ ways.T)).sum(axis=1, keepdims=True)
+            late = jitter * np.sign(effect) if i else np.zeros((R, 1))
             late = late if self.early(i) else np.maximum(late, 0.0)
             begins, ends = i * self.dt + late, np.full((R, count), (i + 2 * self.parts) * self.dt)
             if np.all(np.isfinite(top)):
                 on = np.abs(u) / top * self.h
                 begins = np.maximum(i * self.dt + self.begin(on) + late, until)
                 until = begins + on
-                begins = begins + system.timing.edge * (way > 0)  # all that comes up or goes down is late
+                begins = begins + system.timing.edge * (effect > 0)  # all that comes up or goes down is late
                 ends = begins + on
-                gain = np.divide(u + more, u, out=np.ones_like(u), where=u != 0)
+                gain = np.divide(u + u_error, u, out=np.ones_like(u), where=u != 0)
                 bursts.append((np.sign(u) * top * gain, begins, ends))
             else:
                 begins = np.broadcast_to(begins, (R, count))
                 bursts = [(f, a, np.minimum(b, begins)) for f, a, b in bursts]
-                bursts.append((u + more, begins, ends))
-            last, bursts = u + more, bursts[-3:]
+                bursts.append((u + u_error, begins, ends))
+            last, bursts = u + u_error, bursts[-3:]
 
         for i in range(self.N):
             if sees is not None:
@@ -151,25 +151,25 @@ class OutOfTime(Loop):
                 command(i)
                 if sees is not None:
                     sees.told[i] = thrust
-            now, then = i * self.dt, (i + 1) * self.dt
+            start, end = i * self.dt, (i + 1) * self.dt
             if i + 1 < self.N and (i + 1) % self.parts == 0 and self.early(i + 1):
                 command(i + 1)
             x = x @ Ad.T + attack.w[i] @ Dd.T
             for force, begins, ends in bursts:
-                left, right = (then - np.clip(each, now, then) for each in (begins, ends))
-                some = np.any(left > right)
-                if some:
-                    added = self.gained(left) - self.gained(right)  # (R, N, n, m)
+                since_on, since_off = (end - np.clip(each, start, end) for each in (begins, ends))
+                acting = np.any(since_on > since_off)
+                if acting:
+                    added = self.gained(since_on) - self.gained(since_off)  # (R, N, n, m)
                     x = x + np.einsum("rj,rjnm,jm->rn", force, added, ways)
             states[i + 1] = x
         return Flown(states, clipped, modes, wrong)
 
 
-def clear_of(loop, flown):
+def clear_of(loop, flight):
     """Return the least margin of runs to the unsafe sets, and the largest command of S as a share."""
     least = np.inf
     for k in range(loop.cells):
-        p = flown.states[k * loop.per : (k + 1) * loop.per + 1] @ loop.system.position.T
+        p = flight.states[k * loop.per : (k + 1) * loop.per + 1] @ loop.system.position.T
         s = np.linspace(0, 1, loop.per + 1)[:, None, None]
         for unsafe in loop.unsafe:
             cell = min(k, unsafe.cells - 1)
@@ -182,15 +182,15 @@ def attacked(schedule, runs, seed, rounds=2):
     """Return the least margin and the largest command of S in flights at their worst and at random."""
     loop, rng = OutOfTime(schedule), np.random.default_rng(seed)
     over, _, rows, targets = _aims(loop, runs, rng)
-    who, least = loop.scheduled(over), np.inf
-    modes, clipped = np.array([who(i, rows) for i in range(loop.N)]), None
+    rule, least = loop.scheduled(over), np.inf
+    modes, clipped = np.array([rule(i, rows) for i in range(loop.N)]), None
     for number in range(rounds + 1):
-        made = loop.worst(rows, targets, modes, clipped)
+        worst_case = loop.worst(rows, targets, modes, clipped)
         if number == rounds:
-            made = by_chance(loop, made, rng)
-        flown = loop.fly(made, who)
-        clipped = flown.clipped
-        least = min(least, clear_of(loop, flown)[0])
+            worst_case = by_chance(loop, worst_case, rng)
+        flight = loop.fly(worst_case, rule)
+        clipped = flight.clipped
+        least = min(least, clear_of(loop, flight)[0])
     return least, loop.most
 
 
@@ -199,7 +199,7 @@ def mixed(seed):
     rng = np.random.default_rng(seed)
     period = float(rng.choice([0.25, 1 / 3, 0.5]))
     turn, weight = rng.choice([0.0, 0.1, 0.3]), rng.choice([20, 60, 150])
-    given = [
+    changes = [
         f"system.A=[[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, {turn}], [0, 0, {-turn}, 0]]",
         f"feedback.period_s={period}",
         f"tracking.R=[{weight},{weight}]",
@@ -209,24 +209,24 @@ def mixed(seed):
     ]
     if rng.random() < 0.6:
         edges = rng.choice([0.0, 0.01, 0.05], 2) * period
-        given += ["thrusters.pulse=centred", f"thrusters.rise_s={edges[0]}", f"thrusters.fall_s={edges[1]}"]
+        changes += ["thrusters.pulse=centred", f"thrusters.rise_s={edges[0]}", f"thrusters.fall_s={edges[1]}"]
     if rng.random() < 0.5:
-        given += ["thrusters.impulse_bit_N_s=0.004"]
-        given += ["thrusters.remainder=carried"] * int(rng.random() < 0.6)
-    given += ["thrusters.magnitude_error=0.02"] * int(rng.random() < 0.5)
-    given += [f"timing.delay_s={period * rng.choice([0.5, 1.0, 2.0])}"] * int(rng.random() < 0.6)
+        changes += ["thrusters.impulse_bit_N_s=0.004"]
+        changes += ["thrusters.remainder=carried"] * int(rng.random() < 0.6)
+    changes += ["thrusters.magnitude_error=0.02"] * int(rng.random() < 0.5)
+    changes += [f"timing.delay_s={period * rng.choice([0.5, 1.0, 2.0])}"] * int(rng.random() < 0.6)
     errors = [0.002, 0.002, 0.0004, 0.0004]
     if (kind := rng.random()) < 0.35:
-        given += [f"navigation.measurement.matrix={np.eye(4).tolist()}"]
-        given += [f"navigation.measurement.error={errors}"]
+        changes += [f"navigation.measurement.matrix={np.eye(4).tolist()}"]
+        changes += [f"navigation.measurement.error={errors}"]
     elif kind < 0.6:
-        given += [f"navigation.state_error={errors}"]
-    if any("impulse_bit" in each for each in given):
-        given += ["thrusters.resolution=continuous"] * int(rng.random() < 0.5)
-    if "thrusters.pulse=centred" in given:
-        given += [f"thrusters.pulse={rng.choice(['centred', 'start', 'staggered'])}"]
-        given += canted(rng) if rng.random() < 0.4 else []
-    return load_scenario(TINY).with_assignments(given), given[4:]
+        changes += [f"navigation.state_error={errors}"]
+    if any("impulse_bit" in each for each in changes):
+        changes += ["thrusters.resolution=continuous"] * int(rng.random() < 0.5)
+    if "thrusters.pulse=centred" in changes:
+        changes += [f"thrusters.pulse={rng.choice(['centred', 'start', 'staggered'])}"]
+        changes += canted(rng) if rng.random() < 0.4 else []
+    return load_scenario(TINY).with_assignments(changes), changes[4:]
 
 
 def canted(rng):
@@ -241,8 +241,8 @@ def canted(rng):
 def judge_scene(seed, runs=12):
     """Return what a scene declares and its outcome: None where it is refused or nothing is proven."""
     try:
-        scenario, given = mixed(seed)
+        scenario, changes = mixed(seed)
         schedule = synthesize(scenario)
     except PolarisError as error:
         return str(error)[:60], None
-    return given, (schedule, *attacked(schedule, runs, seed))
+    return changes, (schedule, *attacked(schedule, runs, seed))

@@ -54,7 +54,7 @@ def _plane(rng: Random, name: str) -> Table:
     rests = plant.rests and rng.random() < 0.6
     start = rng.uniform(5, 9) * _direction(rng, d)
     aim = rng.uniform(-0.4, 0.4, d) if plant.rests else np.zeros(d)
-    way = aim - start
+    path = aim - start
     slow = 1.4 if plant.order == 3 else 1.0
     step = float(rng.choice([0.4, 0.5, 0.625, 0.8])) * slow
     steps = int(np.ceil(rng.uniform(11, 16) * slow / step))
@@ -85,7 +85,7 @@ def _plane(rng: Random, name: str) -> Table:
         document["goal"] = {"kind": "box", "center": plant.at(aim), "half_widths": half}
         if plant.C is not None:
             document["goal"]["half_widths"] = np.full(n, 0.4)
-    _scene(rng, document, plant, start, way)
+    _scene(rng, document, plant, start, path)
     document["experimental"] = _controllers(rng, plant, document, aim)
     _rules(rng, document, 0.3 + rng.random())
     document["planner"]["thrust_reserve"] = float(rng.uniform(0.2, 0.6))
@@ -120,20 +120,20 @@ def _plant(rng: Random) -> Plant:
     if kind == "lag":  # the thrust follows its command late
         tau, m = rng.uniform(0.2, 0.6), B.shape[1]
         n = 2 * d + m
-        grown = np.zeros((n, n))
-        grown[: 2 * d, : 2 * d], grown[: 2 * d, 2 * d :] = A, B
-        grown[2 * d :, 2 * d :] = -np.eye(m) / tau
+        A_lag = np.zeros((n, n))
+        A_lag[: 2 * d, : 2 * d], A_lag[: 2 * d, 2 * d :] = A, B
+        A_lag[2 * d :, 2 * d :] = -np.eye(m) / tau
         late = np.vstack([np.zeros((2 * d, m)), np.eye(m) / tau])
         D = np.vstack([D, np.zeros((m, D.shape[1]))])
-        still = np.eye(n)[:, :d]
+        rest_state = np.eye(n)[:, :d]
         weights = np.r_[weights, np.full(m, 0.1)]
-        return Plant(kind, grown, late, D, None, still, d, 3, rests, weights, 1.5 * limit)
+        return Plant(kind, A_lag, late, D, None, rest_state, d, 3, rests, weights, 1.5 * limit)
     if kind == "oblique":  # states that are no positions: C is a matrix
         T = np.eye(2 * d) + 0.2 * rng.uniform(-1, 1, (2 * d, 2 * d))
-        back = np.linalg.inv(T)
-        C = np.hstack([eye, zero]) @ back
-        Q = back.T @ np.diag(weights) @ back
-        loop = T @ A @ back
+        inverse = np.linalg.inv(T)
+        C = np.hstack([eye, zero]) @ inverse
+        Q = inverse.T @ np.diag(weights) @ inverse
+        loop = T @ A @ inverse
         return Plant(kind, loop, T @ B, T @ D, C, T[:, :d], d, 2, rests, (Q + Q.T) / 2, limit)
     return Plant(kind, A, B, D, None, np.eye(2 * d)[:, :d], d, 2, rests, weights, limit)
 
@@ -148,9 +148,9 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
         entries.append(entry)
         if kind == "any_thrust":
             continue
-        way = rng.choice(["unaware", "unaware", "shared", "setpoint"])
+        ref_kind = rng.choice(["unaware", "unaware", "shared", "setpoint"])
         if kind == "affine":
-            way = rng.choice(["shared", "unaware"])
+            ref_kind = rng.choice(["shared", "unaware"])
         if rng.random() < 0.8:
             entry["Q"] = plant.weights * rng.uniform(0.3, 2)
             entry["R"] = np.full(m, rng.uniform(1, 8))
@@ -160,17 +160,17 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
 
             system = LinearSystem(plant.A, plant.B, plant.D, plant.limit, C=np.eye(n)[:1])
             entry["gain"] = lqr_gain(system, plant.weights, np.full(m, 5.0)) * rng.uniform(0.9, 1.1)
-        if way != "shared" or rng.random() < 0.5:
-            entry["reference"] = {"kind": str(way)}
-        if way == "setpoint":
+        if ref_kind != "shared" or rng.random() < 0.5:
+            entry["reference"] = {"kind": str(ref_kind)}
+        if ref_kind == "setpoint":
             entry["reference"]["state"] = plant.at(aim + rng.uniform(-0.5, 0.5, plant.d))
     return entries
 
 
-def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, way: np.ndarray) -> None:
+def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, path: np.ndarray) -> None:
     """Obstacles beside and on the way, keep-in sets around it."""
-    d, length = plant.d, float(np.linalg.norm(way))
-    ahead = way / length
+    d, length = plant.d, float(np.linalg.norm(path))
+    ahead = path / length
     obstacles: list[Table] = []
     kinds = ["box", "ball", "polytope", "wall"]
     if plant.name == "second" and plant.limit.shape == (d,):
@@ -180,11 +180,11 @@ def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, way: n
         aside = _aside(rng, ahead)
         reach = rng.uniform(0.3, 0.9)
         if d == 1:  # nothing can be passed: it lies behind the start or beyond the goal
-            ends = ((start, -ahead), (start + way, ahead))[i % 2]
+            ends = ((start, -ahead), (start + path, ahead))[i % 2]
             center = ends[0] + ends[1] * (reach + rng.uniform(1.0, 1.6))
         else:
-            off = reach * rng.uniform(0.2, 1.5) + (0.3 if rng.random() < 0.7 else 0.0)
-            center = start + way * rng.uniform(0.35, 0.7) + aside * off
+            distance = reach * rng.uniform(0.2, 1.5) + (0.3 if rng.random() < 0.7 else 0.0)
+            center = start + path * rng.uniform(0.35, 0.7) + aside * distance
         entry: Table = {"kind": kind, "name": f"o{i}"}
         if kind == "box":
             entry |= {"center_m": center, "half_widths_m": reach * rng.uniform(0.5, 1, d)}
@@ -201,24 +201,24 @@ def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, way: n
             entry |= {"normals": normals, "offsets_m": offsets}
         elif kind == "wall":
             side = ahead if d == 1 else aside
-            side = -side if (start + way / 2 - center) @ side > 0 and d == 1 else side
-            back = start + way / 2 + side * (length / 2 + 0.8 if d == 1 else rng.uniform(0.6, 1.5))
+            side = -side if (start + path / 2 - center) @ side > 0 and d == 1 else side
+            back = start + path / 2 + side * (length / 2 + 0.8 if d == 1 else rng.uniform(0.6, 1.5))
             entry |= {"kind": "polytope", "normals": [-side], "offsets_m": [float(-side @ back)]}
             entry["unbounded"] = True
         else:
             half = np.r_[np.full(d, 0.05), np.full(d, 0.003)]
-            far = center + (1.5 if d > 1 else 2.0) * (aside if d > 1 else np.sign(center - start - way / 2))
+            far = center + (1.5 if d > 1 else 2.0) * (aside if d > 1 else np.sign(center - start - path / 2))
             state = np.r_[far, rng.uniform(-0.02, 0.02, d)]
             entry |= {"state": state, "state_half_widths": half, "radius_m": 0.3}
             entry["thrust_accel_max_m_s2"] = float(rng.choice([0.0, 0.002]))
             entry["facets"] = 6 if d == 3 else 8
         if kind in ("box", "ball", "polytope", "wall") and rng.random() < 0.35:
-            off_way = aside if d > 1 else np.sign(center - start - way / 2)
+            off_way = aside if d > 1 else np.sign(center - start - path / 2)
             entry["velocity_m_s"] = off_way * rng.uniform(0.01, 0.06)
         obstacles.append(entry)
     keep_in: list[Table] = []
     if rng.random() < 0.35:
-        middle = start + way / 2
+        middle = start + path / 2
         if d > 1 and rng.random() < 0.5:
             entry = {"kind": "cone", "name": "beam", "apex_m": start - 4 * ahead}
             entry |= {"axis": ahead * rng.uniform(0.5, 3), "half_angle_deg": float(rng.uniform(25, 40))}
@@ -229,7 +229,7 @@ def _scene(rng: Random, document: Table, plant: Plant, start: np.ndarray, way: n
         else:
             turn = np.linalg.qr(rng.normal(size=(d, d)))[0] if rng.random() < 0.5 else np.eye(d)
             normals = np.vstack([turn, -turn]) * rng.uniform(0.5, 2)
-            clearance = np.abs(turn @ way) / 2 + rng.uniform(1.5, 3)
+            clearance = np.abs(turn @ path) / 2 + rng.uniform(1.5, 3)
             offsets = normals @ middle + np.linalg.norm(normals, axis=1) * np.r_[clearance, clearance]
             entry = {"kind": "polytope", "name": "hall", "normals": normals, "offsets_m": offsets}
         keep_in.append(entry)
@@ -303,11 +303,11 @@ def _spacecraft(rng: Random, name: str) -> Table:
         if law == "any_thrust":
             continue
         entry |= {"Q": weights * rng.uniform(0.2, 1.5), "R": np.full(3, soft * rng.uniform(1, 3))}
-        way = str(rng.choice(["unaware", "shared", "nmt", "setpoint"]))
-        entry["reference"] = {"kind": way}
-        if way == "nmt":
+        ref_kind = str(rng.choice(["unaware", "shared", "nmt", "setpoint"]))
+        entry["reference"] = {"kind": ref_kind}
+        if ref_kind == "nmt":
             entry["reference"] |= {"semi_minor_m": 0.45 * size, "phase_rad": float(rng.uniform(0, 0.3))}
-        if way == "setpoint":
+        if ref_kind == "setpoint":
             entry["reference"]["state"] = [0.0, 0.4 * size, 0.0, 0.0, 0.0, 0.0]
     _rules(rng, document, 0.08 * size * rng.uniform(0.3, 1.2))
     document["planner"]["thrust_reserve"] = float(rng.uniform(0.2, 0.5))
@@ -340,8 +340,8 @@ def _initial_set(rng: Random, center: np.ndarray, size: np.ndarray, d: int, choi
     if kind == "box":
         table["half_widths"] = size * (rng.random(len(size)) < 0.9)
     elif kind == "ball":
-        rest = float(size[d]) if len(size) > d else 0.0
-        table |= {"position_radius_m": float(size[0]), "velocity_radius_m_s": rest}
+        speed = float(size[d]) if len(size) > d else 0.0
+        table |= {"position_radius_m": float(size[0]), "velocity_radius_m_s": speed}
     else:
         count = int(rng.integers(1, len(size) + 3))
         table["generators"] = rng.uniform(-1, 1, (count, len(size))) * size / np.sqrt(count)
@@ -384,9 +384,9 @@ def _restated(rng: Random, document: Table, plant: Plant) -> Table:
     if plant.C is None and plant.order > 1:
         state[d : 2 * d] = length / time
         state[2 * d :] = length / time**2
-    back = 1 / state
+    inverse = 1 / state
     system = document["system"]
-    system["A"] = plant.A * np.outer(state, back) / time
+    system["A"] = plant.A * np.outer(state, inverse) / time
     system["B"] = plant.B * state[:, None] / (time * thrust)
     system["D"] = plant.D * state[:, None] / length / time * (time**2 if plant.order > 1 else time)
     system["input_max"] = np.asarray(system["input_max"]) * thrust
@@ -407,14 +407,14 @@ def _restated(rng: Random, document: Table, plant: Plant) -> Table:
     for table in (document["tracking"], *document["experimental"]):
         if "Q" in table:
             Q = np.asarray(table["Q"])
-            table["Q"] = Q * back**2 if Q.ndim == 1 else Q * np.outer(back, back)
+            table["Q"] = Q * inverse**2 if Q.ndim == 1 else Q * np.outer(inverse, inverse)
             table["R"] = np.asarray(table["R"]) / thrust**2
         if "gain" in table:
-            table["gain"] = table["gain"] * back * thrust
+            table["gain"] = table["gain"] * inverse * thrust
         if "state" in table.get("reference", {}):
             table["reference"]["state"] = table["reference"]["state"] * state
     if isinstance(document["tracking"].get("weight"), np.ndarray):
-        document["tracking"]["weight"] = document["tracking"]["weight"] * back
+        document["tracking"]["weight"] = document["tracking"]["weight"] * inverse
     for table in (*document["obstacles"], *document["keep_in"]):
         for key in ("center_m", "half_widths_m", "radius_m", "apex_m", "length_m", "offsets_m"):
             if key in table:

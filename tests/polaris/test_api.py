@@ -107,8 +107,8 @@ def test_state_space_position_is_what_c_says():
     P = np.eye(4)[order]
     loop = control.ss(P @ A @ P.T, P @ B, np.eye(4)[2:] @ P.T, np.ones((2, 2)))
     goal = StationaryPoint(P @ np.array([4.0, 0, 0, 0]))
-    given = {"goal": goal, "u_max": [1.0, 1.0], "w_max": 0.01, "C": np.eye(4)[:2] @ P.T}
-    safety = get_safety(loop, P @ THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, **given)
+    options = {"goal": goal, "u_max": [1.0, 1.0], "w_max": 0.01, "C": np.eye(4)[:2] @ P.T}
+    safety = get_safety(loop, P @ THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, **options)
     positions = safety.reference.chi @ safety.tracking.system.position.T
     assert ROCK.signed_distance(0.0, positions).min() > 0
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)

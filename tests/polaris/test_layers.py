@@ -58,12 +58,12 @@ def imports(root, packages=("polaris", "reach")):
                 above = package[: len(package) + 1 - node.level] if node.level else []
                 base = ".".join([*above, *([node.module] if node.module else [])])
                 names = [(f"{base}.{alias.name}", alias.name) for alias in node.names]
-                targets = [(inner if inner in files else base, own) for inner, own in names]
+                targets = [(inner if inner in files else base, member) for inner, member in names]
             else:
                 continue
-            for target, what in targets:
+            for target, symbol in targets:
                 if target in files and target != name:
-                    edges[name, target].add(what)
+                    edges[name, target].add(symbol)
     return dict(edges)
 
 

@@ -85,22 +85,22 @@ def test_rounding_is_booked_for_systems_of_every_kind(size_of_sparse, case, step
 @settings(max_examples=60)
 def test_exponentials_are_those_of_scipy(case, length):
     A, t = case[0].A, 10.0**length / max(np.abs(case[0].A).sum(axis=1).max(), 1e-3)
-    want = expm(A * t)
-    size = np.abs(want).max()
-    for kept in (A, sparse.csr_matrix(A)):
+    expected = expm(A * t)
+    size = np.abs(expected).max()
+    for matrix in (A, sparse.csr_matrix(A)):
         slack = 1e-11 * size * max(1, t * np.abs(A).max())
-        assert np.allclose(exponential(kept, t), want, rtol=0, atol=slack)
+        assert np.allclose(exponential(matrix, t), expected, rtol=0, atol=slack)
     slack = 1e-10 * size * max(1, 10**length)
-    assert np.allclose(exponential(np.stack([A, -A]), t)[0], want, rtol=0, atol=slack)
+    assert np.allclose(exponential(np.stack([A, -A]), t)[0], expected, rtol=0, atol=slack)
 
 
 @pytest.mark.skipif(np.finfo(Exact).eps > 1e-18, reason="no extended precision here")
 @pytest.mark.parametrize("rate", [1.0, 62.0, 185.0])
 def test_rows_that_decay_are_exact_relative_to_themselves(rate):
     A = np.array([[-0.2, 0.3, -0.2], [0.0, -8.0, -1.0], [0.0, 0.0, -rate]])
-    want = np.exp(-Exact(rate))
-    for kept in (A, sparse.csr_matrix(A)):
-        assert abs(exponential(kept, 1.0)[2, 2] / want - 1) < 1e-15 * (8 + 4 * rate)
+    expected = np.exp(-Exact(rate))
+    for matrix in (A, sparse.csr_matrix(A)):
+        assert abs(exponential(matrix, 1.0)[2, 2] / expected - 1) < 1e-15 * (8 + 4 * rate)
 
 
 @pytest.mark.parametrize("kind", ["waves", "full", "growing"])
@@ -128,14 +128,14 @@ def test_large_sparse_systems_are_followed_as_dense_ones(kind):
 @settings(max_examples=40)
 def test_closing_bounds_the_exponential_within_a_step(case, h):
     A = case[0].A
-    for kept in (A, sparse.csr_matrix(A)):
-        rows = ExponentialRows(LinearSystem(kept))
+    for matrix in (A, sparse.csr_matrix(A)):
+        rows = ExponentialRows(LinearSystem(matrix))
         v = np.abs(case[2].normal(size=(len(A), 2)))
         bound = rows.closing(h, v)
         balanced = A * rows.scale / rows.scale[:, None]
         for s in np.linspace(0, h, 7):
-            grown = np.abs(expm(balanced * s)) @ v
-            assert np.all(grown <= bound * (1 + 1e-9) + 1e-12 * np.abs(grown).max())
+            propagated = np.abs(expm(balanced * s)) @ v
+            assert np.all(propagated <= bound * (1 + 1e-9) + 1e-12 * np.abs(propagated).max())
 
 
 @pytest.mark.parametrize(
@@ -143,8 +143,8 @@ def test_closing_bounds_the_exponential_within_a_step(case, h):
 )
 def test_balancing_is_finite_and_never_makes_a_norm_much_larger(A):
     A = np.asarray(A, dtype=float)
-    for kept in (A, sparse.csr_matrix(A)):
-        s = balance(kept)
+    for matrix in (A, sparse.csr_matrix(A)):
+        s = balance(matrix)
         assert np.all(np.isfinite(s)) and np.all(s > 0)
         assert np.all(np.log2(s) == np.round(np.log2(s)))
         before, after = np.abs(A).sum(axis=1).max(), np.abs(A * s / s[:, None]).sum(axis=1).max()

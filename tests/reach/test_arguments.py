@@ -186,9 +186,9 @@ def faults(name, call, args, more=None):
     places = [*range(len(args)), *more]
     for place in places:
         for wrong in WRONG:
-            given, named = list(args), dict(more)
-            (given if isinstance(place, int) else named)[place] = wrong
-            fault = attempt(call, given, named)
+            positional, keywords = list(args), dict(more)
+            (positional if isinstance(place, int) else keywords)[place] = wrong
+            fault = attempt(call, positional, keywords)
             if fault is not None:
                 texts.append(f"{name}, argument {place} = {str(wrong)[:40]!r}: {fault[:150]}")
     return texts

@@ -219,11 +219,11 @@ TURN = np.array([[1.0, 0.2], [0.0, 1.0]])
 
 def made_of(sets):
     """Sets, what a map makes of them, and their sums with a ball."""
-    made = dict(sets)
+    examples = dict(sets)
     for name, one in sets.items():
-        made[f"image of {name}"] = AffineImage(TURN, one, np.ones(2))
-        made[f"sum with {name}"] = MinkowskiSum((one, Ellipsoid(np.zeros(2), 0.1 * np.eye(2))))
-    return made
+        examples[f"image of {name}"] = AffineImage(TURN, one, np.ones(2))
+        examples[f"sum with {name}"] = MinkowskiSum((one, Ellipsoid(np.zeros(2), 0.1 * np.eye(2))))
+    return examples
 
 
 @pytest.mark.parametrize("inner", made_of(UNBOUNDED))

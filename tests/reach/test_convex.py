@@ -120,8 +120,8 @@ def test_lazy_results_stay_exact_under_further_operations(P, Z):
     assert isinstance(X, MinkowskiSum) and isinstance(M @ P, AffineImage) and len((X + Z + X).parts) == 5
     truth = P.support(D @ M) + np.linalg.norm(D @ M, axis=-1)
     assert np.allclose((M @ X).support(D), truth, atol=1e-7 * size(P))
-    moved = 2 * (M @ P) + [1, 0, 0]
-    assert np.allclose(moved.support(D), 2 * P.support(D @ M) + D[:, 0], atol=1e-6 * size(P))
+    image = 2 * (M @ P) + [1, 0, 0]
+    assert np.allclose(image.support(D), 2 * P.support(D @ M) + D[:, 0], atol=1e-6 * size(P))
     assert np.allclose((np.eye(2) @ AffineImage(np.eye(2), P, [1.0, 2.0])).center, P.center + [1, 2])
 
 

@@ -97,33 +97,33 @@ def near(X, witness, share=Fraction(1, 10**6)):
 
 def sweep(seed, count):
     """Random pairs of kinds; then inner sets that are copies of the outer one and hardly fit."""
-    rng, said = np.random.default_rng(seed), []
+    rng, answers = np.random.default_rng(seed), []
     for a, b in rng.choice(list(product(OUTER, KINDS)), count):
         outer = body(a, rng)
-        said.append(check_contains(outer, body(b, rng, 10.0 ** rng.uniform(-3, 0), outer.center)))
+        answers.append(check_contains(outer, body(b, rng, 10.0 ** rng.uniform(-3, 0), outer.center)))
     for a in rng.choice(OUTER, count):
         X = body(a, rng)
         slack = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-16, -1)
-        said.append(check_contains(X, shrunk(X, 1 - slack, X.center)))
-    return said
+        answers.append(check_contains(X, shrunk(X, 1 - slack, X.center)))
+    return answers
 
 
 def sweep_apart(seed, count):
-    rng, said = np.random.default_rng(seed), []
+    rng, answers = np.random.default_rng(seed), []
     for a, b in rng.choice(list(product(KINDS, KINDS)), count):
         unit = float(rng.choice(UNITS))
         X, Y = body(a, rng, unit), body(b, rng, unit)
         Y = AffineImage(np.eye(2), Y, unit * rng.normal(size=2) * rng.choice([0.1, 3.0]))
-        said.append(check_disjoint(X, Y))
-    return said
+        answers.append(check_disjoint(X, Y))
+    return answers
 
 
 @pytest.mark.parametrize("seed", [1])
 def test_no_answer_is_refuted(seed):
-    said = sweep(seed, 10)
-    assert said.count(True) > 3 and said.count(False) > 3
-    said = sweep_apart(seed, 10)
-    assert said.count(True) > 2 and said.count(False) > 2 and said.count(None) < 4
+    answers = sweep(seed, 10)
+    assert answers.count(True) > 3 and answers.count(False) > 3
+    answers = sweep_apart(seed, 10)
+    assert answers.count(True) > 2 and answers.count(False) > 2 and answers.count(None) < 4
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def _corners(P):
 
 def test_random_unbounded_polytopes_against_fractions():
     """Rows that are mixtures of the inner ones by small whole numbers, in exact arithmetic."""
-    rng, said = np.random.default_rng(4), []
+    rng, answers = np.random.default_rng(4), []
     for _ in range(20):
         A, b = rng.integers(-9, 10, (2, 3)) / 8.0, rng.integers(-9, 10, 2) / 8.0
         if not (A.any(axis=1).all() and np.linalg.matrix_rank(A) == 2):
@@ -170,9 +170,9 @@ def test_random_unbounded_polytopes_against_fractions():
             continue
         outer = HPolytope(weights @ A, weights @ b + room)
         answer = contains(outer, inner)
-        said.append(answer.holds)
+        answers.append(answer.holds)
         assert answer.holds == bool(np.all(weights >= 0) and np.all(room >= 0))
-    assert True in said and False in said
+    assert True in answers and False in answers
 
 
 def test_intersections_of_every_two_kinds():

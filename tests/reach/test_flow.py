@@ -109,8 +109,8 @@ def test_clip_relaxation_holds_the_clip(lo, width, limit, slopes, seed):
     slope, offset, radius = clip_relaxation(lo, hi, limit, slopes)
     inner = np.random.default_rng(seed).uniform(lo, hi, 50)
     y = np.concatenate([inner, [lo, hi], np.clip([-limit, limit], lo, hi)])
-    off = np.abs(np.clip(y, -limit, limit) - (slope * y + offset))
-    assert np.all(off <= radius + 1e-12 * (1 + abs(lo) + width))
+    errors = np.abs(np.clip(y, -limit, limit) - (slope * y + offset))
+    assert np.all(errors <= radius + 1e-12 * (1 + abs(lo) + width))
 
 
 @pytest.mark.parametrize(("lo", "hi", "limit"), [(1, 0, 1), (0, 1, -1), (np.nan, 1, 1), (0, np.inf, 1)])

@@ -23,8 +23,8 @@ def is_held(tube, visit, k):
     for segment in tube.in_mode(visit.mode):
         k_, i_ = segment.steps
         span = segment.span(k_, i_)
-        now = (span[:, 0] <= t + 1e-6) & (t - 1e-6 <= span[:, 1])
-        sets, meets = segment.cut(k_[now], i_[now])
+        active = (span[:, 0] <= t + 1e-6) & (t - 1e-6 <= span[:, 1])
+        sets, meets = segment.cut(k_[active], i_[active])
         # The simulation finds instants to a tolerance, and a set may be flat: room for both.
         sets = sets.inflate(np.full(sets.dim, 1e-9 * (1 + np.abs(x).max())))
         hulls = sets.interval_hull()
@@ -226,10 +226,10 @@ def test_proven_violated_and_unknown():
 @pytest.mark.parametrize("level", np.linspace(-0.6, 0.6, 5))
 def test_never_a_wrong_safe(level):
     automaton = thermostat(reach.Interval([-0.05, -0.05], [0.05, 0.05]))
-    asked = {"right": [reach.Never(half([0, 1], level))], "left": [Always(half([0, 1], -level))]}
-    verdict = reach.verify_hybrid(automaton, BOX, asked, 2.0, HybridOptions(step=0.1), dt=0.02, runs=5)
+    specs = {"right": [reach.Never(half([0, 1], level))], "left": [Always(half([0, 1], -level))]}
+    verdict = reach.verify_hybrid(automaton, BOX, specs, 2.0, HybridOptions(step=0.1), dt=0.02, runs=5)
     rng = np.random.default_rng(7)
-    broken = reach.falsify_hybrid(automaton, BOX, asked, 2.0, dt=0.02, runs=30, rng=rng)
+    broken = reach.falsify_hybrid(automaton, BOX, specs, 2.0, dt=0.02, runs=30, rng=rng)
     assert verdict.status in ("proven", "violated", "unknown")
     assert not (verdict.status == "proven" and broken is not None)
 
@@ -254,8 +254,8 @@ def test_a_replay_refuses_what_is_not_admissible():
     first = path.visits[0]
     early = replace(first, times=first.times[:-20], states=first.states[:-20])  # jumps before the guard
     assert reach.replay_hybrid(automaton, reach.HybridTrajectory((early, *path.visits[1:]))) == np.inf
-    moved = replace(first, states=first.states + 0.01 * np.arange(len(first.times))[:, None])
-    assert reach.replay_hybrid(automaton, reach.HybridTrajectory((moved,))) > 1e-3
+    shifted = replace(first, states=first.states + 0.01 * np.arange(len(first.times))[:, None])
+    assert reach.replay_hybrid(automaton, reach.HybridTrajectory((shifted,))) > 1e-3
 
 
 def test_a_trajectory_without_a_way_out_ends():
@@ -271,16 +271,16 @@ ONE = [Mode("a", PLAIN)]
 STILL = HybridAutomaton(ONE)
 
 
-def leaving(**more):
-    return HybridAutomaton(ONE, [Transition("a", "a", **more)])
+def leaving(**options):
+    return HybridAutomaton(ONE, [Transition("a", "a", **options)])
 
 
 def tube_of(initial=BOX, horizon=1.0, **options):
     return hybrid_tube(STILL, initial, horizon, HybridOptions(**{"step": 0.1} | options))
 
 
-def flown(x=(0, 0), **more):
-    return reach.simulate_hybrid(STILL, list(x), 1.0, dt=0.1, **more)
+def flown(x=(0, 0), **options):
+    return reach.simulate_hybrid(STILL, list(x), 1.0, dt=0.1, **options)
 
 
 def asked(mode, region):

@@ -39,11 +39,11 @@ def test_bands_hold_on_a_grid_and_touch(activation):
         lo, hi = ends[:, 0], ends[:, 1]
         slope, offset, radius = activation.band(lo, hi)
         y = lo + (hi - lo) * np.linspace(0, 1, 2001)[:, None]
-        off = np.abs(activation(y) - slope * y - offset)
-        assert np.all(off <= radius)
+        errors = np.abs(activation(y) - slope * y - offset)
+        assert np.all(errors <= radius)
         # What rounding is booked apart, the band is the least of its slope.
         slack = 64 * np.finfo(float).eps * (np.abs(ends).max(axis=1) + 1)
-        assert np.all(off.max(axis=0) >= 0.999 * radius - slack - 1e-5 * (hi - lo) * (radius > 0))
+        assert np.all(errors.max(axis=0) >= 0.999 * radius - slack - 1e-5 * (hi - lo) * (radius > 0))
 
 
 def drawn(rng, depth, width, scaling):
@@ -73,8 +73,8 @@ def filled(seed, depth, width, scaling):
     a[:200] = np.sign(a[:200])
     a[np.arange(100), rng.integers(0, g, 100)] = rng.uniform(-1, 1, 100)
     out = net(inputs.c + a @ inputs.G.T)
-    left = np.abs(out - enclosed.c - a @ enclosed.G[:, :g].T)
-    assert np.all(left <= np.abs(enclosed.G[:, g:]).sum(axis=1)) and np.all(np.isfinite(enclosed.G))
+    residual = np.abs(out - enclosed.c - a @ enclosed.G[:, :g].T)
+    assert np.all(residual <= np.abs(enclosed.G[:, g:]).sum(axis=1)) and np.all(np.isfinite(enclosed.G))
     return np.max(np.ptp(out, axis=0) / np.maximum(2 * enclosed.half_widths, 1e-300))
 
 
@@ -191,7 +191,7 @@ def escapes(net, hull, x, order, dtype=np.float32):
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_single_precision_stays_in_the_hull_that_books_it_and_leaves_the_one_that_does_not(order):
-    rng, left = np.random.default_rng(5), 0
+    rng, escaped = np.random.default_rng(5), 0
     for k in range(60):
         activation = ACTIVATIONS[k % len(ACTIVATIONS)]
         net = random_network(rng, 4, [int(rng.integers(2, 65))] * int(rng.integers(1, 4)), 2, activation, 1.5)
@@ -200,12 +200,12 @@ def test_single_precision_stays_in_the_hull_that_books_it_and_leaves_the_one_tha
             net = Network((*net.layers, big))
         x = np.ones(4) + 1e-3 * rng.normal(size=4)
         point = Zonotope.point(x)
-        booked = with_precision(net, "float32").enclose(point)
-        assert escapes(net, booked, x, order) <= 0
-        left += escapes(net, net.enclose(point), x, order) > 0
+        enclosure = with_precision(net, "float32").enclose(point)
+        assert escapes(net, enclosure, x, order) <= 0
+        escaped += escapes(net, net.enclose(point), x, order) > 0
         size = np.abs(net.enclose(point).c) + (1e3 if k % 3 == 0 else 1)
-        assert np.all(booked.half_widths <= 2e-3 * size)
-    assert left > 50
+        assert np.all(enclosure.half_widths <= 2e-3 * size)
+    assert escaped > 50
 
 
 @pytest.mark.parametrize(
@@ -295,5 +295,5 @@ def test_steepest_bounds_differences_of_outputs():
         rounded, exact = net.steepest(np.eye(4)), Network(net.layers).steepest(np.eye(4))
         assert np.all(rounded > exact)
         x, z = rng.normal(size=(200, 4)), 0.5 * rng.normal(size=(200, 4))
-        moved = np.abs(Network(net.layers)(x + z) - Network(net.layers)(x))
-        assert np.all(moved <= np.abs(z) @ exact.T + 1e-12)
+        changes = np.abs(Network(net.layers)(x + z) - Network(net.layers)(x))
+        assert np.all(changes <= np.abs(z) @ exact.T + 1e-12)

@@ -21,8 +21,8 @@ from reach.sets.zonotope import Zonotope  # noqa: E402
 def constant(name, value):
     if isinstance(value, np.ndarray) and value.dtype != float:
         return numpy_helper.from_array(value, name)
-    whole = isinstance(value, list) and all(isinstance(part, int) for part in value)
-    return numpy_helper.from_array(np.asarray(value, dtype=np.int64 if whole else np.float32), name)
+    integral = isinstance(value, list) and all(isinstance(part, int) for part in value)
+    return numpy_helper.from_array(np.asarray(value, dtype=np.int64 if integral else np.float32), name)
 
 
 def model(nodes, weights, inputs=3, outputs=2, shape=None):
@@ -35,13 +35,13 @@ def model(nodes, weights, inputs=3, outputs=2, shape=None):
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
 
 
-def node(kind, inputs, out, **more):
-    return helper.make_node(kind, inputs.split(), [out], **more)
+def node(kind, inputs, out, **attributes):
+    return helper.make_node(kind, inputs.split(), [out], **attributes)
 
 
-def saved(tmp_path, *args, **more):
+def saved(tmp_path, *args, **options):
     path = tmp_path / "policy.onnx"
-    path.write_bytes(model(*args, **more).SerializeToString())
+    path.write_bytes(model(*args, **options).SerializeToString())
     return path
 
 
@@ -76,8 +76,8 @@ CHAINS = {
 
 @pytest.mark.parametrize("name", CHAINS)
 def test_it_computes_what_the_file_says(name, tmp_path):
-    nodes, more = CHAINS[name]
-    path = saved(tmp_path, nodes, WEIGHTS | more)
+    nodes, extra = CHAINS[name]
+    path = saved(tmp_path, nodes, WEIGHTS | extra)
     net, truth = read_onnx(path), ReferenceEvaluator(str(path))
     for x in RNG.normal(size=(20, 1, 3)).astype(np.float32):
         assert net(x.astype(float))[0] == pytest.approx(truth.run(None, {"x": x})[0][0], rel=1e-5, abs=1e-5)
@@ -128,9 +128,9 @@ WRONG |= {name: ([FIRST, kept, SECOND], more, words) for name, (kept, more, word
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_not_understood_is_one_error(name, tmp_path):
-    nodes, more, words = WRONG[name]
+    nodes, extra, words = WRONG[name]
     with pytest.raises(ReachError, match=words) as raised:
-        read_onnx(saved(tmp_path, nodes, WEIGHTS | more))
+        read_onnx(saved(tmp_path, nodes, WEIGHTS | extra))
     assert "policy.onnx" in str(raised.value) and "\n" not in str(raised.value)
 
 
@@ -159,10 +159,10 @@ def test_shapes_may_change_where_no_value_moves(name, tmp_path):
 
 
 def test_garbled_files_are_one_error_or_a_network(tmp_path):
-    nodes, more = CHAINS["normalised"]
-    whole, path, refused = saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), tmp_path / "garbled.onnx", 0
+    nodes, extra = CHAINS["normalised"]
+    stored, path, refused = saved(tmp_path, nodes, WEIGHTS | extra).read_bytes(), tmp_path / "garbled.onnx", 0
     for _ in range(400):
-        data = bytearray(whole)
+        data = bytearray(stored)
         for at in RNG.integers(0, len(data), int(RNG.integers(1, 6))):
             data[at] = int(RNG.integers(256))
         path.write_bytes(data[: len(data) if RNG.random() < 0.7 else int(RNG.integers(len(data)))])
@@ -189,21 +189,21 @@ def test_files_that_are_none(tmp_path):
         read_onnx(saved(tmp_path, [FIRST, LAST], WEIGHTS, shape=[4, 3]))
 
 
-def cut_short(made):
-    made.graph.initializer[0].raw_data = made.graph.initializer[0].raw_data[:-4]
+def cut_short(net):
+    net.graph.initializer[0].raw_data = net.graph.initializer[0].raw_data[:-4]
 
 
-def too_large(made):
-    made.graph.initializer[0].dims[:] = [2**31, 2**31]
+def too_large(net):
+    net.graph.initializer[0].dims[:] = [2**31, 2**31]
 
 
-def elsewhere(made):
-    made.graph.initializer[0].data_location = TensorProto.EXTERNAL
+def elsewhere(net):
+    net.graph.initializer[0].data_location = TensorProto.EXTERNAL
 
 
-def defining(made):
+def defining(net):
     call = [helper.make_node("Relu", ["a"], ["b"])]
-    made.functions.append(helper.make_function("", "Gemm", ["a"], ["b"], call, [helper.make_opsetid("", 17)]))
+    net.functions.append(helper.make_function("", "Gemm", ["a"], ["b"], call, [helper.make_opsetid("", 17)]))
 
 
 @pytest.mark.parametrize(
@@ -216,9 +216,9 @@ def defining(made):
     ],
 )
 def test_files_that_are_no_plain_model_are_one_error(change, words, tmp_path):
-    made, path = model([FIRST, LAST], WEIGHTS), tmp_path / "policy.onnx"
-    change(made)
-    path.write_bytes(made.SerializeToString())
+    net, path = model([FIRST, LAST], WEIGHTS), tmp_path / "policy.onnx"
+    change(net)
+    path.write_bytes(net.SerializeToString())
     with pytest.raises(ReachError, match=words):
         read_onnx(path)
 

@@ -79,13 +79,13 @@ def test_a_box_around_a_centre_and_its_zonotope_hold_every_corner(c, r):
 def test_halfspace_leaves_the_tight_box(box, normal, offset):
     grid = np.stack(np.meshgrid(*(np.linspace(lo, hi, 9) for lo, hi in zip(box.lo, box.hi, strict=True))))
     points = grid.reshape(2, -1).T
-    left = points[points @ normal <= offset]
+    inside = points[points @ normal <= offset]
     if -box.support(-normal) > offset:
         with pytest.raises(ReachError, match="no point of the set"):
             box.meet_halfspace(normal, offset)
         return
     cut = box.meet_halfspace(normal, offset)
-    assert cut.contains(left).all() and box.contains(cut.vertices_2d()).all()
+    assert cut.contains(inside).all() and box.contains(cut.vertices_2d()).all()
     # Every face of the answer is reached by the true part.
     part = box.to_polytope().intersect_halfspace(normal, offset) if normal.any() else box.to_polytope()
     if not part.is_empty:
@@ -259,8 +259,8 @@ def test_volume_and_vertices_of_a_box_and_of_a_simplex(n):
 
 
 def test_images():
-    turned = np.array([[0.0, 2.0], [-1.0, 0.0]]) @ SQUARE
-    assert isinstance(turned, HPolytope) and np.allclose(turned.interval_hull().hi, [4, 1])
+    image = np.array([[0.0, 2.0], [-1.0, 0.0]]) @ SQUARE
+    assert isinstance(image, HPolytope) and np.allclose(image.interval_hull().hi, [4, 1])
     assert isinstance(np.array([[1.0, 1.0]]) @ SQUARE, AffineImage)
     assert isinstance(0 * SQUARE, AffineImage) and np.allclose((0 * SQUARE).interval_hull().hi, 0)
     assert np.allclose(SQUARE.project([1]).interval_hull().hi, [2])
@@ -277,14 +277,14 @@ def test_units_do_not_matter_to_the_solver():
 @given(zonotopes(3), vectors(3), numbers)
 def test_what_a_halfspace_leaves_is_enclosed(z, normal, offset):
     points = z.sample(np.random.default_rng(0), 200)
-    left = points[points @ normal <= offset]
+    inside = points[points @ normal <= offset]
     if -z.support(-normal) > offset:
         with pytest.raises(ReachError, match="no point of the set"):
             meet_halfspace(z, normal, offset)
         return
     part, D = meet_halfspace(z, normal, offset), directions(3)
-    if len(left):
-        assert np.all((left @ D.T).max(axis=0) <= part.support_up(D))
+    if len(inside):
+        assert np.all((inside @ D.T).max(axis=0) <= part.support_up(D))
     if z.support(normal) <= offset:
         assert np.allclose(part.support(D), z.support(D))
 
@@ -308,12 +308,12 @@ def test_hulls_contain_both_sets_exactly(n, data):
 
 def test_hull_of_a_set_and_its_shuffled_translate_is_tight():
     z = Zonotope([0.0, 0.0], [[1, 0.5, 0], [0, 1, 2]])
-    moved = Zonotope([3.0, 0.0], -z.G[:, [2, 0, 1]])
-    hull = enclosing_hull(z, moved)
+    translate = Zonotope([3.0, 0.0], -z.G[:, [2, 0, 1]])
+    hull = enclosing_hull(z, translate)
     D = directions(2)
-    assert np.allclose(hull.support(D), np.maximum(z.support(D), moved.support(D)))
-    assert z.hull(moved).half_widths.sum() > hull.half_widths.sum()
-    both = enclosing_hull(Zonotope.stack([z, moved]), moved)
+    assert np.allclose(hull.support(D), np.maximum(z.support(D), translate.support(D)))
+    assert z.hull(translate).half_widths.sum() > hull.half_widths.sum()
+    both = enclosing_hull(Zonotope.stack([z, translate]), translate)
     assert both.batch == (2,) and np.allclose(both[0].support(D), hull.support(D))
 
 
@@ -335,9 +335,9 @@ def test_an_outline_has_the_support_of_the_set_or_a_little_more(X):
 @settings(max_examples=20)
 @given(polytopes(2))
 def test_vertices_of_a_polytope_are_those_of_qhull(P):
-    mine, theirs = P.vertices_2d(), P.vertices()
-    assert np.isclose(area(mine), P.volume(), rtol=1e-6)
-    for one, other in ((mine, theirs), (theirs, mine)):
+    planar, by_qhull = P.vertices_2d(), P.vertices()
+    assert np.isclose(area(planar), P.volume(), rtol=1e-6)
+    for one, other in ((planar, by_qhull), (by_qhull, planar)):
         near = np.abs(one[:, None] - other[None]).sum(axis=-1).min(axis=1)
         assert near.max() <= 1e-5 * size(P)
 
@@ -417,8 +417,8 @@ def test_parallel_loses_less_than_half_of_what_pca_does_where_generators_turn_sl
     for _ in range(99):
         blocks.append(0.98 * F @ blocks[-1])
     z = Zonotope(np.zeros(4), np.hstack(blocks) * rng.uniform(0.9, 1, 400))
-    lost = {name: mean_width(reduce(z, 15, name).G) / mean_width(z.G) - 1 for name in ("pca", "parallel")}
-    assert 0 <= lost["parallel"] < lost["pca"] / 2
+    growth = {name: mean_width(reduce(z, 15, name).G) / mean_width(z.G) - 1 for name in ("pca", "parallel")}
+    assert 0 <= growth["parallel"] < growth["pca"] / 2
 
 
 def test_auto_is_never_wider_than_a_single_method():

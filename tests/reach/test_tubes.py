@@ -147,11 +147,11 @@ def test_a_discrete_system_is_exact(case):
     steps = LinearSystem(
         A, system.B if system.U else None, system.U or None, system.c, [3.0] if system.U else (), True
     )
-    for kept in (
+    for variant in (
         steps,
         LinearSystem(sparse.csr_matrix(A), steps.B, steps.U or None, steps.c, steps.breaks, True),
     ):
-        tube = support_tube(kept, X, 9, D)
+        tube = support_tube(variant, X, 9, D)
         value = X.support(D @ np.linalg.matrix_power(A, 9))
         for j in range(9):
             row = D @ np.linalg.matrix_power(A, 8 - j)
@@ -368,13 +368,13 @@ def test_what_is_left_out_is_nothing():
 def test_holding_inputs_appends_them_as_states(make, discrete):
     push = Signal([0.0], [[1.0]])
     system = LinearSystem(make(A), [[0.0], [2.0]], U, [1.0, 0.0], discrete=discrete, nominal=push)
-    held = system.holding_inputs()
-    assert held.nominal is push and np.array_equal(sparse.csr_matrix(held.B).toarray(), [[0.0], [2.0], [0.0]])
-    assert held.sparse == system.sparse
-    matrix = held.A.toarray() if held.sparse else held.A
+    full = system.holding_inputs()
+    assert full.nominal is push and np.array_equal(sparse.csr_matrix(full.B).toarray(), [[0.0], [2.0], [0.0]])
+    assert full.sparse == system.sparse
+    matrix = full.A.toarray() if full.sparse else full.A
     last = [0.0, 0.0, float(discrete)]
     assert np.array_equal(matrix, [[0.0, 1.0, 0.0], [-1.0, 0.0, 2.0], last])
-    assert np.array_equal(held.c, [1.0, 0.0, 0.0]) and held.U == ()
+    assert np.array_equal(full.c, [1.0, 0.0, 0.0]) and full.U == ()
 
 
 B = [[0.0], [1.0]]

@@ -116,11 +116,11 @@ def test_a_clock_that_jumps_changes_no_verdict(monkeypatch):
 def test_an_unseen_part_that_overflows_gives_no_nan():
     A = np.array([[-1.0, 0.0], [1e-3, 400.0]])
     start = Interval([1.0, 0.0], [1.0, 0.0])
-    for kept in (A, sparse.csr_matrix(A)):
-        tube = support_tube(LinearSystem(kept), start, 1.0, [[1.0, 0.0]], step=0.01)
+    for matrix in (A, sparse.csr_matrix(A)):
+        tube = support_tube(LinearSystem(matrix), start, 1.0, [[1.0, 0.0]], step=0.01)
         assert np.all(np.isfinite(tube.upper)) and np.all(tube.upper[-1] >= np.exp(-1.0))
         try:
-            tube = support_tube(LinearSystem(kept * 2), start, 1.0, [[0.0, 1.0]], step=0.01)
+            tube = support_tube(LinearSystem(matrix * 2), start, 1.0, [[0.0, 1.0]], step=0.01)
         except Unresolved:
             continue
         assert np.all(np.isfinite(tube.upper)) and np.all(np.isfinite(tube.interval))
@@ -173,8 +173,8 @@ def test_wrong_arguments_get_one_clear_error(arguments, message):
 
 def test_large_sparse_systems_book_the_rounding_of_what_grows():
     # the row avoids the growing motion but for rounding
-    turned = np.array([[1.0, 2.0], [1.0, 3.0]]) @ np.diag([20.0, -1.0]) @ np.array([[3.0, -2.0], [-1.0, 1.0]])
-    A = sparse.csr_matrix(block_diag(turned, -np.eye(448)))
+    block = np.array([[1.0, 2.0], [1.0, 3.0]]) @ np.diag([20.0, -1.0]) @ np.array([[3.0, -2.0], [-1.0, 1.0]])
+    A = sparse.csr_matrix(block_diag(block, -np.eye(448)))
     start = np.zeros(450)
     start[:2] = -5.0, -6.0
     row = np.zeros((1, 450))
@@ -202,12 +202,12 @@ def test_a_polytope_as_input_or_initial_set_takes_a_few_programs(monkeypatch, st
     rng = np.random.default_rng(1)
     A, B = rng.normal(size=(4, 4)) - 2 * np.eye(4), rng.normal(size=(4, 2))
     U, X = Interval([-1.0, -0.5], [1.0, 0.5]), Interval(-np.ones(4), np.ones(4))
-    want = support_tube(LinearSystem(A, B, U), X, 1.0, np.eye(4), step=1 / steps)
+    by_box = support_tube(LinearSystem(A, B, U), X, 1.0, np.eye(4), step=1 / steps)
     solved = counted(monkeypatch)
     tube = support_tube(LinearSystem(A, B, U.to_polytope()), X.to_polytope(), 1.0, np.eye(4), step=1 / steps)
     assert len(solved) < 40
-    assert np.all(tube.upper >= want.attained - 1e-9) and np.allclose(tube.upper, want.upper, rtol=1e-3)
-    assert np.all(tube.attained <= want.upper + 1e-9)
+    assert np.all(tube.upper >= by_box.attained - 1e-9) and np.allclose(tube.upper, by_box.upper, rtol=1e-3)
+    assert np.all(tube.attained <= by_box.upper + 1e-9)
 
 
 def test_a_filled_matrix_in_a_sparse_container_is_handled_as_dense():

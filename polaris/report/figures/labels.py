@@ -146,10 +146,8 @@ def _spot(free_space: _Map, anchors: Array, outline: Array, size: Array, point: 
     places = (chosen[:, None] + np.concatenate(offsets)).reshape(-1, 2)
     middle, extent = (outline.min(axis=0) + outline.max(axis=0)) / 2, np.ptp(outline, axis=0)
     within = middle + np.array(WITHIN) * extent if np.all(extent > 1.5 * size) else np.zeros((0, 2))
-    across = [
-        np.arange(a, b, length / 3)
-        for a, b, length in zip(free_space.low, free_space.high, size, strict=True)
-    ]
+    sides = zip(free_space.low, free_space.high, size, strict=True)
+    across = [np.arange(a, b, length / 3) for a, b, length in sides]
     anywhere = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
     for candidates in (np.vstack([within, places]), anywhere):
         at = np.maximum(np.minimum(candidates, free_space.high - size / 2), free_space.low + size / 2)

@@ -77,9 +77,8 @@ def _light_font() -> str:
     options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
     font = subset.load_font(str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), options)
     subsetter = subset.Subsetter(options)
-    subsetter.populate(
-        unicodes=[*range(0x20, 0x180), *range(0x370, 0x400), *range(0x2010, 0x2060), 0x2212, 0x25CB]
-    )
+    letters = [*range(0x20, 0x180), *range(0x370, 0x400), *range(0x2010, 0x2060), 0x2212, 0x25CB]
+    subsetter.populate(unicodes=letters)
     subsetter.subset(font)
     for entry in font["name"].names:
         if entry.nameID in (1, 3, 4, 6):  # a changed font needs a name of its own

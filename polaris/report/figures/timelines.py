@@ -20,11 +20,8 @@ from .labels import name
 from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, shortened
 
 DASHES: dict[str, Any] = {
-    "solid": "-",
-    "dash": (0, (4, 1.2)),
-    "dot": (0, (1.2, 1)),
-    "dashdot": (0, (4, 1, 1, 1)),
-    "longdash": (0, (7, 1.2)),
+    **{"solid": "-", "dash": (0, (4, 1.2)), "dot": (0, (1.2, 1))},
+    **{"dashdot": (0, (4, 1, 1, 1)), "longdash": (0, (7, 1.2))},
 }
 FAR = 3.0  # a line of a pilot that is not shown at first is cut above so many times the range of the others
 PAD = 0.07  # margin above and below what is drawn, as a share of its range
@@ -57,8 +54,9 @@ def draw_panel(ax: Any, panel: Panel, controllers: Sequence[Actor], labelled: se
     """Draw one diagram of the first runs; its legend has the lines that have not been `labelled` above."""
     actors, labelled = {one.key: one for one in controllers}, set() if labelled is None else labelled
     # Inputs of pilots that are not shown at first would hide those that are.
+    series = panel.series
     lines = [
-        one for one in panel.series if one.controller is None or actors[one.controller].on or not one.step
+        each for each in series if each.controller is None or actors[each.controller].on or not each.step
     ]
     heavy = [one for one in controllers if one.on] if not all(one.on for one in controllers) else []
     end = max(float(one.times[-1]) for one in [controller.flights for controller in controllers] or lines)

@@ -121,10 +121,10 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
     for against, others in groups.items():
         keys = dict.fromkeys(key for cells in others.values() for key in cells)
         measures = [Measure.from_key(key) for key in keys]
-        rows = [
-            [Cell(name := names.get(key, key), name), *(cells.get(one.key, Cell("")) for one in measures)]
-            for key, cells in others.items()
-        ]
+        rows = []
+        for key, cells in others.items():
+            name = names.get(key, key)
+            rows.append([Cell(name, name), *(cells.get(one.key, Cell("")) for one in measures)])
         caption = (
             f"Method minus {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
             " a difference whose bounds include 0 says so"

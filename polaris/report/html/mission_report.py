@@ -29,11 +29,8 @@ def mission_page(folder: RunFolder) -> Page:
     lead = Markup(macros("run.html").answers(cards, _stretches(picture), f"{picture.flown.times[-1]:.6g} s"))
     joints = Markup("").join(table(each) for each in joint_tables(summary))
     flights = Table("Simulated from end to end", ["", ""], [[*map(Cell, row)] for row in rows_flown(summary)])
-    sections = [
-        ("legs", "Legs", table(legs_table(summary))),
-        ("joints", "GO or NO-GO", joints),
-        ("flights", "Flights", table(flights)),
-    ]
+    sections = [("legs", "Legs", table(legs_table(summary))), ("joints", "GO or NO-GO", joints)]
+    sections.append(("flights", "Flights", table(flights)))
     for name, leg in zip(names, picture.legs, strict=True):
         link = Markup('<p><a href="{0}/report.html">Interactive report of this leg</a>, in folder {0}.</p>')
         head = answers(leg.summary, leg.plot_data()) + link.format(leg.path.name)

@@ -57,10 +57,8 @@ def flight_timeline(run: InspectionRun, families: Families) -> Timeline:
 
 def deputies(run: InspectionRun) -> list[Actor]:
     """Return all deputies with their paths."""
-    return [
-        _pilot(i, f"deputy {i}", run.t, run.x[:, i], run.u[:, i], run.status[:, i])
-        for i in range(run.inspection.deputies)
-    ]
+    count, t, x, u, status = run.inspection.deputies, run.t, run.x, run.u, run.status
+    return [_pilot(i, f"deputy {i}", t, x[:, i], u[:, i], status[:, i]) for i in range(count)]
 
 
 def fuel_view(run: FuelRun) -> View:

@@ -18,10 +18,8 @@ MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "
 SET_SHADES = ("#9A141D", "#F3A6AB")  # darkest and lightest of unsafe sets that are told apart
 INPUT_SHADES = ("#3C3C3C", "#D4D4D4")  # darkest and lightest of inputs
 
-METHOD_COLOURS = (
-    *(BLUE, ORANGE, BLACK, GREEN, PURPLE, VERMILION, SKY),
-    *("#6B4A0F", "#8A8A8A", "#B8860B", "#7A1FA2", "#4D7A00"),
-)
+FIRST_COLOURS = BLUE, ORANGE, BLACK, GREEN, PURPLE, VERMILION, SKY
+METHOD_COLOURS = (*FIRST_COLOURS, "#6B4A0F", "#8A8A8A", "#B8860B", "#7A1FA2", "#4D7A00")
 """Of the methods of a comparison: S alone and U alone come first, in the colours of S and U."""
 METHOD_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 DEPUTY_COLOURS = (BLUE, VERMILION, PURPLE, BLACK, ORANGE, SKY, "#8C6D1F", "#5B5B5B")

@@ -165,10 +165,8 @@ def _tube(picture: PlotData, axes: list[int]) -> list[Item]:
     times = ((np.arange(K)[:, None] + edges[:-1] / q) * delta).ravel()
     rays = directions(32) if dim == 2 else directions_in_space(dim)
     centre = tube.centre[..., axes]
-    support = geometry.tube_support(
-        centre, tube.generators[..., axes, :], tube.intersample[..., axes], parts, rays
-    )
-    support = support.reshape(-1, len(rays))
+    generators, intersample = tube.generators[..., axes, :], tube.intersample[..., axes]
+    support = geometry.tube_support(centre, generators, intersample, parts, rays).reshape(-1, len(rays))
     shapes: list[DrawnShape | None]
     if dim == 1:
         ends = zip(times, -support[:, 1], support[:, 0], strict=True)

@@ -231,10 +231,8 @@ def _limit_panel(
         series.append(Series(each.times, top + slope * far, name=name, colour=RED, dash="dash"))
     if proved and (bound := proven_distance(picture, limit)) is not None and picture.tube is not None:
         reach = np.abs(picture.tube.centre) + np.abs(picture.tube.generators).sum(axis=-1)
-        distance = np.linalg.norm(
-            np.maximum(reach[:, :-1], reach[:, 1:]) + _intersample(picture, picture.tube, system.position),
-            axis=-1,
-        )
+        between = _intersample(picture, picture.tube, system.position)
+        distance = np.linalg.norm(np.maximum(reach[:, :-1], reach[:, 1:]) + between, axis=-1)
         legend = f"{'most' if of_speed else 'least'} that is proven"
         series.append(_proven(picture, shown(bound, distance), legend))
     word, unit, side = ("Speed", "m/s", "above") if of_speed else ("Room", "m", "below")
@@ -267,10 +265,8 @@ def proven_distance(picture: PlotData, limit: StateLimit | None = None) -> Array
     if tube is None or not unsafe:
         return None
     q, intersample = tube.intersample.shape[1], _intersample(picture, tube, M)
-    gaps, offset_parts = (
-        [],
-        np.stack([system.state_offset_at_nodes, system.state_offset - system.state_offset_at_nodes]),
-    )
+    gaps, at_nodes = [], system.state_offset_at_nodes
+    offset_parts = np.stack([at_nodes, system.state_offset - at_nodes])
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)

@@ -168,7 +168,5 @@ def surroundings(q: Inspection) -> list[Item]:
     angle = np.linspace(0, 2 * np.pi, 73)
     ring = q.distance_max * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     rings = gapped((np.roll(ring, turn, axis=1) for turn in range(3)), 3)
-    return [
-        Item("chief", (geometry.ball(q.separation),)),
-        Item("keep", (DrawnShape("line", rings),), f"{LOOKS['keep'].name}, {q.distance_max:g} m"),
-    ]
+    chief, name = Item("chief", (geometry.ball(q.separation),)), f"{LOOKS['keep'].name}, {q.distance_max:g} m"
+    return [chief, Item("keep", (DrawnShape("line", rings),), name)]

@@ -70,18 +70,18 @@ UNTIL, EVER = (f"after T: the safety controller flies on {how}" for how in ("unt
 def test_those_that_apply_and_no_others_are_said_in_the_same_words(name, rest, others, last):
     """A certificate that leaves one out, or speaks of satellites that are none, is rejected."""
     scenario, schedule = scene(name)
-    said = list(schedule.assumptions)
-    words = {line.split(":")[0] for line in said}
+    lines = list(schedule.assumptions)
+    words = {line.split(":")[0] for line in lines}
     assert ("sets at rest" in words, "other satellites" in words) == (rest, others)
     assert {"model", "position", "initial state", "chaser", "perception", "sampling", "clocks"} <= words
-    assert said[-2].startswith(last) and said[-1].startswith("arithmetic: ")
+    assert lines[-2].startswith(last) and lines[-1].startswith("arithmetic: ")
     data = certificate(schedule, scenario.name)
-    assert data["assumptions"] == said[:-1]
-    assert Document(data).assumptions == said[:-1]
-    for i, line in enumerate(said[:-1]):
+    assert data["assumptions"] == lines[:-1]
+    assert Document(data).assumptions == lines[:-1]
+    for i, line in enumerate(lines[:-1]):
         if not line.startswith("other satellites"):
             with pytest.raises(Rejected, match="assumptions"):
-                restated(data, said[:i] + said[i + 1 : -1])
+                restated(data, lines[:i] + lines[i + 1 : -1])
     safety = schedule.safety
     end = {"horizon": data["horizon"], "until": safety.end.until, "position": safety.problem.system.C}
     if name in (

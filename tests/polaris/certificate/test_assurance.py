@@ -39,12 +39,12 @@ def claims_of_the_checker():
 
 def test_the_assumptions_are_those_that_runs_carry():
     listed = PAGE.split("## What the certificate rests on")[1].split("\n## ")[0]
-    known = {"estimate": [0.05] * 3 + [0.002] * 3, "timing": (2.0, 0.0, 0, 0.0), "carried": 0.005}
-    known |= {"thrusters": (0.0824742, 0.0377778, 0.0, 0.0), "pulses": [0.2] * 3, "allocated": True}
-    known |= {"position": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, -2.0]]}
+    fields = {"estimate": [0.05] * 3 + [0.002] * 3, "timing": (2.0, 0.0, 0, 0.0), "carried": 0.005}
+    fields |= {"thrusters": (0.0824742, 0.0377778, 0.0, 0.0), "pulses": [0.2] * 3, "allocated": True}
+    fields |= {"position": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, -2.0]]}
     late = [("loss", 4.0), ("navigation_lost", 10.0)]
     words = Assumptions(
-        1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0, late=late, **known
+        1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0, late=late, **fields
     ).sentences()
     assert re.findall(r"^- (.+)$", listed, re.M) == list(words)
 
@@ -80,7 +80,7 @@ def test_the_page_has_the_clauses_of_the_dossier():
     rows = [f"- {one.title}" for one in CLAUSES]
     sources = {one.source for one in CLAUSES}
     practice = PAGE.split("## Practices for proximity operations")[1].split("\n## ")[0]
-    shown = practice.split("**French technical regulation**")[1]
-    assert [row for row in shown.splitlines() if row.startswith("- ")] == rows
+    section = practice.split("**French technical regulation**")[1]
+    assert [row for row in section.splitlines() if row.startswith("- ")] == rows
     assert all(f"**{source}** [[" in practice for source in sources) and len(sources) == 3
     assert {"47-2", "47-5", "47-6"} <= set(re.findall(r"47-\d+", " ".join(one.title for one in CLAUSES)))

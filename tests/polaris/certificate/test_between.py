@@ -30,22 +30,22 @@ def forger(tmp_path_factory):
 @pytest.fixture(scope="module")
 def derived(forger):
     """Figures that the checker derives of the honest run, by name; lists over steps for aborts."""
-    known = {"before": [], "abort": [], "off": []}
+    figures = {"before": [], "abort": [], "off": []}
     require_bound, affords, distance = Arrival.require_bound, BranchMotion.affords, BranchMotion.distance
 
-    def told(self, what, claimed, value):
-        known[what] = float(value.upper())
-        require_bound(self, what, claimed, value)
+    def told(self, quantity, claimed, value):
+        figures[quantity] = float(value.upper())
+        require_bound(self, quantity, claimed, value)
 
-    def spent(self, taken, budget, stated):
-        known["before"].append(float(taken.before.upper()))
-        known["abort"].append((taken.k, float(self.cost(taken, taken.step.cell).upper())))
-        affords(self, taken, budget, stated)
+    def spent(self, takeover, budget, claims):
+        figures["before"].append(float(takeover.before.upper()))
+        figures["abort"].append((takeover.k, float(self.cost(takeover, takeover.step.cell).upper())))
+        affords(self, takeover, budget, claims)
 
-    def off(self, taken, cell):
-        away = distance(self, taken, cell)
-        known["off"].append((taken.step.branch, float(away.upper())))
-        return away
+    def off(self, takeover, cell):
+        deviation = distance(self, takeover, cell)
+        figures["off"].append((takeover.step.branch, float(deviation.upper())))
+        return deviation
 
     with (
         patch.object(Arrival, "require_bound", told),
@@ -54,61 +54,61 @@ def derived(forger):
     ):
         verdict = verify(forger.run)
     assert verdict.outcome == "VERIFIED", verdict.text()
-    return known
+    return figures
 
 
-def _distance(lie, known, share, given=False):
+def _distance(lie, figures, share, declared=False):
     """A tolerance that the scenario does not give is told, and proven as such."""
-    value, goal = known["distance from the goal"], lie.schedule["guarantee"]["goal"]
+    value, goal = figures["distance from the goal"], lie.schedule["guarantee"]["goal"]
     goal |= {"distance_m": TOLD * value, "tolerance_m": share * value}
-    if given:
+    if declared:
         lie.scenario["goal"]["tolerance_m"] = share * value
 
 
-def _budget(lie, known, share):
-    value = known["velocity change"]
+def _budget(lie, figures, share):
+    value = figures["velocity change"]
     lie.schedule["guarantee"]["goal"]["delta_v_max_m_s"] = TOLD * value
     allowed = lie.schedule["rules"]["delta_v_max"] = share * value
     lie.scenario["schedule"]["delta_v_max_m_s"] = allowed
 
 
-def _lasts(lie, known, share):
+def _lasts(lie, figures, share):
     upkeep = lie.schedule["guarantee"]["upkeep"]
-    until, rate = known["velocity change until it is settled"], known["velocity change per second"]
+    until, rate = figures["velocity change until it is settled"], figures["velocity change per second"]
     value = until + (upkeep["lasts_s"] - upkeep["settled_s"]) * rate
     upkeep |= {"until_settled_m_s": TOLD * until, "rate_m_s2": TOLD * rate, "tank_m_s": share * value}
     lie.scenario["tank"]["delta_v_m_s"] = share * value
 
 
-def _tank(lie, known, share):
-    value = max(sum(pair) for pair in zip(known["before"], (x for _, x in known["abort"]), strict=True))
-    _tell_aborts(lie, known)
+def _tank(lie, figures, share):
+    value = max(sum(pair) for pair in zip(figures["before"], (x for _, x in figures["abort"]), strict=True))
+    _tell_aborts(lie, figures)
     lie.schedule["guarantee"]["upkeep"] |= {"tank_m_s": share * value, "lasts_s": 0.0}
     lie.scenario["tank"]["delta_v_m_s"] = share * value
 
 
-def _abort(lie, known, share):
-    value = share * max(x for _, x in known["abort"])
-    _tell_aborts(lie, known)
+def _abort(lie, figures, share):
+    value = share * max(x for _, x in figures["abort"])
+    _tell_aborts(lie, figures)
     lie.certificate["powered"]["budget"] = hexed(value)
     lie.schedule["guarantee"]["powered_abort"]["delta_v_max_m_s"] = value
     lie.scenario["abort"]["delta_v_max_m_s"] = value
 
 
-def _tell_aborts(lie, known):
-    for k, value in known["abort"]:
+def _tell_aborts(lie, figures):
+    for k, value in figures["abort"]:
         lie.schedule["guarantee"]["powered_abort"]["steps"][k]["delta_v_m_s"] = TOLD * value
 
 
-def _orbit(lie, known, share):
+def _orbit(lie, figures, share):
     for place, branch in enumerate(lie.certificate["powered"]["branches"]):
-        offs = [off for at, off in known["off"] if at == place]
+        offs = [deviation for at, deviation in figures["off"] if at == place]
         if offs:
             branch["tolerance"] = hexed(share * max(offs))
 
 
 FORGED = {
-    "the scenario's tolerance": (partial(_distance, given=True), "goal"),
+    "the scenario's tolerance": (partial(_distance, declared=True), "goal"),
     "a told tolerance": (_distance, "goal"),
     "the budget": (_budget, "schedule"),
     "the tank in the end": (_lasts, "upkeep"),

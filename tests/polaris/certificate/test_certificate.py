@@ -88,14 +88,14 @@ def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(monkeypatch
 
 
 def test_no_guarantee_is_not_verified_even_if_nothing_else_fails():
-    for version, guarantee, known in (
+    for version, guarantee, expected in (
         (7, "none", ("REJECTED", "guarantee", 5)),
         (6, "proved", ("UNKNOWN", "format", 6)),
         (8, "proved", ("UNKNOWN", "format", 6)),
     ):
         data = variant() | {"guarantee": guarantee, "schema_version": version}
         verdict = verify_document(data | {"digest": digest(data)})
-        assert (verdict.outcome, verdict.claim, verdict.exit_code) == known
+        assert (verdict.outcome, verdict.claim, verdict.exit_code) == expected
 
 
 def test_it_carries_the_hash_of_every_artefact_and_exact_floats(run):
@@ -119,9 +119,9 @@ def test_polaris_verify(run, tmp_path):
     result = CliRunner().invoke(app, ["verify", str(run)])
     assert result.exit_code == 0, result.output
     assert "VERIFIED" in result.output and "perception" in result.output
-    bad = tmp_path / "bad.json"
-    bad.write_text((run / "certificate.json").read_text().replace('"steps":12', '"steps":13'))
-    result = CliRunner().invoke(app, ["verify", str(bad)])
+    altered = tmp_path / "bad.json"
+    altered.write_text((run / "certificate.json").read_text().replace('"steps":12', '"steps":13'))
+    result = CliRunner().invoke(app, ["verify", str(altered)])
     assert result.exit_code == 5 and "digest" in result.output
     assert CliRunner().invoke(app, ["verify", str(tmp_path / "none")]).exit_code == 2
 
@@ -173,5 +173,5 @@ def test_a_module_of_the_checker_imports_its_own_kind_only(module):
         if isinstance(node, ast.Import):
             assert all(alias.name.split(".")[0] in allowed for alias in node.names)
         if isinstance(node, ast.ImportFrom):
-            own = 1 <= node.level <= 1 + module.count("/")
-            assert own or (node.level == 0 and node.module.split(".")[0] in allowed), ast.unparse(node)
+            relative = 1 <= node.level <= 1 + module.count("/")
+            assert relative or (node.level == 0 and node.module.split(".")[0] in allowed), ast.unparse(node)

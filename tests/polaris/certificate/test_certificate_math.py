@@ -86,7 +86,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(12, 4, argument.craft.merge_rows))
+    sets, tubes = argument.tubes(path, Merging(12, 4, argument.craft.merge_rows))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -97,16 +97,16 @@ def test_reachable_sets_contain_what_is_flown(name):
         fullest = max(fullest, float(np.max(np.abs(errors - centre) / half)))
     assert fullest > 0.3  # the sets are no idle bounds
     for k, i in product(range(K), range(1, q)):
-        z = flown[k].nodes[i - 1]
+        z = tubes[k].nodes[i - 1]
         errors = runs.states[:, k * q + i] - values(path.arcs[k].nodes[i])[:, 0]
         assert np.all(np.abs(errors - values(z.c)[:, 0]) <= [float(x) + 1e-9 for x in z.widths])
 
 
 def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
     argument = copy(scene("clipped")[1])
-    for size, kept in ((1e-9, True), (100.0, False)):
+    for size, fits in ((1e-9, True), (100.0, False)):
         argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
-        with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
+        with nullcontext() if fits else pytest.raises(Rejected, match="separation"):
             argument.tubes(argument.reference(), Merging(12, 4, argument.craft.merge_rows))
 
 
@@ -201,17 +201,17 @@ def test_between_nodes_s_flies_below_the_chords_of_what_it_needs_at_nodes():
     of_set, of_push = (
         np.array([[float(x) for x in each] for each in tube]) for tube in (of_set, tightenings.disturbed[:9])
     )
-    moved, pushed, beyond = np.eye(2), np.zeros(2), 0.0
+    transition, forced, beyond = np.eye(2), np.zeros(2), 0.0
     for lag in range(8):
         for s in np.linspace(0, h, 21):
             Ad, Bd = discretize(A, B, s)
             M, share = rows @ (Ad - Bd @ K), s / h
-            reached = M @ moved @ c + np.abs(M @ moved @ G).sum(axis=1)
+            reached = M @ transition @ c + np.abs(M @ transition @ G).sum(axis=1)
             assert np.all(reached <= (1 - share) * of_set[lag] + share * of_set[lag + 1] + 1e-12)
             beyond = max(beyond, np.max(reached / np.maximum(of_set[lag], of_set[lag + 1])))
-            reached = M @ pushed + rows @ Bd[:, 0] * push
+            reached = M @ forced + rows @ Bd[:, 0] * push
             assert np.all(reached <= (1 - share) * of_push[lag] + share * of_push[lag + 1] + 1e-12)
-        moved, pushed = (Ad - Bd @ K) @ moved, (Ad - Bd @ K) @ pushed + Bd[:, 0] * push
+        transition, forced = (Ad - Bd @ K) @ transition, (Ad - Bd @ K) @ forced + Bd[:, 0] * push
     assert beyond > 0.9
 
 
@@ -230,8 +230,8 @@ def test_both_periods_beside_a_node_count(start):
             for rates in tightenings.rates[0].carried[:9]
         ]
     )
-    beside = np.maximum(bound, bound[[0, *range(8)]])
-    assert np.array([[float(x) for x in tube.next_to(lag)] for lag in range(9)]) == pytest.approx(beside)
+    larger = np.maximum(bound, bound[[0, *range(8)]])
+    assert np.array([[float(x) for x in tube.next_to(lag)] for lag in range(9)]) == pytest.approx(larger)
     assert np.any(np.diff(bound, axis=0) < 0) and np.any(np.diff(bound, axis=0) > 0)
 
 
@@ -336,13 +336,13 @@ def test_a_period_counts_every_push_at_its_end_and_on_the_way(steady):
     h, e, one = 0.5, 0.2, identity(2)
     plant = Plant(matrix([[0.0, 1], [0, -1]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
     zero, pushes = arb_mat(2, 1), [*plant.push([arb(e / 4)]), *plant.push([arb(3 * e / 4)])]
-    own = [] if steady else pushes
-    period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [], own[:1], own[1:], [])
+    inputs = [] if steady else pushes
+    period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [], inputs[:1], inputs[1:], [])
     along = RowIntersample(plant.open, one, [plant.disturbance, *(pushes if steady else [])])
     first, last = period.extra(along, Zonotope(zero, arb_mat(2, 0)))
     for t in np.linspace(0, h, 11):
-        for moved, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
-            assert float(a) * (1 - t / h) + float(b) * t / h >= moved * (1 - 1e-12)
+        for motion, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
+            assert float(a) * (1 - t / h) + float(b) * t / h >= motion * (1 - 1e-12)
 
 
 def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
@@ -458,8 +458,8 @@ def test_nearly_parallel_generators_are_merged_with_each_other():
     rng = np.random.default_rng(5)
     for turn in (1e-3, 1e-2, 5e-2):
         channels, sizes, signs = rng.normal(size=(4, 1, 6)), rng.uniform(0.1, 1, (1, 30, 1)), [-1, 1]
-        turned = channels + turn * rng.normal(size=(4, 30, 6))
-        G = (turned * sizes * rng.choice(signs, (4, 30, 1))).reshape(-1, 6)[rng.permutation(120)].T
+        rotated = channels + turn * rng.normal(size=(4, 30, 6))
+        G = (rotated * sizes * rng.choice(signs, (4, 30, 1))).reshape(-1, 6)[rng.permutation(120)].T
         full = Zonotope(arb_mat(6, 1), matrix(G.tolist()))
         small = full.reduced(6 + 40)
         rows = rng.normal(size=(500, 6))
@@ -486,7 +486,7 @@ def test_sets_merged_with_a_view_to_rows_contain_the_set(seed):
     rows = matrix([*rng.normal(size=(100, n)).tolist(), *np.eye(n).tolist()])
     wide = (abs(a - b) for a, b in zip((rows * full.c).entries(), (rows * small.c).entries(), strict=True))
     pairs = zip(full.spread(rows), wide, small.spread(rows), strict=True)
-    assert all((a + off).lower() <= b.upper() for a, off, b in pairs)
+    assert all((a + shift).lower() <= b.upper() for a, shift, b in pairs)
     assert small.G.ncols() <= max(g, n) + n
 
 
@@ -533,24 +533,24 @@ def test_a_facet_leaves_room_at_both_ends_of_every_part_of_a_drift_in_which_it_i
         _bookings=lambda item, facet: (matrix([[-1.0 if facet == 0 else 1.0]]), *unknown),
     )
     sizes = [column([arb(0)])] * 2
-    for middle, kept in ((1.0, True), (-1.0, False), (4.0, False)):
+    for middle, clear in ((1.0, True), (-1.0, False), (4.0, False)):
         states = [matrix([[x]]) for x in (2.0, middle, -4.0)]
-        with nullcontext() if kept else pytest.raises(Rejected, match="the drift from step 0 to wall"):
+        with nullcontext() if clear else pytest.raises(Rejected, match="the drift from step 0 to wall"):
             Drifts._clearances(drifts, 0, 0, [0, 1], states, sizes)
 
 
 def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_it():
-    argument, seen = scene("clipped, given period")[1], []
+    argument, calls = scene("clipped, given period")[1], []
     path = argument.reference()
     k = argument.document.modes.index(1)
     controller, start = argument.controllers[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
     spy = SimpleNamespace(
-        check=lambda i, base, d, moved, end, intersample: seen.append((base, d, intersample))
+        check=lambda i, base, d, image, end, intersample: calls.append((base, d, intersample))
     )
     enclose_step(controller, start, k, path, None, Merging(12, 4, argument.craft.merge_rows), spy)
-    base, d, intersample = seen[0]
+    base, d, intersample = calls[0]
     own = controller.period(d, base, k, 0)[0].extra(controller.craft.intersample(controller.craft.unit)[0], d)
     below = [each[0] for each in base.intersamples(identity(4))]
-    assert len(seen) == argument.document.q and any(x > 0 for x in below)
+    assert len(calls) == argument.document.q and any(x > 0 for x in below)
     least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]
     assert all(float(x) >= y * (1 - 1e-12) for x, y in zip(intersample, least, strict=True))

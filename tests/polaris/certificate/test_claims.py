@@ -49,11 +49,11 @@ def test_velocities_are_those_of_the_position_wherever_they_stand(tmp_path):
     base = tomllib.loads(TINY.read_text(encoding="utf-8")) | CART
     base |= {"feedback": {"period_s": 0.25}, "simulation": {"runs": 2}, "schedule": {"bound_programs": 0}}
     (tmp_path / "cart.toml").write_text(write_toml(base), encoding="utf-8")
-    made = run(tmp_path / "cart.toml", tmp_path / "run")
-    assert verify(made.path).outcome == "VERIFIED"
-    goal = made.summary["guarantee"]["goal"]
+    folder = run(tmp_path / "cart.toml", tmp_path / "run")
+    assert verify(folder.path).outcome == "VERIFIED"
+    goal = folder.summary["guarantee"]["goal"]
     assert goal["velocity_time_s"] == 3.0 and goal["drift_m_per_orbit"] is None  # a quarter of 12 s
-    states = made.plot_data().flights["polaris"].states[:, round(goal["by_s"] / 0.25)]
+    states = folder.plot_data().flights["polaris"].states[:, round(goal["by_s"] / 0.25)]
     velocity, _, position = (np.abs(states - [0.0, 0.0, 3.0]) - [0.02, 0.5, 0.01]).T  # beyond the goal's box
     assert np.all(np.maximum(position, 3.0 * velocity) <= goal["distance_m"])
 
@@ -75,21 +75,21 @@ def test_velocities_have_a_tolerance_of_their_own(tmp_path, most=0.5):
     near = [QUARTER, "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.1"]
     schedule = synthesize(load_scenario(TINY).with_assignments(near))
     runs, arrival = simulate(schedule, 200, 0, disturbance="worst", tail=True), schedule.arrival
-    off = np.abs(runs.states[:, round(arrival.by / 0.25)] - [8.0, 6.0, 0.0, 0.0]).max(axis=0)
-    assert arrival.distance <= 0.5 and np.all(off[:2] <= 0.5) and 0.03 < off[2:].max() <= 0.1
+    deviation = np.abs(runs.states[:, round(arrival.by / 0.25)] - [8.0, 6.0, 0.0, 0.0]).max(axis=0)
+    assert arrival.distance <= 0.5 and np.all(deviation[:2] <= 0.5) and 0.03 < deviation[2:].max() <= 0.1
 
 
 def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
     """Aborted flights arrive slowly enough, by the schedule's claim and by the checker's."""
     orbit = '{kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5,velocity_tolerance_m_s=0.05}'
-    asked = [QUARTER, f"abort={{orbit={orbit},within_s=14.0}}", "schedule.bound_programs=0"]
-    forger = Forger(make(asked, tmp_path), tmp_path)
+    assignments = [QUARTER, f"abort={{orbit={orbit},within_s=14.0}}", "schedule.bound_programs=0"]
+    forger = Forger(make(assignments, tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     schedule = read_schedule(forger.run)
     k, way = next((k, way) for k, way in enumerate(schedule.powered.ways) if way.branch is not None)
     runs = simulate(schedule.aborted(k), 40, 0, disturbance="worst", tail=True)
-    off = np.abs(runs.states[:, way.cell * 4] - [0.0, 6.0, 0.0, 0.0]).max(axis=0)
-    assert np.all(off <= [0.5, 0.5, 0.05, 0.05])
+    deviation = np.abs(runs.states[:, way.cell * 4] - [0.0, 6.0, 0.0, 0.0]).max(axis=0)
+    assert np.all(deviation <= [0.5, 0.5, 0.05, 0.05])
     lie = Lie(forger)
     lie.scenario["abort"]["orbit"]["velocity_tolerance_m_s"] = 0.001
     lie.judge({"powered_abort"})
@@ -256,13 +256,13 @@ ALONE += " guarantee synthesis.share_bound.programs synthesis.share_bound.demand
 
 def test_every_number_of_a_summary_that_contradicts_another_is_refused(demanding):
     """A new number? It is compared with another one of the folder, or there is none to compare it with."""
-    summary, seen = demanding.tree("summary.json"), set()
+    summary, patterns = demanding.tree("summary.json"), set()
     for at, value in places(summary):
         path = ".".join(map(str, at))
         if isinstance(value, dict) or any(f"{path}.".startswith(f"{alone}.") for alone in ALONE.split()):
             continue
-        flown = at[0] in ("polaris", "safety", "experimental")
-        seen.add(pattern := ".".join(("*", *at[1:])) if flown else path)
+        is_mode = at[0] in ("polaris", "safety", "experimental")
+        patterns.add(pattern := ".".join(("*", *at[1:])) if is_mode else path)
         for other in CONTRARY[pattern]:
             if other == value or (at[0] == "experimental" and pattern.startswith(("*.min_d", "*.min_ttc_s"))):
                 continue  # U alone may collide, of which nothing follows
@@ -274,7 +274,7 @@ def test_every_number_of_a_summary_that_contradicts_another_is_refused(demanding
                 path,
                 other,
             )
-    assert seen == set(CONTRARY)
+    assert patterns == set(CONTRARY)
 
 
 BETTER = {

@@ -55,10 +55,10 @@ class Driven:
         for i, u in enumerate(self.inputs):
             e = e + (i == self.when) * self.side * self.kick
             answer = -self.gain @ (e + self.noise[i] * self.system.navigation)
-            made = answer + self.error[i] * thrusters.error(np.abs(u + answer))
+            correction = answer + self.error[i] * thrusters.error(np.abs(u + answer))
             commands.append(u + answer)
-            applied.append(u + made)
-            e = self.phi @ e + self.gamma @ made + self.w[i]
+            applied.append(u + correction)
+            e = self.phi @ e + self.gamma @ correction + self.w[i]
         return np.array(commands), np.array(applied)
 
     def climb(self):
@@ -105,8 +105,8 @@ def test_a_loop_that_is_driven_to_its_worst_spends_no_more(tracking, seed):
     for name, (bound, path, from_set, kicked) in parts.items():
         bound += count * corrections.mean * (name != "mean")
         driven = Driven(tracking, path, from_set, kicked, rng)
-        spent = max(driven.climb() for _ in range(8))
-        assert 0.35 * bound < spent <= bound, name
+        delta_v = max(driven.climb() for _ in range(8))
+        assert 0.35 * bound < delta_v <= bound, name
     driven = Driven(tracking, inputs, start, kick, rng)
     assert 0.35 * whole < max(driven.climb() for _ in range(8)) <= whole
 
@@ -117,7 +117,7 @@ def test_the_checker_derives_it_and_refuses_less(monkeypatch):
     schedule = synthesize(scenario)
     ways = schedule.powered.ways
     with monkeypatch.context() as without:
-        without.setattr(AbortBranch, "_together", lambda self, taken, end: np.inf)
+        without.setattr(AbortBranch, "_together", lambda self, takeover, end: np.inf)
         before = synthesize(scenario).powered.ways
     shares = [
         a.delta_v / b.delta_v if a.branch is not None else np.nan for a, b in zip(ways, before, strict=True)
@@ -149,9 +149,9 @@ def test_errors_that_feed_on_themselves_have_no_bound(tracking):
 def test_from_most_steps_of_an_approach_with_all_errors_an_abort_fits_its_budget(tmp_path):
     """All errors at once, two late faults, delay and pulses; 3 m/s are allowed, and 18 sum up of periods."""
     scenario = load_scenario(SCENE)
-    flown = fly_schedule(scenario, Stages())
-    schedule = flown.schedule
+    mission = fly_schedule(scenario, Stages())
+    schedule = mission.schedule
     assert len(proven(schedule)) >= 20 and len(schedule.powered.branches) <= 8
-    write_run(tmp_path / "run", scenario, schedule, flown.flown)
+    write_run(tmp_path / "run", scenario, schedule, mission.flown)
     assert verify(tmp_path / "run").outcome == "VERIFIED"
     assert falsify(schedule, 2000, 0).failure is None

@@ -110,13 +110,13 @@ EXCUSED = (*NO_CLAIM, *SAME, *SAFER)
 
 @pytest.fixture(scope="module")
 def forgers(tmp_path_factory):
-    made = {}
+    cached = {}
 
     def forger(kind):
-        if kind not in made:
+        if kind not in cached:
             folder = tmp_path_factory.mktemp(kind)
-            made[kind] = Forger(make(FOLLOWING[kind], folder), folder)
-        return made[kind]
+            cached[kind] = Forger(make(FOLLOWING[kind], folder), folder)
+        return cached[kind]
 
     return forger
 
@@ -202,8 +202,8 @@ def test_another_setpoint_is_refused(forgers, state):
     states, inputs = lie.follow()
     lie.modes([0] * len(inputs))
     if state is None:
-        moved = states + np.array([0.5, 0.0, 0.0, 0.0])
-        lie.own(1, moved, inputs + (states - moved)[:-1] @ K.T)
+        shifted = states + np.array([0.5, 0.0, 0.0, 0.0])
+        lie.own(1, shifted, inputs + (states - shifted)[:-1] @ K.T)
     else:
         A, B = lie.plant()
         rest = np.linalg.solve(A - B @ K, -B @ K @ np.array(state))
@@ -223,10 +223,10 @@ def test_dwell_and_cap_of_the_scenario_hold(forgers):
         lie = Lie(forgers("sampled"))
         lie.modes(modes)
         lie.scenario["schedule"] |= rules
-        given = lie.scenario["schedule"]
+        declared = lie.scenario["schedule"]
         lie.schedule["rules"] |= {
-            "min_dwell": given["min_dwell_steps"],
-            "max_switches": given["max_switches"],
+            "min_dwell": declared["min_dwell_steps"],
+            "max_switches": declared["max_switches"],
         }
         lie.judge({"schedule"})
 

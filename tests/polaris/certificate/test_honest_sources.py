@@ -55,9 +55,9 @@ REFUSED_ONCE = (
 
 def outcome(folder, names, period, disturbance, weight):
     """Return the schedule and the verdict of a run with some sources."""
-    given = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
-    given = [*given.values(), f"system.disturbance_max={disturbance}", f"tracking.R=[{weight},{weight}]"]
-    scenario = load_scenario(TINY, [f"feedback.period_s={period}", "simulation.runs=1", *given])
+    sources = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
+    sources = [*sources.values(), f"system.disturbance_max={disturbance}", f"tracking.R=[{weight},{weight}]"]
+    scenario = load_scenario(TINY, [f"feedback.period_s={period}", "simulation.runs=1", *sources])
     schedule = synthesize(scenario)
     return schedule, verify(write_run(folder, scenario, schedule).path)
 
@@ -90,8 +90,8 @@ def test_a_camera_on_a_craft_with_weak_thrusters_is_confirmed(delay, tmp_path):
     """U flies long with an observer: sets keep too few generators for all of their fresh noise."""
     weak = ["system.mass_kg=12.0", "system.thrust_max_N=0.04", "system.mean_motion_rad_s=0.00113"]
     start = "initial_set.center=[0.0,400.0,0.0,0.226,0.0,0.0]"
-    seen = ["navigation.measurement.position_error_m=0.1", f"timing.delay_s={delay}", "simulation.runs=1"]
-    scenario = load_scenario("static", [*weak, start, *seen])
+    camera = ["navigation.measurement.position_error_m=0.1", f"timing.delay_s={delay}", "simulation.runs=1"]
+    scenario = load_scenario("static", [*weak, start, *camera])
     schedule = synthesize(scenario)
     assert schedule.share() >= 0.8
     assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"

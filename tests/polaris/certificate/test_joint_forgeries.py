@@ -133,8 +133,8 @@ def test_the_safety_controller_has_its_own_name(lie, name):
         if step["mode"] == 0:
             step["controller"] = name
     modes = lie.schedule["modes"]
-    named = [item["name"] for item in lie.certificate["controllers"]]
-    lie.schedule["share"] = {who: modes.count(i) / len(modes) for i, who in enumerate(named)}
+    names = [item["name"] for item in lie.certificate["controllers"]]
+    lie.schedule["share"] = {law: modes.count(i) / len(modes) for i, law in enumerate(names)}
     refused(lie.verdict(), "controllers")
 
 
@@ -160,8 +160,8 @@ EXAMPLES = {
 
 @pytest.mark.parametrize("kind", RIGID)
 def test_an_obstacle_of_any_kind_is_inflated_by_the_radius_of_the_chaser(kind):
-    scene, (obstacle, said) = SimpleNamespace(C=[[1.0, 0.0], [0.0, 1.0]], delta=1.0), EXAMPLES[kind]
-    spec = {"name": "far", "kind": kind} | said
+    scene, (obstacle, fields) = SimpleNamespace(C=[[1.0, 0.0], [0.0, 1.0]], delta=1.0), EXAMPLES[kind]
+    spec = {"name": "far", "kind": kind} | fields
     spec |= {"center_m": [1.0, 2.0]} if kind != "polytope" else {}
     system = LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.ones(2), C=np.eye(2))
     (inflated,) = obstacle.inflated(0.5).timed_polytopes(system, 1.0, 1)

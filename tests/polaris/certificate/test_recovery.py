@@ -25,14 +25,14 @@ from tests.polaris.loops import loop_of_errors
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
 
 
-def recovery(bad=None):
+def recovery(blocked=None):
     """A loop that forgets quickly, wide limits at every node, and one that nothing meets."""
     one = matrix([[1.0]])
     plant = Plant(one, one, one, one, [arb(10)], arb(0.01), arb(H))
     loop = loop_of_errors(plant, matrix([[GAIN]]))
     memory = Settling.for_craft(loop, column([arb(1)]), Q)
     wide, none = NodeLimit(0, arb(100), "wall", arb(100)), NodeLimit(0, arb(-1), "wall", arb(100))
-    targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]
+    targets = [[[none if (cell, i) == blocked else wide] for i in range(Q + 1)] for cell in range(CELLS)]
     limits = Limits(identity(1), targets)
     document = SimpleNamespace(q=Q, steps=CELLS - 2, delta=1.0, horizon="one_period", cells=CELLS)
     return Recovery(document, limits, Tightening(loop, memory, identity(1)))
@@ -78,11 +78,11 @@ def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_l
         limits = recovery()
         exact = start.support(limits.tightenings.carried[lag])[0] + limits.tightenings.disturbed[lag][0]
         intersample = SetIntersample(limits.tightenings, start).next_to(lag)[0]
-        for share, kept in ((1 + 1e-6, True), (0.99, False)):
+        for share, fits in ((1 + 1e-6, True), (0.99, False)):
             clearance = exact + intersample * share
             cell, place = divmod(lag, Q)
             limits.limits.targets[cell][place] = [NodeLimit(0, clearance, "wall", clearance)]
-            with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
+            with nullcontext() if fits else pytest.raises(Rejected, match="wall"):
                 limits.check_sets({0: start}, {})
 
 
@@ -90,12 +90,12 @@ def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_l
 def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, monkeypatch):
     read = ("", SimpleNamespace(rows=[]), "double", "")  # code without the online monitor
     monkeypatch.setattr("polaris.certificate.claims.argument.read_code", lambda folder: read)
-    asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
+    sets_by_node, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
     argument = SimpleNamespace(
         document=doc, claims=FileClaims(), K=3, record=Record(), code=Path() if code else None
     )
     flight = SimpleNamespace(
-        keeps=lambda reached, claimed: asked.update(reached) or 1.0,
+        keeps=lambda reached, claimed: sets_by_node.update(reached) or 1.0,
         recovery=SimpleNamespace(nodes=9),
         tracker=SimpleNamespace(settling=SimpleNamespace(periods=1)),
     )
@@ -103,7 +103,7 @@ def test_s_takes_over_at_any_node_where_a_fault_is_isolated_late(late, code, mon
         argument, flight, "abcd", [SimpleNamespace(nodes=each) for each in ("pq", "rs", "tu")]
     )
     within = {1: "p", 2: "q", 7: "t", 8: "u"} if late or code else {}
-    assert asked == {0: "a", 3: "b", 6: "c"} | within
+    assert sets_by_node == {0: "a", 3: "b", 6: "c"} | within
 
 
 @pytest.mark.parametrize("node", [0, 3, 100])
@@ -111,35 +111,35 @@ def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
     """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
     tightenings, needed = recovery().tightenings, []
     start = Zonotope(column([arb(0)]), identity(1))
-    for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
+    for offset, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
         document = SimpleNamespace(
-            at_nodes=[away], feedback_bound=[], error_by_step=[], steps=2, q=3, cells=2
+            at_nodes=[offset], feedback_bound=[], error_by_step=[], steps=2, q=3, cells=2
         )
         path, tracker = SimpleNamespace(jump=column([arb(jump)])), SimpleNamespace(craft=tightenings.craft)
-        flight, handed = Continuation(document, path, tracker), (HandOver(start, 6, 6),)
-        arrival = Arrival(flight, handed, arb(0))
+        flight, hand_overs = Continuation(document, path, tracker), (HandOver(start, 6, 6),)
+        arrival = Arrival(flight, hand_overs, arb(0))
         both = [
-            float(flight.tightening(tightenings, handed, 6 + node, around)[0]) for around in (False, True)
+            float(flight.tightening(tightenings, hand_overs, 6 + node, around)[0]) for around in (False, True)
         ]
         needed.append((*both, float(arrival.holding(tightenings))))
-    (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = needed
-    assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
-    assert asked_too == asked
-    left = 0.2 * abs(float(tightenings.craft.F[0, 0])) ** node  # of a step of the reference at T
-    assert jumped >= still + left * (1 - 1e-9) and more >= asked + left * (1 - 1e-9)
+    (at_node, command, holding), (at_node_off, command_off, holding_off), (jumped, more, _) = needed
+    assert at_node_off >= at_node + 0.3 * (1 - 1e-12) and holding_off >= holding + 0.3 * (1 - 1e-12)
+    assert command_off == command
+    remaining = 0.2 * abs(float(tightenings.craft.F[0, 0])) ** node  # of a step of the reference at T
+    assert jumped >= at_node + remaining * (1 - 1e-9) and more >= command + remaining * (1 - 1e-9)
 
 
 def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
     """Of bounds at a node the chord to the next is taken, and a period begins at either."""
-    grown = [1.0, 3.0, 2.0, 5.0, 4.0, 0.0]
+    bounds = [1.0, 3.0, 2.0, 5.0, 4.0, 0.0]
     tightenings = SimpleNamespace(
         rows=identity(1),
-        carried=grown,
-        boxed=lambda box, lag: [arb(grown[lag])],
+        carried=bounds,
+        boxed=lambda box, lag: [arb(bounds[lag])],
         tightening_after_settling=lambda box: [arb(0.5)],
     )
     steps = [float(largest) for (largest,) in transient_tightening(tightenings, [column([arb(1)])])]
-    assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
+    assert steps == [max(bounds[: lag + 3]) for lag in range(len(bounds))]
 
 
 def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():

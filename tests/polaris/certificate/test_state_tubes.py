@@ -60,8 +60,8 @@ class Scene:
                 Ad, _, G = self.held(H * Q)
                 states.append(Ad @ states[-1] + G @ u)
             references.append((np.array(states), nu))
-        away = np.array([0.02, 0.03, 0.0, 0.01])
-        return references[0], (references[1][0] + away, references[1][1])
+        offset = np.array([0.02, 0.03, 0.0, 0.01])
+        return references[0], (references[1][0] + offset, references[1][1])
 
     @property
     def document(self):
@@ -81,15 +81,15 @@ class Scene:
         (safe, nu), (states, inputs) = self.own
         kind = "saturated_affine" if self.clips else "affine"
         law = Law("own", kind, self.gain.tolist(), states[:-1].tolist(), inputs.tolist())
-        pilot = ControllerModel.for_law(law, self.craft, self.document)
+        model = ControllerModel.for_law(law, self.craft, self.document)
         path = Path.propagate(
-            pilot.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
+            model.plant, column(safe[0].tolist()), nu.tolist(), K, column(safe[-1].tolist())
         )
-        reached, sets = pilot.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
+        reached, sets = model.craft.start(Zonotope(arb_mat(4, 1), matrix(INITIAL.tolist()))), []
         for k in range(K):
-            flown = enclose_step(pilot, reached, k, path, None, Merging(1000, 4))
-            sets += [reached, *flown.nodes]
-            reached = flown.end
+            tube = enclose_step(model, reached, k, path, None, Merging(1000, 4))
+            sets += [reached, *tube.nodes]
+            reached = tube.end
         return [*sets, reached]
 
     @property
@@ -112,9 +112,9 @@ class Scene:
     def sizes(self):
         """Bounds on disturbances, noise, impulses that are left, and the first error of the estimate."""
         system, craft = self.system, self.craft
-        seen = system.observer
-        noise = np.array(system.timing.measured_error) if seen is None else np.array(seen.noise)
-        first = np.zeros(4) if seen is None else np.array([float(x) for x in craft.box[-4:]])
+        observer = system.observer
+        noise = np.array(system.timing.measured_error) if observer is None else np.array(observer.noise)
+        first = np.zeros(4) if observer is None else np.array([float(x) for x in craft.box[-4:]])
         return system.w_max, noise, system.timing.carried_impulse, first
 
     def fly(self, x0, w, noise, rest, err, first):
@@ -132,28 +132,28 @@ class Scene:
         for _ in range(age * PARTS):  # free motion before the start, which the computer knows exactly
             past.append(past[-1] @ back.T)
         track, estimate, z = past[::-1], None, []
-        known, added = [0 * x0[:, :2]] * age, [np.zeros((PARTS, *x0.shape))] * age
+        sent, added = [0 * x0[:, :2]] * age, [np.zeros((PARTS, *x0.shape))] * age
         xi, at = safe[0], safe[0]
         whole = self.held(H)
         for i in range(N + 1):
             k, j = divmod(i, Q)
             now = (age + i) * PARTS
-            seen = track[now - lag]
-            commands = [u for u in known for _ in range(PARTS)]  # command of every part of a period so far
+            late = track[now - lag]
+            commands = [u for u in sent for _ in range(PARTS)]  # command of every part of a period so far
             if system.observer is None:
-                guess = seen + (noise[i] if i < N else 0)
+                guess = late + (noise[i] if i < N else 0)
             elif estimate is None:
-                guess = estimate = seen + first
+                guess = estimate = late + first
             else:
                 for part in range(now - lag - PARTS, now - lag):
                     estimate = estimate @ Ad.T + commands[part] @ Gu.T
-                off = (
-                    seen @ system.observer.measures.T + (noise[i - 1]) - estimate @ system.observer.measures.T
+                innovation = (
+                    late @ system.observer.measures.T + (noise[i - 1]) - estimate @ system.observer.measures.T
                 )
-                guess = estimate = estimate + off @ system.observer.gain.T
-            z.append(self._state(x - xi, added, rest[i], guess - seen, lag))
+                guess = estimate = estimate + innovation @ system.observer.gain.T
+            z.append(self._state(x - xi, added, rest[i], guess - late, lag))
             if i == N:
-                return z, np.array(known[age:])
+                return z, np.array(sent[age:])
             for part in range(now - lag, now):
                 guess = guess @ Ad.T + commands[part] @ Gu.T
             if j == 0:
@@ -161,7 +161,7 @@ class Scene:
             u = inputs[k] - (guess - at) @ self.gain.T
             u = np.clip(u, -system.u_max, system.u_max) if self.clips else u
             v = u + (rest[i] - rest[i + 1]) / H
-            known = [*known, u]
+            sent = [*sent, u]
             more = np.empty((PARTS, *x.shape))
             wrong = system.thrusters.error(u)
             for part in range(PARTS):
@@ -191,12 +191,12 @@ class Scene:
     def by_chance(self, rng):
         """Values of all uncertain inputs, mostly at their bounds and kept for some periods."""
         N, (m, p) = Q * K, (self.system.m, self.system.p)
-        w_max, noise, left, first = self.sizes()
+        w_max, noise, carried, first = self.sizes()
 
         def drawn(*shape):
-            keep = int(rng.integers(1, 4))
-            signs = rng.choice([-1.0, 1.0], (-(-shape[0] // keep), *shape[1:]))
-            return np.repeat(signs, keep, axis=0)[: shape[0]] * rng.choice([1.0, 0.7])
+            repeats = int(rng.integers(1, 4))
+            signs = rng.choice([-1.0, 1.0], (-(-shape[0] // repeats), *shape[1:]))
+            return np.repeat(signs, repeats, axis=0)[: shape[0]] * rng.choice([1.0, 0.7])
 
         w = drawn(N, PARTS, RUNS, p)
         w *= w_max / np.linalg.norm(w, axis=-1, keepdims=True)
@@ -205,7 +205,7 @@ class Scene:
             x0,
             w,
             drawn(N, RUNS, len(noise)) * noise,
-            drawn(N + 1, RUNS, m) * left,
+            drawn(N + 1, RUNS, m) * carried,
             drawn(N, PARTS, RUNS, m),
             drawn(RUNS, 4) * first,
         )
@@ -236,8 +236,8 @@ NUMBERS = pytest.mark.parametrize(
 @NUMBERS
 @pytest.mark.parametrize("clips", [False, True])
 def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
-    made = scene(clips, **CASES[number])
-    tubes, others = made.tubes(), made.synthesised()
+    case = scene(clips, **CASES[number])
+    tubes, others = case.tubes(), case.synthesised()
     rng, shares, clipped = np.random.default_rng(number), [], False
     size = np.array([float(x) for x in tubes[Q].size().entries()])
     N = len(size)
@@ -245,9 +245,9 @@ def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
     bounds = [np.array([float(x) for x in z.support(matrix(rows.tolist()))]) for z in tubes]
     more = [z.support(rows) for z in others]
     for _ in range(12):
-        flown, commands = made.fly(*made.by_chance(rng))
-        clipped |= bool(np.any(np.abs(commands) >= made.system.u_max))
-        for i, (z, bound, other) in enumerate(zip(flown, bounds, more, strict=True)):
+        states, commands = case.fly(*case.by_chance(rng))
+        clipped |= bool(np.any(np.abs(commands) >= case.system.u_max))
+        for i, (z, bound, other) in enumerate(zip(states, bounds, more, strict=True)):
             assert np.all(z @ rows.T <= np.minimum(bound, other) + 1e-9), i
             shares.append(((z @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
     assert max(shares) > 0.6
@@ -256,23 +256,23 @@ def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
         # both programs find the same sets of a linear law, but for generators that are merged
         widths = np.array([float(x) for x in z.widths])[:4]
         assert np.all(other.half_widths[:4] >= 0.99 * widths)
-        allowed = (1.1 if other.dim > 4 else 1.4) * widths + 2 * made.s.state_offset
+        allowed = (1.1 if other.dim > 4 else 1.4) * widths + 2 * case.s.state_offset
         assert np.all(other.half_widths[:4] <= allowed)
 
 
 def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
     """The errors of a command are then those of an estimate no more, input by input."""
-    made = scene(True, **CASES[0])
-    law = made.law
-    noise, held = law.noise, law.closed.loop.held
+    case = scene(True, **CASES[0])
+    law = case.law
+    noise, input_map = law.noise, law.closed.loop.held
     cut = np.diag([1.0, 0.0])  # of the first input alone
     channel = next(c for c in law.closed.loop.channels if c.noise is not None)
-    seen = -held @ cut @ made.gain @ channel.noise * channel.size  # what an estimate's error adds then
+    effect = -input_map @ cut @ case.gain @ channel.noise * channel.size  # what an estimate's error adds then
     rows = np.random.default_rng(0).normal(size=(200, 4))
     linear = np.abs(rows @ law.closed.sampled(channel) * channel.size).sum(axis=1)
-    boxed = np.abs(rows @ (held * noise)).sum(axis=1)
-    assert np.any(np.abs(rows @ seen).sum(axis=1) > linear)
-    assert np.all(np.abs(rows @ seen).sum(axis=1) <= boxed * (1 + 1e-12))
+    boxed = np.abs(rows @ (input_map * noise)).sum(axis=1)
+    assert np.any(np.abs(rows @ effect).sum(axis=1) > linear)
+    assert np.all(np.abs(rows @ effect).sum(axis=1) <= boxed * (1 + 1e-12))
     once, free = law.disturbance_if_cut[1].support(rows), law.disturbance[1].support(rows)
     assert np.all(once >= boxed) and np.any(once > free * 1.01)
 
@@ -280,8 +280,8 @@ def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
 @NUMBERS
 def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
     """Any commands within the limits, first as errors with the rest beside them, then in the loop again."""
-    made, rng = scene(True, **CASES[number]), np.random.default_rng(number)
-    law, bounds, reach = made.law, [], []
+    case, rng = scene(True, **CASES[number]), np.random.default_rng(number)
+    law, bounds, reach = case.law, [], []
     s, path = law.tracking, law.reference
     safe = AffineController("safety", s.system, s.gain, path, path, s)
     z = s.loop_state(Box(np.zeros(4), INITIAL), s.at_start)
@@ -294,8 +294,8 @@ def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
         z = tube.end
     bounds.append(z.support(rows))
     for _ in range(12):
-        flown, _ = made.fly(*made.by_chance(rng))
-        for i, (state, bound) in enumerate(zip(flown, bounds, strict=True)):
+        states, _ = case.fly(*case.by_chance(rng))
+        for i, (state, bound) in enumerate(zip(states, bounds, strict=True)):
             assert np.all(state @ rows.T <= bound + 1e-9), i
             reach.append(((state @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
     assert max(reach) > 0.4

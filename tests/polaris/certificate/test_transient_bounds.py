@@ -99,9 +99,9 @@ def entries(M):
     return np.array([float(x.upper()) for x in M.entries()])
 
 
-def close(derived, stated, share=6e-3):
+def close(derived, expected, share=6e-3):
     """The checker's bounds are those of the synthesis, and never above them: an honest run is confirmed."""
-    assert np.all(derived <= stated * (1 + 1e-9) + 1e-12) and np.all(derived >= stated * (1 - share))
+    assert np.all(derived <= expected * (1 + 1e-9) + 1e-12) and np.all(derived >= expected * (1 - share))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -113,29 +113,29 @@ def test_effects_of_a_fault_are_those_that_the_synthesis_bounds(name):
     start = argument.craft.start(Zonotope(column([0.0] * 4), identity(4) * 0.05))
     tracker = Tracker.from_sets(argument.document, argument.craft, argument.upsets, [start])
     if len(fault.pushes):
-        stated = wrong_thrust(problem.system, fault, problem.gain, tracking.loop)
+        expected = wrong_thrust(problem.system, fault, problem.gain, tracking.loop)
         boxes = [entries(box) for box in argument.upsets]
     else:
         every = np.eye(tracking.loop.N)
-        stated = [each.support(every) for each in tracking.transients]
+        expected = [each.support(every) for each in tracking.transients]
         boxes = [entries(column(difference_along(identity(len(every)), each))) for each in tracker.outages]
-    assert np.max(stated, axis=0)[:4].min() > 0
-    close(np.max(boxes, axis=0), np.max(stated, axis=0), 2e-8 if laws else 6e-3)
-    stated = tracking.transient_tightening(np.eye(4))
+    assert np.max(expected, axis=0)[:4].min() > 0
+    close(np.max(boxes, axis=0), np.max(expected, axis=0), 2e-8 if laws else 6e-3)
+    expected = tracking.transient_tightening(np.eye(4))
     derived = np.array([[float(x) for x in row] for row in tracker.tightenings("rows", identity(4)).fault])
-    later = np.minimum(np.arange(len(derived)) + 2, len(stated) - 1)  # nodes that are next to a period
-    assert np.all(derived <= stated[later] * (1 + 1e-9)) and np.all(derived >= stated[later] * 0.93)
+    later = np.minimum(np.arange(len(derived)) + 2, len(expected) - 1)  # nodes that are next to a period
+    assert np.all(derived <= expected[later] * (1 + 1e-9)) and np.all(derived >= expected[later] * 0.93)
 
 
 def test_a_black_box_may_answer_a_fault_with_any_command():
     problem = load_scenario(TINY).with_assignments([*SOFT, LOSS, *WRONG]).problem()
     argument, (fault,) = Argument(document(problem), Record()), problem.system.transients
     loop = Tracking(problem.system, problem.gain, problem.feedback, problem.delta).loop
-    stated = wrong_thrust(problem.system, replace(fault, boxes=True), problem.gain, loop)
+    expected = wrong_thrust(problem.system, replace(fault, boxes=True), problem.gain, loop)
     safety, law = argument.document.laws
     argument.document.laws = [safety, replace(law, kind="black_box", gain=None)]
     boxes = [entries(box) for box in checked_thrust(argument.document, argument.craft, [])]
-    close(np.max(boxes, axis=0), np.max(stated, axis=0))
+    close(np.max(boxes, axis=0), np.max(expected, axis=0))
     assert np.all(np.max(boxes, axis=0) > 1.2 * np.max([entries(box) for box in argument.upsets], axis=0))
 
 

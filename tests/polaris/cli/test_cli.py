@@ -94,8 +94,8 @@ def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):
     done = invoke("run", TINY, *options.split())
     assert done.exit_code == 0, done.output
     copy = tmp_path / "here" / "scenario.toml"
-    noted = "#   planner.gap=0.01\n#   planner.solver=gurobi\n#   recoverable.kind=ball\n"
-    assert noted in copy.read_text("utf-8")
+    notes = "#   planner.gap=0.01\n#   planner.solver=gurobi\n#   recoverable.kind=ball\n"
+    assert notes in copy.read_text("utf-8")
     model = load_scenario(copy).model
     assert (model.planner.gap, model.planner.solver, model.recoverable.kind) == (0.01, "gurobi", "ball")
 
@@ -122,8 +122,8 @@ def test_check_takes_overrides(invoke, name):
     ],
 )
 def test_slips_of_units_and_scale_are_noted(setting, told):
-    held = "feedback={}"  # with the period of the file there would be too many
-    done = CliRunner().invoke(cli.app, ["check", "static", "--set", setting, "--set", held])
+    no_period = "feedback={}"  # with the period of the file there would be too many
+    done = CliRunner().invoke(cli.app, ["check", "static", "--set", setting, "--set", no_period])
     assert done.exit_code == 0 and re.search(f"^note: .*{told}", done.stdout, re.M), done.output
 
 
@@ -144,11 +144,11 @@ def commands():
 def test_help_shows_every_word_of_itself(name, monkeypatch):
     """Units and tables in brackets too, which markup would take for styles."""
     monkeypatch.setenv("COLUMNS", "400")
-    shown = " ".join(CliRunner().invoke(cli.app, [name, "--help"]).output.split())
+    output = " ".join(CliRunner().invoke(cli.app, [name, "--help"]).output.split())
     for parameter in commands()[name].params:
         help = " ".join((getattr(parameter, "help", None) or "").split())
         plain = help.replace("`", "").replace("*", "")
-        assert plain in shown.replace("`", ""), f"{name} {parameter.name}"
+        assert plain in output.replace("`", ""), f"{name} {parameter.name}"
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_hints_name_packages_that_exist():
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     needed = [*project["dependencies"], *(one for extra in extras.values() for one in extra)]
-    known = {re.split(r"[<>=\[]", package)[0] for package in needed} | {".", project["name"]}
+    allowed = {re.split(r"[<>=\[]", package)[0] for package in needed} | {".", project["name"]}
     code = [page for package in ("polaris", "reach") for page in (root / package).rglob("*.py")]
     pages = [*code, root / "README.md", *(root / "docs").glob("*.md")]
     hints = [
@@ -186,7 +186,7 @@ def test_hints_name_packages_that_exist():
         hint = hint.replace("{DISTRIBUTION}", project["name"]).replace("[{extra}]", "").split('"')[0]
         for word in re.findall(r"[\w.\[\]-]+", hint):
             package, extra = re.fullmatch(r"(.+?)(?:\[(\w+)\])?", word).groups()
-            assert package in known and (extra is None or extra in extras), hint
+            assert package in allowed and (extra is None or extra in extras), hint
 
 
 def is_one_message(done, code, *words):
@@ -329,8 +329,8 @@ def test_slow_stages_are_told_on_standard_error(capsys, monkeypatch):
     monkeypatch.setattr(console, "PATIENCE", 0.0)
     with stages.stage("plan"):
         stages.planner(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
-    shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.startswith("plan: ")
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("plan: ")
     line = planner_line(Progress("fuel", 1.0, 0.31, 0.30, 0.033))
     assert line == "plan: fuel, best 0.31, bound 0.3, gap 3.30%"
     assert planner_line(Progress("path search", 1.0)) == "plan: path search"

@@ -50,9 +50,9 @@ def refuse(tmp_path, monkeypatch):
 
 def test_every_verb_that_takes_a_scenario_takes_overrides():
     metavars = {verb: {getattr(each, "metavar", "") for each in one.params} for verb, one in VERBS.items()}
-    named = {verb for verb, words in metavars.items() if words & SCENARIOS}
-    assert {"run", "check", "model-error", "falsify", "campaign", "compare", "tradeoff"} <= named
-    assert named == taking("--set")
+    accepting = {verb for verb, words in metavars.items() if words & SCENARIOS}
+    assert {"run", "check", "model-error", "falsify", "campaign", "compare", "tradeoff"} <= accepting
+    assert accepting == taking("--set")
 
 
 @pytest.mark.parametrize("verb", sorted(taking("--set")))
@@ -68,14 +68,14 @@ FLYING = ("run", "model-error", "falsify", "campaign", "compare", "tradeoff")
 @pytest.mark.parametrize("verb", FLYING)
 def test_a_black_box_is_asked_for_before_any_work(verb, refuse):
     scenario = "static" if verb == "model-error" else TINY
-    more = SWEEP if verb == "tradeoff" else ()
-    assert "--black-box NAME=COMMAND" in refuse(verb, scenario, *BOX, *more)
+    sweep = SWEEP if verb == "tradeoff" else ()
+    assert "--black-box NAME=COMMAND" in refuse(verb, scenario, *BOX, *sweep)
 
 
 @pytest.mark.parametrize("verb", sorted(taking("--black-box") - {"campaign-replay"}))
 def test_a_black_box_that_the_scenario_does_not_have_is_refused_before_any_work(verb, refuse):
-    more = SWEEP if verb == "tradeoff" else ()
-    assert "black box: got 'other'" in refuse(verb, TINY, "--black-box", "other=cat", *more)
+    sweep = SWEEP if verb == "tradeoff" else ()
+    assert "black box: got 'other'" in refuse(verb, TINY, "--black-box", "other=cat", *sweep)
     assert "NAME=COMMAND" in refuse(verb, TINY, "--black-box", "cat")
 
 

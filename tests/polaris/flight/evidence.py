@@ -40,17 +40,17 @@ def assert_every_branch_is_taken(folder):
     name, gcov = source_of(folder).name, tool("gcov")
     program = built(folder, "gcc", sources(folder), folder / "test", "--coverage", "-O0")
     subprocess.run([program], cwd=folder, check=True, capture_output=True)
-    asked = [gcov, "-b", f"test-{name.replace('.c', '.gcda')}"]
-    done = subprocess.run(asked, cwd=folder, check=True, capture_output=True, text=True)
+    command = [gcov, "-b", f"test-{name.replace('.c', '.gcda')}"]
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
     ours = done.stdout.split("File ")[1]
-    taken = re.search(r"Taken at least once:100\.00% of (\d\d+)", ours)
-    assert f"{name}'" in ours and taken, ours
-    return int(taken[1])
+    coverage = re.search(r"Taken at least once:100\.00% of (\d\d+)", ours)
+    assert f"{name}'" in ours and coverage, ours
+    return int(coverage[1])
 
 
 def assert_no_required_rule_is_broken(folder, advisory=ADVISORY):
-    asked = "--addon=misra --std=c99 -DFLT_EVAL_METHOD=0 --enable=style,warning,portability --template={id}"
-    command = [tool("cppcheck"), "-q", *asked.split(), source_of(folder)]
+    options = "--addon=misra --std=c99 -DFLT_EVAL_METHOD=0 --enable=style,warning,portability --template={id}"
+    command = [tool("cppcheck"), "-q", *options.split(), source_of(folder)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0 and set(done.stderr.split()) == advisory, done.stderr
 
@@ -79,14 +79,14 @@ def assert_no_run_time_error(folder, at, *kinds):
     Returns the summary of the analysis.
     """
     steps = {"memory": "PREFIX", "online": "PREFIX_online"}
-    made = "\n".join(f"PREFIX_{kind} {kind};\n{steps[kind]}_start(&{kind});" for kind in kinds)
-    flown = "\n".join(f"{steps[kind]}_step(&{kind}, &input, &output);" for kind in kinds)
+    starts = "\n".join(f"PREFIX_{kind} {kind};\n{steps[kind]}_start(&{kind});" for kind in kinds)
+    calls = "\n".join(f"{steps[kind]}_step(&{kind}, &input, &output);" for kind in kinds)
     source = source_of(folder)
-    text = ANYTHING.replace("MEMORY", made).replace("STEP", flown).replace("PREFIX", source.stem)
+    text = ANYTHING.replace("MEMORY", starts).replace("STEP", calls).replace("PREFIX", source.stem)
     (at / "main.c").write_text(text)
-    asked = "-eva -eva-precision 0 -eva-auto-loop-unroll 20 -warn-special-float none"
+    options = "-eva -eva-precision 0 -eva-auto-loop-unroll 20 -warn-special-float none"
     include = f"-cpp-extra-args=-I{folder} -DFLT_EVAL_METHOD=0"
-    command = [tool("frama-c"), *asked.split(), include, at / "main.c", source]
+    command = [tool("frama-c"), *options.split(), include, at / "main.c", source]
     done = subprocess.run(command, capture_output=True, text=True)
     summary = done.stdout[done.stdout.index("ANALYSIS SUMMARY") :]
     assert "0 alarms generated" in summary and "No errors or warnings" in summary, summary

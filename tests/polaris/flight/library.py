@@ -110,11 +110,11 @@ class FlightLibrary:
 
     def step(self, period, state, controller, command, measured=None, settling=None, called=None):
         """Answer one call."""
-        given, out = self._input, self._output
+        inputs, out = self._input, self._output
         if measured is not None:
-            given.measured[:] = measured
-        given.period, given.controller = period, controller
-        given.state[:], given.command[:] = state, command
+            inputs.measured[:] = measured
+        inputs.period, inputs.controller = period, controller
+        inputs.state[:], inputs.command[:] = state, command
         (called or self._step)(ctypes.byref(settling or self._own), *self._at)
         return FlightAnswer(out.mode, out.fault, tuple(out.command), out.margin)
 

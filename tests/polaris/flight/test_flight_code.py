@@ -97,15 +97,15 @@ def test_other_machines_give_the_same_bits(flown, tmp_path, machine, precision):
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_c_code_answers_as_python_to_the_last_bit(flown, tmp_path, precision):
     _, tables, _ = read_code(flown / precision)
-    library, count, seen = FlightLibrary(flown / precision, tmp_path / "flight.so"), 0, set()
+    library, count, outcomes = FlightLibrary(flown / precision, tmp_path / "flight.so"), 0, set()
     for call, expected in answered(tables, precision, calls(tables, FLIGHTS, 1)):
         if call.start:
             library.start()
-        given = library.step(call.period, call.state, call.controller, call.command)
-        assert (given, str(given.command)) == (expected, str(expected.command)), call  # -0.0 is not 0.0
+        answer = library.step(call.period, call.state, call.controller, call.command)
+        assert (answer, str(answer.command)) == (expected, str(expected.command)), call  # -0.0 is not 0.0
         count += 1
-        seen.add((given.mode, given.fault))
-    assert count > 8 * FLIGHTS and len(seen) > 20
+        outcomes.add((answer.mode, answer.fault))
+    assert count > 8 * FLIGHTS and len(outcomes) > 20
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -148,7 +148,7 @@ def test_regular_flights_answer_as_the_simulation(flown):
     grid, (_, tables, _) = DecisionGrid.from_schedule(schedule), read_code(flown / "double")
     last = len(tables.waypoints) * len(tables.moved)
     for alone in (True, False):
-        step, off = FlightStep(tables), []
+        step, errors = FlightStep(tables), []
         for node in range(last):
             x = grid.xi[node] + rng.uniform(-0.1, 0.1, grid.system.n)
             u = rng.uniform(-2, 2, grid.system.m)
@@ -159,9 +159,9 @@ def test_regular_flights_answer_as_the_simulation(flown):
             assert answer.mode == mode * by_u
             limit = grid.system.u_max
             expected = np.clip(u, -limit, limit) if by_u else grid.clipped(0, node, x)
-            off.append(np.abs(np.array(answer.command) - expected).max())
+            errors.append(np.abs(np.array(answer.command) - expected).max())
             assert answer.margin == pytest.approx(1 - np.max(np.abs(expected) / limit), abs=1e-12)
-        assert max(off) <= 1e-13
+        assert max(errors) <= 1e-13
 
 
 def test_each_fault_has_its_answer(flown):
@@ -176,8 +176,8 @@ def test_each_fault_has_its_answer(flown):
             step.step(node, tables.waypoints[k], tables.modes[k], u)
         return [step.step(*call) for call in more]
 
-    regular, again = fly((first, x, 1, u), (first, x, 0, (math.nan,) * m))
-    assert (regular.mode, regular.fault, regular.command) == (1, 0, u) and again.fault == REPEATED
+    regular, repeated = fly((first, x, 1, u), (first, x, 0, (math.nan,) * m))
+    assert (regular.mode, regular.fault, regular.command) == (1, 0, u) and repeated.fault == REPEATED
     for call, fault in [
         ((first, (math.nan, *x[1:]), 1, u), STATE),
         ((first, (-2e6, *x[1:]), 1, u), STATE),
@@ -194,8 +194,8 @@ def test_each_fault_has_its_answer(flown):
     assert clipped.fault == CLIPPED and clipped.command == tuple(tables.limit) and clipped.margin == 0
     (late,) = fly((2**31 - 1, x, 1, u))
     assert late.fault & ENDED and late.fault & MISSED and late.mode == 0
-    (away,) = fly((first, (1e5,) * n, 1, u))
-    assert away.mode == 1 and away.fault == RANGE
+    (distant,) = fly((first, (1e5,) * n, 1, u))
+    assert distant.mode == 1 and distant.fault == RANGE
 
 
 @pytest.mark.parametrize("number", [-1, -7, -(2**31)])
@@ -229,11 +229,11 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, document, pre
     for place in range(6000):
         cell, part = divmod(int(rng.integers(0, document.cells * q)), q)
         x = reach * (rng.choice([-1, 1], len(reach)) if place % 2 else rng.uniform(-1, 1, len(reach)))
-        given = step.safety(cell, part, [rounded(one, precision) for one in x.tolist()])
+        commands = step.safety(cell, part, [rounded(one, precision) for one in x.tolist()])
         feed = document.inputs[cell] if cell < document.steps else [0.0] * len(document.u_max)
         exact = column(feed) + gain * (path.arcs[cell].nodes[part] - column(x.tolist()))
-        off = (abs(flint.arb(u) - v) for u, v in zip(given, exact.entries(), strict=True))
-        worst = max(worst, *(float(one.upper()) for one in off))
+        errors = (abs(flint.arb(u) - v) for u, v in zip(commands, exact.entries(), strict=True))
+        worst = max(worst, *(float(one.upper()) for one in errors))
     assert worst <= tables.rounding <= 100 * worst
 
 
@@ -255,18 +255,18 @@ def test_a_bound_on_rounding_that_does_not_hold_is_refused(flown, document, tmp_
     honest = copied(flown / precision, tmp_path / "code")
     (header,) = honest.glob("*.h")
     text = header.read_text()
-    (stated,) = re.findall(r"_ROUNDING \((\S+?)f?\)", text)
+    (bound,) = re.findall(r"_ROUNDING \((\S+?)f?\)", text)
     for factor in (0.4, 2.5, 0.0, -1.0):
-        forged = rounded(float.fromhex(stated) * factor, precision).hex()
-        header.write_text(text.replace(stated, forged))
+        forged = rounded(float.fromhex(bound) * factor, precision).hex()
+        header.write_text(text.replace(bound, forged))
         with pytest.raises(Rejected, match="^rounding: commands|^rounding: .* is stated, twice"):
             check_code(document, honest, Record())
     header.write_text(text)
     with pytest.MonkeyPatch.context() as patch:  # a world that leaves nothing to take
-        patch.setattr(document, "w_max", 0.3 * float.fromhex(stated))
+        patch.setattr(document, "w_max", 0.3 * float.fromhex(bound))
         with pytest.raises(Rejected, match="of the disturbance bound"):
             check_code(document, honest, Record())
-        assert as_disturbance(document, float.fromhex(stated)) > 1
+        assert as_disturbance(document, float.fromhex(bound)) > 1
         patch.setattr(document, "w_max", 0.0)
         assert "no disturbance bound covers that" in check_code(document, honest, Record())[1]
         assert as_disturbance(document, 1.0) == 0
@@ -312,17 +312,17 @@ def forgeries(folder):
     ]:
         assert old in text, old
         yield old, source.name, text.replace(old, new, 1)
-    given = header.read_text()
+    macros = header.read_text()
     for old, new in [
-        (r'CERTIFICATE "(.)', r'CERTIFICATE "f' if 'CERTIFICATE "f' not in given else r'CERTIFICATE "0'),
+        (r'CERTIFICATE "(.)', r'CERTIFICATE "f' if 'CERTIFICATE "f' not in macros else r'CERTIFICATE "0'),
         (r"_COVERED \((\d+)\)", r"_COVERED (1\1)"),
         (r"_PARTS \(\d+\)", "_PARTS (1)"),
         (r"_FARTHEST \(.*?\)", "_FARTHEST (0x1p+100)"),
         (r"_CLOCK 0x08U", "_CLOCK 0x00U"),
         (r"typedef (double|float)", "typedef long double"),
     ]:
-        assert re.search(old, given), old
-        yield old, header.name, re.sub(old, new, given, count=1)
+        assert re.search(old, macros), old
+        yield old, header.name, re.sub(old, new, macros, count=1)
     program = folder / f"{prefix}_selftest.c"
     tested = program.read_text()
     yield "a lenient self-test", program.name, tested.replace("wrong = 1;", "wrong = 0;")
@@ -355,9 +355,9 @@ def test_an_altered_file_is_refused(flown, document, tmp_path, precision):
 def test_a_file_that_polaris_does_not_write_is_refused(flown, document, tmp_path, name):
     """A compiler, or a folder of headers, might take it for a part of the code."""
     honest = copied(flown / "double", tmp_path / "code")
-    for known in (".polaris.jsonl", "Guard/Guard.hpp", "guard/fsw/src/guard_app.h"):
-        (honest / known).parent.mkdir(parents=True, exist_ok=True)
-        (honest / known).write_text("")
+    for allowed in (".polaris.jsonl", "Guard/Guard.hpp", "guard/fsw/src/guard_app.h"):
+        (honest / allowed).parent.mkdir(parents=True, exist_ok=True)
+        (honest / allowed).write_text("")
     assert check_code(document, honest, Record())
     (honest / name).parent.mkdir(exist_ok=True)
     (honest / name).write_text("")
@@ -404,8 +404,8 @@ def test_a_number_that_the_compiler_rounds_is_refused(flown, document, tmp_path)
     """In single precision: what flies would be another number than the one that is checked."""
     honest = copied(flown / "float", tmp_path / "code")
     prefix, tables, precision = read_code(honest)
-    moved = [[[x * (1 + 1e-9) for x in row] for row in part] for part in tables.moved]
-    forged = replace(tables, moved=moved)
+    maps = [[[x * (1 + 1e-9) for x in row] for row in part] for part in tables.moved]
+    forged = replace(tables, moved=maps)
     for name, text in files(forged, prefix, precision, document.digest).items():
         (honest / name).write_text(text)
     program = selftest(forged, prefix, precision, calls(forged, 20, 0))
@@ -448,12 +448,12 @@ def test_code_belongs_to_a_leg_and_not_to_a_mission(tmp_path):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_code_of_random_scenes_is_confirmed(tmp_path, seed):
     (tmp_path / "scene.toml").write_text(random_scenario(seed))
-    made = run(tmp_path / "scene.toml", tmp_path / "run", overrides=["simulation.runs=2"])
-    known, record = read(made.path / "certificate.json"), Record()
+    run_folder = run(tmp_path / "scene.toml", tmp_path / "run", overrides=["simulation.runs=2"])
+    certificate, record = read(run_folder.path / "certificate.json"), Record()
     for precision in PRECISIONS:
         folder = tmp_path / precision
-        export_c(made.path, folder, precision)
-        check_code(known, folder, record)
+        export_c(run_folder.path, folder, precision)
+        check_code(certificate, folder, record)
         program = built(folder, "gcc", sources(folder), tmp_path / f"{precision}-test")
         assert subprocess.run([program], capture_output=True).returncode == 0
     assert [claim for claim, _ in record.checked] == 2 * ["code", "rounding"]
@@ -479,8 +479,8 @@ def test_the_verbs_export_and_verify(flown, tmp_path):
     done = CliRunner().invoke(app, ["verify", run, "--code", str(out)])
     assert done.exit_code == 0 and "demo: text, tables and self-test in double" in done.stdout
     plain, coded = verify(run), verify(run, out)
-    said = [dict(verdict.checked)["recoverable"] for verdict in (plain, coded)]
-    counts = [int(re.findall(r"\d+", text)[0]) for text in said]
+    claims = [dict(verdict.checked)["recoverable"] for verdict in (plain, coded)]
+    counts = [int(re.findall(r"\d+", text)[0]) for text in claims]
     assert counts[1] > counts[0]  # S may take over at every node
     (out / "demo.c").write_text((out / "demo.c").read_text().replace("latched = 1", "latched = 0"))
     done = CliRunner().invoke(app, ["verify", run, "--code", str(out)])
@@ -510,8 +510,8 @@ def test_what_is_not_proved_does_not_fly(document):
         ({"guarantee": "statistical"}, "must be 'proved'"),
         ({"u_max": [1.0, 0.0]}, "above 0"),
     ]:
-        known = {key: getattr(document, key) for key in change}
+        original = {key: getattr(document, key) for key in change}
         vars(document).update(change)
         with pytest.raises(ScenarioError, match=rule):
             flight_tables(document)
-        vars(document).update(known)
+        vars(document).update(original)

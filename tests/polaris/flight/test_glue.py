@@ -27,9 +27,9 @@ def run(tmp_path_factory):
     return make([COARSE], tmp_path_factory.mktemp("glue"))
 
 
-def stub(folder, name, target, known):
+def stub(folder, name, target, values):
     """Write a stub with names in it."""
-    (folder / target).write_text(KEY.sub(lambda key: known[key[1]], (STUBS / name).read_text()))
+    (folder / target).write_text(KEY.sub(lambda key: values[key[1]], (STUBS / name).read_text()))
 
 
 def compiled(command):
@@ -39,16 +39,16 @@ def compiled(command):
 
 def names(folder, name, module="Components"):
     prefix, tables, precision = read_code(folder)
-    known = {"PREFIX": prefix, "NAME": name, "APP": name.upper(), "MODULE": module}
-    known |= {"N": str(len(tables.range)), "M": str(len(tables.limit))}
-    return prefix, known | {"REAL": "F64" if precision == "double" else "F32"}
+    values = {"PREFIX": prefix, "NAME": name, "APP": name.upper(), "MODULE": module}
+    values |= {"N": str(len(tables.range)), "M": str(len(tables.limit))}
+    return prefix, values | {"REAL": "F64" if precision == "double" else "F32"}
 
 
 def component(folder, name, scratch, module="Components", compiler="g++"):
     """Compile an F' component against the stub of its base class."""
-    prefix, known = names(folder, name, module)
-    stub(scratch, "component_base.hpp", f"{name}ComponentAc.hpp", known)
-    stub(scratch, "component_main.cpp", "main.cpp", known)
+    prefix, values = names(folder, name, module)
+    stub(scratch, "component_base.hpp", f"{name}ComponentAc.hpp", values)
+    stub(scratch, "component_main.cpp", "main.cpp", values)
     compiled([tool("gcc"), *FLAGS, "-c", folder / f"{prefix}.c", "-o", scratch / "code.o"])
     place = [f"-I{one}" for one in (scratch, folder, folder / name)]
     sources = folder / name / f"{name}.cpp", scratch / "main.cpp", scratch / "code.o"
@@ -58,10 +58,10 @@ def component(folder, name, scratch, module="Components", compiler="g++"):
 
 def application(folder, name, scratch, compiler="gcc"):
     """Compile a cFS application and its table against a stub of cFE."""
-    prefix, known = names(folder, name)
+    prefix, values = names(folder, name)
     for header in ("cfe.h", "cfe_tbl_filedef.h"):
-        stub(scratch, header, header, known)
-    stub(scratch, "app_main.c", "main.c", known)
+        stub(scratch, header, header, values)
+    stub(scratch, "app_main.c", "main.c", values)
     place = [f"-I{one}" for one in (scratch, folder, folder / name / "fsw" / "src")]
     parts = folder / name / "fsw"
     sources = parts / "src" / f"{name}_app.c", parts / "tables" / f"{name}_tbl.c", scratch / "main.c"
@@ -69,9 +69,9 @@ def application(folder, name, scratch, compiler="gcc"):
     return scratch / "flown"
 
 
-def asked(given):
+def asked(calls):
     """Calls as the mains read them."""
-    rows = ([call.period, call.controller, *map(float.hex, (*call.state, *call.command))] for call in given)
+    rows = ([call.period, call.controller, *map(float.hex, (*call.state, *call.command))] for call in calls)
     return "".join(" ".join(map(str, row)) + "\n" for row in rows)
 
 
@@ -92,9 +92,9 @@ def answers(lines):
         yield int(period), int(mode), int(fault), tuple(map(float.fromhex, values))
 
 
-def as_the_step(tables, precision, given, lines, allowed=True):
+def as_the_step(tables, precision, calls, lines, allowed=True):
     step = FlightStep(tables, precision)
-    for call, (period, mode, fault, values) in zip(given, answers(lines), strict=True):
+    for call, (period, mode, fault, values) in zip(calls, answers(lines), strict=True):
         answer = step.step(call.period, call.state, call.controller * allowed, call.command)
         expected = (*answer.command, answer.margin)
         assert (period, mode, fault, values) == (call.period, answer.mode, answer.fault, expected)
@@ -108,25 +108,25 @@ def test_a_component_answers_as_the_code(run, tmp_path, precision, compiler):
     assert verify(run, folder).outcome == "VERIFIED"  # beside the code nothing is read
     program = component(folder, "Guard", tmp_path, "Rendezvous", compiler)
     _, tables, _ = read_code(folder)
-    given = flight(tables)
+    calls = flight(tables)
     UNINIT, VALID, INVALID, DEFAULT = range(4)
-    for allow, valid, every in (
+    for allow, valid, interval in (
         (1, VALID, 1),
         (0, DEFAULT, 7),
         (1, INVALID, 0),
         (1, UNINIT, 1),
         (1, DEFAULT, 2),
     ):
-        lost = valid in (UNINIT, INVALID)  # before parameters are loaded, the value is anything
-        options = [program, *map(str, (allow, valid, 1, every))]
-        done = subprocess.run(options, input=asked(given), capture_output=True, text=True, check=True)
+        missing = valid in (UNINIT, INVALID)  # before parameters are loaded, the value is anything
+        options = [program, *map(str, (allow, valid, 1, interval))]
+        done = subprocess.run(options, input=asked(calls), capture_output=True, text=True, check=True)
         *lines, summary = done.stdout.splitlines()
-        as_the_step(tables, precision, given, lines, bool(allow and not lost))
+        as_the_step(tables, precision, calls, lines, bool(allow and not missing))
         verdicts, written, faults, modes = map(int, summary.split())
-        assert (verdicts, written) == (len(given), -(-len(given) // max(every, 1)))
-        assert faults > 0 and (modes > 0) == bool(allow and not lost)
+        assert (verdicts, written) == (len(calls), -(-len(calls) // max(interval, 1)))
+        assert faults > 0 and (modes > 0) == bool(allow and not missing)
     silent = subprocess.run(
-        [program, "1", str(DEFAULT), "0", "1"], input=asked(given), capture_output=True, text=True
+        [program, "1", str(DEFAULT), "0", "1"], input=asked(calls), capture_output=True, text=True
     )
     assert silent.stdout.splitlines()[-1].startswith("0 ")
 
@@ -139,13 +139,13 @@ def test_an_application_answers_as_the_code(run, tmp_path, precision, compiler):
     assert verify(run, folder).outcome == "VERIFIED"
     program = application(folder, "demo_rta", tmp_path, compiler)
     _, tables, _ = read_code(folder)
-    given = flight(tables)
-    kept = [call for call in given if call.period not in (-7, -8)]
+    calls = flight(tables)
+    valid = [call for call in calls if call.period not in (-7, -8)]
     odd = f"-7 0 {'0 ' * len(tables.range + tables.limit)}\n-8 0 {'0 ' * len(tables.range + tables.limit)}\n"
-    done = subprocess.run([program], input=asked(kept) + odd * 2, capture_output=True, text=True, check=True)
+    done = subprocess.run([program], input=asked(valid) + odd * 2, capture_output=True, text=True, check=True)
     *lines, one, two, summary = done.stdout.splitlines()
-    as_the_step(tables, precision, kept, lines)
-    assert [line.split()[:3] for line in (one, two)] == [["hk", str(len(kept)), str(i)] for i in (0, 1)]
+    as_the_step(tables, precision, valid, lines)
+    assert [line.split()[:3] for line in (one, two)] == [["hk", str(len(valid)), str(i)] for i in (0, 1)]
     loaded, subscribed, events, status = map(int, summary.split())
     assert (loaded, subscribed, status) == (1, 2, 3) and events == 0b1101110
 
@@ -155,7 +155,7 @@ def test_without_its_own_table_the_safety_controller_flies(run, tmp_path):
     (table,) = (tmp_path / "code" / "guard" / "fsw" / "tables").glob("*.c")
     text = table.read_text()
     _, tables, precision = read_code(tmp_path / "code")
-    given = [call for call in flight(tables) if call.period not in (-7, -8)]
+    calls = [call for call in flight(tables) if call.period not in (-7, -8)]
     other = text.replace("POLARIS_TINY_CERTIFICATE", '"' + "0" * 64 + '"')
     for place, forged in enumerate((other, text.replace(", 1}", ", 0}"), text.replace(", 1}", ", 2}"))):
         assert forged != text
@@ -163,9 +163,9 @@ def test_without_its_own_table_the_safety_controller_flies(run, tmp_path):
         scratch = tmp_path / str(place)
         scratch.mkdir()
         program = application(tmp_path / "code", "guard", scratch)
-        done = subprocess.run([program], input=asked(given), capture_output=True, text=True, check=True)
+        done = subprocess.run([program], input=asked(calls), capture_output=True, text=True, check=True)
         *lines, summary = done.stdout.splitlines()
-        as_the_step(tables, precision, given, lines, allowed=False)
+        as_the_step(tables, precision, calls, lines, allowed=False)
         assert summary.split()[0] == str(int(place == 1))
         assert {mode for _, mode, *_ in answers(lines)} == {0}
         assert any(fault & COMMAND and fault & LATCHED for _, _, fault, _ in answers(lines))
@@ -211,10 +211,10 @@ def test_names_that_make_no_glue_are_refused(run, tmp_path, given, rule):
 
 def test_the_verb_writes_glue_and_replaces_it(run, tmp_path):
     out = tmp_path / "code"
-    given = ["export", "c", str(run), "--out", str(out), "--glue"]
-    done = CliRunner().invoke(app, [*given, "cfs", "--name", "guard"])
+    command = ["export", "c", str(run), "--out", str(out), "--glue"]
+    done = CliRunner().invoke(app, [*command, "cfs", "--name", "guard"])
     assert done.exit_code == 0 and str(out / "guard" / "fsw" / "src" / "guard_app.c") in done.stdout
-    done = CliRunner().invoke(app, [*given, "fprime"])
+    done = CliRunner().invoke(app, [*command, "fprime"])
     assert done.exit_code == 0 and not (out / "guard").exists()
     assert default_name("polaris_static", "fprime") == "PolarisStatic"
     assert default_name("polaris_static", "cfs") == "static_rta"

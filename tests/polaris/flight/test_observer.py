@@ -89,8 +89,8 @@ def flown(tmp_path_factory):
     return place
 
 
-def document(flown, name):
-    return read(flown / name / "run" / "certificate.json")
+def document(folder, name):
+    return read(folder / name / "run" / "certificate.json")
 
 
 # -- evidence ---------------------------------------------------------------------------------------
@@ -106,15 +106,15 @@ def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler
 def test_the_c_code_answers_as_python_to_the_last_bit(flown, tmp_path, name, precision):
     folder = flown / name / precision
     _, tables, _ = read_code(folder)
-    library, count, seen = FlightLibrary(folder, tmp_path / "flight.so"), 0, set()
+    library, count, outcomes = FlightLibrary(folder, tmp_path / "flight.so"), 0, set()
     for call, expected in answered(tables, precision, calls(tables, fewer(40_000, 300), 1)):
         if call.start:
             library.start()
-        given = library.step(call.period, call.state, call.controller, call.command, call.measured)
-        assert (given, str(given.command)) == (expected, str(expected.command)), call  # -0.0 is not 0.0
+        answer = library.step(call.period, call.state, call.controller, call.command, call.measured)
+        assert (answer, str(answer.command)) == (expected, str(expected.command)), call  # -0.0 is not 0.0
         count += 1
-        seen.add((given.mode, given.fault))
-    assert count > 2000 and len(seen) > 20
+        outcomes.add((answer.mode, answer.fault))
+    assert count > 2000 and len(outcomes) > 20
 
 
 def test_the_self_test_takes_every_branch(flown, tmp_path):
@@ -153,8 +153,8 @@ def test_measurements_that_are_missing_have_their_answer(flown):
     assert fly(y, y, first=(math.nan,) * len(x))[0] == STATE | LATCHED
     step = FlightStep(tables)
     step.step(0, x, 1, u, none)
-    answer, again = (step.step(1, x, 1, u, y) for _ in range(2))
-    assert again == replace(answer, fault=answer.fault | REPEATED)
+    answer, repeated = (step.step(1, x, 1, u, y) for _ in range(2))
+    assert repeated == replace(answer, fault=answer.fault | REPEATED)
     assert step.step(3, x, 1, u, y).fault & ~CLIPPED == MISSED | LATCHED
     step = FlightStep(tables)
     assert step.step(0, x, 0, u, none).fault == COMMAND | LATCHED
@@ -189,18 +189,18 @@ def test_the_observer_estimates_as_the_declared_one(flown, name):
 
     step, flew, unseen = FlightStep(tables), {}, 0
     start = np.array(tables.waypoints[0])
-    held = expm(-A * delay) @ start  # nothing was commanded before
+    estimate = expm(-A * delay) @ start  # nothing was commanded before
     for node in range(60):
         y = M @ start + rng.uniform(-0.05, 0.05, len(M))
         if node:
-            held = flow(held, (node - 1) * h - delay, node * h - delay, flew)
+            estimate = flow(estimate, (node - 1) * h - delay, node * h - delay, flew)
             if name == "missed" and unseen == 0 and rng.random() < 0.5:
                 y, unseen = y * math.nan, 1
             else:
-                held, unseen = held + gains[unseen] @ (y - M @ held), 0
+                estimate, unseen = estimate + gains[unseen] @ (y - M @ estimate), 0
         answer = step.step(node, start.tolist(), 1, rng.uniform(-1, 1, 2).tolist(), y.tolist())
         flew[node] = np.array(answer.command)
-        assert np.abs(step.state - flow(held, node * h - delay, node * h, flew)).max() <= 1e-11
+        assert np.abs(step.state - flow(estimate, node * h - delay, node * h, flew)).max() <= 1e-11
 
 
 # -- rounding ---------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, name, precisi
     plant, rng, worst, q = plant_of(doc), np.random.default_rng(5), 0.0, doc.q
     path = exact_path(doc, plant, doc.states[doc.steps])
     exact = OnBoard(doc, plant, tables, precision)
-    held, force = (exact.exact()[key][0] for key in ("held", "force"))
+    transition, force = (exact.exact()[key][0] for key in ("held", "force"))
     gain, limit = matrix(doc.laws[0].gain), list(map(flint.arb, doc.u_max))
     for flight in range(fewer(400, 60)):
         step, unseen, far = FlightStep(tables, precision), 0, flight % 10 > 0
@@ -230,25 +230,25 @@ def test_rounding_is_within_its_bound_and_the_bound_is_near(flown, name, precisi
             y = y - sum(np.array(M) @ u for M, u in zip(tables.later, flew, strict=True))
             missing = unseen < len(tables.updates) - 1 and rng.random() < 0.3
             if node:
-                z = held * z + force * sent[0]
-                off = column(y.tolist()) - exact.output_map * z
-                off = off + sum((M * u for M, u in zip(exact.later, sent, strict=True)), 0 * off)
-                z, unseen = (z, unseen + 1) if missing else (z + exact.updates[unseen] * off, 0)
+                z = transition * z + force * sent[0]
+                error = column(y.tolist()) - exact.output_map * z
+                error = error + sum((M * u for M, u in zip(exact.later, sent, strict=True)), 0 * error)
+                z, unseen = (z, unseen + 1) if missing else (z + exact.updates[unseen] * error, 0)
                 z = column([one.mid() for one in z.entries()])  # balls would grow
             measured = (y * math.nan if missing and node else y).tolist()
             cell, place = divmod(node, q)
             mode = 0 if flight % 3 == 0 or cell >= doc.steps else doc.modes[cell]
             feed = column(doc.inputs[cell]) if cell < doc.steps else column([0.0] * len(limit))
             law = (feed + gain * (path.arcs[cell].nodes[place] - z)).entries()
-            kept = [min(max(u, -top), top) for u, top in zip(law, limit, strict=True)]
-            asked = [float(u) * rng.uniform(0.9, 1) for u in kept]  # U is as good
-            answer = step.step(node, x, mode, asked, measured)
+            clipped = [min(max(u, -top), top) for u, top in zip(law, limit, strict=True)]
+            commands = [float(u) * rng.uniform(0.9, 1) for u in clipped]  # U is as good
+            answer = step.step(node, x, mode, commands, measured)
             if far and answer.fault & RANGE:
                 break
             assert not answer.fault & RANGE
-            given = zip(step.safety(cell, place, step.state), law, strict=True)  # not clipped
-            worst = max(worst, *(float(abs(flint.arb(u) - v).upper()) for u, v in given))
-            sent = [column(asked if answer.mode else kept), *sent[:-1]]
+            pairs = zip(step.safety(cell, place, step.state), law, strict=True)  # not clipped
+            worst = max(worst, *(float(abs(flint.arb(u) - v).upper()) for u, v in pairs))
+            sent = [column(commands if answer.mode else clipped), *sent[:-1]]
             flew = [np.array(answer.command), *flew[:-1]]
     assert worst <= tables.rounding <= 125 * worst, tables.rounding / worst
 
@@ -258,10 +258,10 @@ def test_a_bound_on_rounding_that_does_not_hold_is_refused(flown, tmp_path, prec
     honest, doc = copied(flown / "missed" / precision, tmp_path / "code"), document(flown, "missed")
     (header,) = honest.glob("*.h")
     text = header.read_text()
-    (stated,) = re.findall(r"_ROUNDING \((\S+?)f?\)", text)
+    (bound,) = re.findall(r"_ROUNDING \((\S+?)f?\)", text)
     for factor in (0.5, 1e3, 0.0, -1.0):
-        forged = rounded(float.fromhex(stated) * factor, precision).hex()
-        header.write_text(text.replace(stated, forged))
+        forged = rounded(float.fromhex(bound) * factor, precision).hex()
+        header.write_text(text.replace(bound, forged))
         with pytest.raises(Rejected, match="^rounding: commands|^rounding: .* is stated, twice"):
             check_code(doc, honest, Record())
 
@@ -308,9 +308,9 @@ def forgeries(folder):
     ]:
         assert old in text, old
         yield old, source.name, text.replace(old, new, 1)
-    given = header.read_text()
+    macros = header.read_text()
     for old, new in [(r"_UPDATES \((\d+)\)", r"_UPDATES (1\1)"), (r"_PREDICTED 0x400U", "_PREDICTED 0x0U")]:
-        yield old, header.name, re.sub(old, new, given, count=1)
+        yield old, header.name, re.sub(old, new, macros, count=1)
 
 
 @pytest.mark.parametrize(("name", "precision"), EACH)
@@ -361,8 +361,8 @@ def test_a_delay_that_counts_as_whole_periods_has_the_same_tables_in_the_checker
     tables = with_observer(flight_tables(doc), doc)
     later = OnBoard(doc, plant_of(doc), tables, "double").later
     assert len(tables.later) == len(later) == count
-    for given, exact in zip(map(matrix, tables.later), later, strict=True):
-        assert all(abs(x) < 1e-14 for x in (given - exact).entries())
+    for table, exact in zip(map(matrix, tables.later), later, strict=True):
+        assert all(abs(x) < 1e-14 for x in (table - exact).entries())
 
 
 def test_verify_confirms_the_code_with_the_run(flown):
@@ -406,11 +406,11 @@ def test_simulations_fly_the_observer_in_the_code(flown, name, precision):
     """As the Python loop flies in double; safe, as proven, in both."""
     schedule, code = read_schedule(flown / name / "run"), FlightCode(flown / name / precision)
     runs = simulate(schedule, 40, 4, tail=True, substeps=STEPS[name], code=code)
-    known = {0, PREDICTED} if name == "missed" else {0}
-    assert answers(code) == {(by_u, fault) for by_u in (False, True) for fault in known}
+    faults = {0, PREDICTED} if name == "missed" else {0}
+    assert answers(code) == {(by_u, fault) for by_u in (False, True) for fault in faults}
     assert not runs.metrics().collided.any()
-    off = np.abs(runs.states - simulate(schedule, 40, 4, tail=True, substeps=STEPS[name]).states).max()
-    assert off <= (1e-12 if precision == "double" else 1e-4)
+    deviation = np.abs(runs.states - simulate(schedule, 40, 4, tail=True, substeps=STEPS[name]).states).max()
+    assert deviation <= (1e-12 if precision == "double" else 1e-4)
     if STEPS[name] == 1:
         assert falsify(schedule, 60, 3, code=code).failure is None
     else:
@@ -456,15 +456,15 @@ def test_code_of_random_scenes_with_observers_is_confirmed_and_flies_safely(tmp_
         camera = str(rng.choice(["camera", "constant camera"]))
         names = [camera, *rng.choice(others, rng.integers(0, 3), replace=False)]
         period, weight = rng.choice([0.25, 0.5]), float(rng.choice([20, 60]))
-        given = f"feedback.period_s={period}", f"tracking.R={[weight] * 2}", "system.disturbance_max=0.004"
+        options = f"feedback.period_s={period}", f"tracking.R={[weight] * 2}", "system.disturbance_max=0.004"
         place = tmp_path / str(seed)
         try:
-            made = run(TINY, place / "run", overrides=["simulation.runs=2", *given, *declared(*names)]).path
-            schedule = read_schedule(made)
-            export_c(made, place / "code", observer=True)
+            path = run(TINY, place / "run", overrides=["simulation.runs=2", *options, *declared(*names)]).path
+            schedule = read_schedule(path)
+            export_c(path, place / "code", observer=True)
         except PolarisError:
             continue
-        check_code(read(made / "certificate.json"), place / "code", Record())
+        check_code(read(path / "certificate.json"), place / "code", Record())
         code = FlightCode(place / "code")
         steps = 25 if "part of a period" in names else 1
         runs = simulate(schedule, 40, seed, tail=True, substeps=steps, code=code)

@@ -92,9 +92,9 @@ def test_simulations_and_attacks_fly_the_code(name, precision):
     runs = simulate(schedule, 40, 4, tail=True, code=code)
     never_clipped(schedule, code)
     assert not runs.metrics().collided.any()
-    off = np.abs(runs.states - simulate(schedule, 40, 4, tail=True).states).max()
-    whole = any("bit" in given for given in SCENES[name])  # where rounding moves an impulse by one of them
-    assert off <= (1e-12 if precision == "double" else 0.01 if whole else 1e-5)
+    deviation = np.abs(runs.states - simulate(schedule, 40, 4, tail=True).states).max()
+    whole = any("bit" in text for text in SCENES[name])  # where rounding moves an impulse by one of them
+    assert deviation <= (1e-12 if precision == "double" else 0.01 if whole else 1e-5)
     code.answers.clear()
     assert falsify(schedule, 60, 3, code=code).failure is None
     never_clipped(schedule, code)
@@ -187,23 +187,23 @@ def test_many_flights_at_once_answer_as_the_python_step(precision):
         for rows in rng.permutation(5)[:2], rng.permutation(5)[2:]:
             x = rng.uniform(-1, 1, (len(rows), len(reach))) * reach
             u = rng.uniform(-1, 1, (len(rows), len(limit))) * limit
-            who = rng.integers(0, 2, len(rows))
-            given = code.step(period, x, who, u, rows)
+            modes = rng.integers(0, 2, len(rows))
+            commands = code.step(period, x, modes, u, rows)
             for i, run in enumerate(rows.tolist()):
-                answer = steps[run].step(period, x[i].tolist(), int(who[i]), u[i].tolist())
+                answer = steps[run].step(period, x[i].tolist(), int(modes[i]), u[i].tolist())
                 assert code.modes[run] == answer.mode
                 past = answer.mode == 0 and answer.fault & CLIPPED
-                assert past or tuple(given[i]) == answer.command
+                assert past or tuple(commands[i]) == answer.command
 
 
 def test_the_nonlinear_motion_is_flown_by_the_code():
     schedule = printed("static", CHOSEN)[1]
     env, code = Environment.from_scenario(printed("static", CHOSEN)[0]), code_of(schedule)
-    flown = fly_true(schedule, env, 6, substeps=1, code=code)
+    flights = fly_true(schedule, env, 6, substeps=1, code=code)
     plain = fly_true(schedule, env, 6, substeps=1)
     never_clipped(schedule, code)
-    assert not flown.runs.metrics().collided.any()
-    assert np.abs(flown.runs.states - plain.runs.states).max() <= 1e-9
+    assert not flights.runs.metrics().collided.any()
+    assert np.abs(flights.runs.states - plain.runs.states).max() <= 1e-9
 
 
 @pytest.mark.slow
@@ -212,9 +212,9 @@ def test_the_nonlinear_motion_is_flown_by_the_code_with_all_errors(precision):
     scenario = load_scenario("static", ERRORS)
     schedule = kept("on board static", lambda: synthesize(scenario))
     code = code_of(schedule, precision)
-    flown = fly_true(schedule, Environment.from_scenario(scenario), fewer(2000, 60), substeps=1, code=code)
+    flights = fly_true(schedule, Environment.from_scenario(scenario), fewer(2000, 60), substeps=1, code=code)
     never_clipped(schedule, code)
-    assert flown.within.all() and not flown.runs.metrics().collided.any()
+    assert flights.within.all() and not flights.runs.metrics().collided.any()
 
 
 def test_the_arena_flies_the_code_beside_the_schedule():
@@ -250,16 +250,16 @@ def test_code_of_the_same_modes_about_another_reference_is_refused(precision):
     schedule = scheduled("plain")
     code, safety = code_of(schedule, precision), schedule.safety
     assert code.require_schedule(schedule) is code
-    moved = replace(safety.reference, chi=safety.reference.chi + 0.01)
+    shifted = replace(safety.reference, chi=safety.reference.chi + 0.01)
     with pytest.raises(ScenarioError, match="flight code of this schedule"):
-        code.require_schedule(replace(schedule, safety=replace(safety, reference=moved)))
+        code.require_schedule(replace(schedule, safety=replace(safety, reference=shifted)))
 
 
 def test_falsify_flies_a_folder_of_code(tmp_path):
     run = make([COARSE], tmp_path)
     export_c(run, tmp_path / "code", "float")
-    given = ["falsify", str(run), "--runs", "40", "--code", str(tmp_path / "code")]
-    done = CliRunner().invoke(app, given)
+    command = ["falsify", str(run), "--runs", "40", "--code", str(tmp_path / "code")]
+    done = CliRunner().invoke(app, command)
     assert done.exit_code == 0 and "No violation." in done.stdout, done.output
     (source,) = (tmp_path / "code").glob("*[!t].c")
     source.write_text(source.read_text().replace("= {", "= {,", 1))

@@ -88,17 +88,17 @@ def test_compilers_are_silent_and_the_self_test_passes(flown, tmp_path, compiler
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_c_code_decides_as_python_to_the_last_bit(flown, tmp_path, precision):
     _, tables, _ = read_code(flown / precision)
-    library, seen, online = FlightLibrary(flown / precision, tmp_path / "flight.so"), {}, False
+    library, counts, online = FlightLibrary(flown / precision, tmp_path / "flight.so"), {}, False
     for call, expected in answered(tables, precision, calls(tables, FLIGHTS, 1)):
         if call.start:
             online = call.start == 2
             library.decide_from(call.period) if online else library.start()
         step = library.decide if online else library.step
-        given = step(call.period, call.state, call.controller, call.command)
-        assert (given, str(given.command)) == (expected, str(expected.command)), call
+        answer = step(call.period, call.state, call.controller, call.command)
+        assert (answer, str(answer.command)) == (expected, str(expected.command)), call
         if online:
-            seen[given.mode, given.fault] = seen.get((given.mode, given.fault), 0) + 1
-    assert seen[1, 0] > FLIGHTS / 4 and seen[0, REFUSED] > FLIGHTS / 4 and len(seen) > 15
+            counts[answer.mode, answer.fault] = counts.get((answer.mode, answer.fault), 0) + 1
+    assert counts[1, 0] > FLIGHTS / 4 and counts[0, REFUSED] > FLIGHTS / 4 and len(counts) > 15
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -147,11 +147,11 @@ def test_each_fault_has_its_answer(flown):
     _, tables, _ = read_code(flown / "double")
     n, m, q, u = len(tables.range), len(tables.limit), len(tables.moved), (0.5,) * len(tables.limit)
 
-    def fly(*given):
+    def fly(*calls):
         """Calls that follow one another from the period on in which U may fly from the reference."""
         step = OnlineStep(tables)
         step.safe.last = first - 1
-        return [step.step(first + at, state, controller, command) for at, state, controller, command in given]
+        return [step.step(first + at, state, controller, command) for at, state, controller, command in calls]
 
     def along(node):
         return OnlineStep(tables).safe.gap(*divmod(node, q), [0.0] * n)
@@ -162,9 +162,9 @@ def test_each_fault_has_its_answer(flown):
     first = next(k for k in allowed if OnlineStep(tables).recoverable(k + 1, along(k + 1), KEEP))
     x, y = along(first), along(first + 1)
     much = tuple(a + 0.9 * b for a, b in zip(x, tables.apart, strict=True))
-    regular, again, later = fly((0, x, 7, u), (0, x, 0, u), (1, y, 0, u))
+    regular, repeated, later = fly((0, x, 7, u), (0, x, 0, u), (1, y, 0, u))
     assert (regular.mode, regular.fault, regular.command) == (7, 0, u)
-    assert (again.mode, again.fault) == (7, REPEATED) and (later.mode, later.fault) == (0, 0)
+    assert (repeated.mode, repeated.fault) == (7, REPEATED) and (later.mode, later.fault) == (0, 0)
     for call, fault in [
         ((0, (math.nan, *x[1:]), 1, u), STATE),
         ((0, x, 1, (math.inf,) * m), COMMAND),
@@ -224,7 +224,7 @@ def test_the_runtime_on_the_ground_decides_as_the_code(flown, tmp_path, precisio
     schedule, code = read_schedule(flown / "run"), FlightCode(flown / precision)
     ground = MonitorOnBoard(DecisionGrid.from_schedule(schedule), code)
     library, rng = FlightLibrary(flown / precision, tmp_path / "flight.so"), np.random.default_rng(5)
-    grid, spread, seen = ground.grid, np.array(code.tables.apart), {}
+    grid, spread, counts = ground.grid, np.array(code.tables.apart), {}
     for place in range(20_000 if FLIGHTS > 1000 else 2000):
         k, before = int(rng.integers(0, grid.decisions)), place % 2
         state = grid.xi[k] + rng.uniform(-1, 1, grid.system.n) * spread * 10 ** rng.uniform(-4, 1)
@@ -237,9 +237,9 @@ def test_the_runtime_on_the_ground_decides_as_the_code(flown, tmp_path, precisio
             mode, _, reason = ground.explained(k, state, before)
         assert mode == answer.mode, (k, state)
         refused = "the code" in reason
-        seen[mode, refused] = seen.get((mode, refused), 0) + 1
-    assert seen.keys() == {(1, False), (0, False), (0, True)}  # a few that `Monitor` would let U fly
-    assert min(seen[1, False], seen[0, False]) > place / 5
+        counts[mode, refused] = counts.get((mode, refused), 0) + 1
+    assert counts.keys() == {(1, False), (0, False), (0, True)}  # a few that `Monitor` would let U fly
+    assert min(counts[1, False], counts[0, False]) > place / 5
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -256,13 +256,13 @@ def test_flights_on_the_ground_are_those_of_the_code(flown, tmp_path, precision)
         library.decide_from(0)
         x, answers = start.c + start.G @ rng.uniform(-1, 1, start.G.shape[1]), []
         for k in range(grid.decisions):
-            bad = rng.choice([math.nan, 1e7, 3.0]) if rng.random() < 0.1 * (flight % 2) else 0.0
-            answers.append(online.step(k * grid.period, Measurement(k * grid.period, x + bad), number=k))
-            asks = not answers[-1].faults
+            error = rng.choice([math.nan, 1e7, 3.0]) if rng.random() < 0.1 * (flight % 2) else 0.0
+            answers.append(online.step(k * grid.period, Measurement(k * grid.period, x + error), number=k))
+            healthy = not answers[-1].faults
             push = (rng.choice([-1.0, 1.0], system.m) * system.u_max).tolist()
-            answer = library.decide(k, x, int(asks), push)
+            answer = library.decide(k, x, int(healthy), push)
             assert answers[-1].mode == answer.mode, (flight, k, answers[-1])
-            modes[answer.mode], faults = modes[answer.mode] + 1, faults + (not asks)
+            modes[answer.mode], faults = modes[answer.mode] + 1, faults + (not healthy)
             w = rng.normal(size=system.D.shape[1])
             x = Ad @ x + Bd @ np.array(answer.command) + Dd @ w * (0.9 * system.w_max / np.linalg.norm(w))
         log.close()
@@ -281,9 +281,9 @@ def test_the_arena_flies_the_monitor_of_the_code(flown, tmp_path):
     assert np.array_equal(shares["schedule"], shares["code"])
     assert 0.1 < shares["monitor_code"].mean() <= shares["monitor"].mean()
     assert np.nanmax(results["monitor_code"].metrics.max_thrust_ratio_safety) <= 1
-    asked = "--runs 2 --methods schedule,monitor_code --no-figures"
-    given = ["compare", str(flown / "run"), *asked.split()]
-    done = CliRunner().invoke(app, [*given, "--code", str(flown / "float"), "--out", str(tmp_path / "out")])
+    options = "--runs 2 --methods schedule,monitor_code --no-figures"
+    command = ["compare", str(flown / "run"), *options.split()]
+    done = CliRunner().invoke(app, [*command, "--code", str(flown / "float"), "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     methods = json.loads((tmp_path / "out" / "comparison.json").read_text())["methods"]
     assert [(one["key"], one["guarantee"]) for one in methods] == [(key, "proved") for key in keys[::3]]
@@ -322,17 +322,17 @@ def test_attacks_fly_the_monitor_of_the_code_and_find_one_that_is_too_bold(flown
 # -- the checker ------------------------------------------------------------------------------------
 
 
-def forged(flown, folder, change, precision="double"):
+def forged(root, folder, change, precision="double"):
     """Code of altered tables whose text and self-test agree with them; returns the verdict."""
-    prefix, tables, _ = read_code(flown / precision)
+    prefix, tables, _ = read_code(root / precision)
     altered = replace(tables, **change(tables)).rounded(precision)
-    digest = read(flown / "run" / "certificate.json").digest
+    digest = read(root / "run" / "certificate.json").digest
     folder.mkdir()
     texts = files(altered, prefix, precision, digest)
     texts[f"{prefix}_selftest.c"] = selftest(altered, prefix, precision, calls(altered, 12, 0))
     for name, text in texts.items():
         (folder / name).write_text(text)
-    return verify(flown / "run", folder)
+    return verify(root / "run", folder)
 
 
 def scaled(table, by):
@@ -394,14 +394,14 @@ def test_an_honest_code_is_confirmed_and_its_margin_is_near(flown, tmp_path, pre
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, monkeypatch, precision):
     """Against balls, along every limit at every node that a decision looks at, errors of all signs."""
-    kept, place = [], "polaris.certificate.code.online._check_clearances"
-    monkeypatch.setattr(place, kept.append)
+    calls, place = [], "polaris.certificate.code.online._check_clearances"
+    monkeypatch.setattr(place, calls.append)
     assert verify(flown / "run", flown / precision).outcome == "VERIFIED"
-    flight, tables, lost = kept[0].flight, kept[0].tables, np.array(kept[0].rounding_loss, dtype=float)
+    flight, tables, loss = calls[0].flight, calls[0].tables, np.array(calls[0].rounding_loss, dtype=float)
     monkeypatch.setattr(flint.ctx, "prec", PRECISION)
     craft, doc, rng = flight.tracker.craft, flight.document, np.random.default_rng(4)
-    step, q, seen = OnlineStep(tables, precision), doc.q, np.zeros_like(lost)
-    rows, signs = flight.recovery.tightenings.full_rows, [(i, side - 1.0) for i, side, _ in kept[0].stored]
+    step, q, worst = OnlineStep(tables, precision), doc.q, np.zeros_like(loss)
+    rows, signs = flight.recovery.tightenings.full_rows, [(i, side - 1.0) for i, side, _ in calls[0].stored]
     for draw in range(300):
         cell, part = divmod(int(rng.integers(0, doc.steps * q)), q)
         node = flight.path.arcs[cell].nodes[part]
@@ -409,21 +409,21 @@ def test_rounding_of_values_is_within_its_bound_and_the_bound_is_near(flown, mon
         x = np.array(node.tolist(), dtype=float)[:, 0] - 0.999 * b * tables.apart
         gap = step.safe.gap(cell, part, [rounded(one, precision) for one in x.tolist()])
         e, feed = node - column(x.tolist()), column(doc.inputs[cell])
-        for lag in range(len(lost)):
+        for lag in range(len(loss)):
             values = [summed(0.0, row, gap, precision) for row in tables.rows]
             exact = (rows * e).entries()
-            off = [float(abs(y - s * values[k]).upper()) for y, (k, s) in zip(exact, signs, strict=True)]
-            seen[lag] = np.maximum(seen[lag], off)
+            errors = [float(abs(y - s * values[k]).upper()) for y, (k, s) in zip(exact, signs, strict=True)]
+            worst[lag] = np.maximum(worst[lag], errors)
             last = (craft.free, tables.held) if lag == 0 else (craft.F, tables.loop)
             e, gap = last[0] * e, [summed(0.0, row, gap, precision) for row in last[1]]
             if lag == 0:
                 e += craft.held_map * feed
                 pairs = zip(gap, tables.force, strict=True)
                 gap = [summed(one, row, tables.feed[cell], precision) for one, row in pairs]
-    assert (seen <= lost).all()
-    ratio = lost.max(axis=1) / seen.max(axis=1)
-    print(f"{precision}: bound over error {lost.max() / seen.max():.3g}, by node at most {ratio.max():.3g}")
-    assert max(lost.max() / seen.max(), ratio.max()) <= 100
+    assert (worst <= loss).all()
+    ratio = loss.max(axis=1) / worst.max(axis=1)
+    print(f"{precision}: bound over error {loss.max() / worst.max():.3g}, by node at most {ratio.max():.3g}")
+    assert max(loss.max() / worst.max(), ratio.max()) <= 100
 
 
 @pytest.mark.parametrize(
@@ -448,10 +448,10 @@ def test_an_altered_text_is_refused(flown, tmp_path, old, new):
 @pytest.mark.parametrize("seed", [1, 4, 6])
 def test_monitors_of_random_scenes_are_confirmed(tmp_path, seed):
     (tmp_path / "scene.toml").write_text(random_scenario(seed))
-    made = run(tmp_path / "scene.toml", tmp_path / "run", overrides=["simulation.runs=2"])
+    folder = run(tmp_path / "scene.toml", tmp_path / "run", overrides=["simulation.runs=2"])
     for precision in PRECISIONS:
-        export_c(made.path, tmp_path / precision, precision, monitor=True)
-        verdict = verify(made.path, tmp_path / precision)
+        export_c(folder.path, tmp_path / precision, precision, monitor=True)
+        verdict = verify(folder.path, tmp_path / precision)
         assert verdict.outcome == "VERIFIED" and "monitor" in dict(verdict.checked), verdict.witness
 
 
@@ -513,8 +513,8 @@ def test_errors_that_are_not_booked_are_refused(tmp_path, label):
     (tmp_path / "other").mkdir()
     export_c(make(less, tmp_path / "other"), tmp_path / "other" / "code", monitor=True)
     _, tables, _ = read_code(tmp_path / "other" / "code")
-    given = {name: getattr(tables, name) for name in ONLINE_SHAPES} | {"facets": tables.facets}
-    verdict = forged(tmp_path, tmp_path / "forged", lambda t: given)
+    changes = {name: getattr(tables, name) for name in ONLINE_SHAPES} | {"facets": tables.facets}
+    verdict = forged(tmp_path, tmp_path / "forged", lambda t: changes)
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "monitor") and "is booked" in verdict.witness
 
 

@@ -30,7 +30,7 @@ def calls(deputies, most=4):
 def answers(filtering, sequence, planned=False):
     """Ask one after another; what every answer must satisfy. Where there are plans, they go on unseen."""
     q = filtering.inspection
-    t, out = 0.0, []
+    t, decisions = 0.0, []
     for step, x, u in sequence:
         t += step
         decision = filtering.filter(t, x, u)
@@ -38,17 +38,17 @@ def answers(filtering, sequence, planned=False):
         assert (np.abs(decision.u) <= q.thrust_max).all()
         assert decision.intervened.shape == (q.deputies,)
         assert decision.status in {"desired", "filtered", "short", "backup", "coast"}
-        known = np.isfinite(x).all(axis=1) & (np.abs(x) <= 1e6).all(axis=1)
-        assert decision.on_backup[~known].all() if planned else not decision.u[~known].any()
-        if not known.all() or u is None or not np.isfinite(u).all():
+        valid = np.isfinite(x).all(axis=1) & (np.abs(x) <= 1e6).all(axis=1)
+        assert decision.on_backup[~valid].all() if planned else not decision.u[~valid].any()
+        if not valid.all() or u is None or not np.isfinite(u).all():
             assert decision.fallback
-        given = np.zeros(q.deputies, dtype=bool) if u is None else np.isfinite(u).all(axis=1)
-        assert decision.intervened[~given | ~known].all()
+        finite = np.zeros(q.deputies, dtype=bool) if u is None else np.isfinite(u).all(axis=1)
+        assert decision.intervened[~finite | ~valid].all()
         if u is not None:
             same = ~decision.intervened
             np.testing.assert_array_equal(decision.u[same], u[same])
-        out.append(decision)
-    return out
+        decisions.append(decision)
+    return decisions
 
 
 class Unreadable:

@@ -122,9 +122,9 @@ def gradient(function, z):
     """By complex steps, exact to rounding."""
     out = np.empty(len(z))
     for k in range(len(z)):
-        moved = z.astype(complex)
-        moved[k] += 1j * STEP
-        out[k] = np.imag(function(moved)) / STEP
+        point = z.astype(complex)
+        point[k] += 1j * STEP
+        out[k] = np.imag(function(point)) / STEP
     return out
 
 

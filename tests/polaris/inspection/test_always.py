@@ -70,19 +70,19 @@ def navigation(unknown, mode):
     return seen
 
 
-def fly(f, x, sun, primary, seconds, unknown=None, seen=None):
+def fly(f, x, sun, primary, seconds, unknown=None, estimate=None):
     """Least value of every constraint, also between samples; answers that are not proven; statuses."""
-    q, unknown, said = f.inspection, unknown or Uncertainty(), []
+    q, unknown, statuses = f.inspection, unknown or Uncertainty(), []
 
     def decide(t, at):
-        wanted = primary(t, at)
-        decision = f.filter(t, at if seen is None else seen(round(t / f.period), at), wanted)
-        said.append(decision.status)
-        way = wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-9)
-        missed = unknown.thrusters.error(decision.u) * np.sign(wanted)
-        return decision, decision.u + missed + unknown.disturbance * q.mass * way
+        desired = primary(t, at)
+        decision = f.filter(t, at if estimate is None else estimate(round(t / f.period), at), desired)
+        statuses.append(decision.status)
+        direction = desired / np.maximum(np.linalg.norm(desired, axis=1, keepdims=True), 1e-9)
+        missed = unknown.thrusters.error(decision.u) * np.sign(desired)
+        return decision, decision.u + missed + unknown.disturbance * q.mass * direction
 
-    return *harsh.fly(q, f.period, x, sun, seconds, decide)[:2], said
+    return *harsh.fly(q, f.period, x, sun, seconds, decide)[:2], statuses
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0, 2.0])
@@ -96,8 +96,8 @@ def test_plans_end_at_rest_within_the_thrust_and_are_flown_exactly(period):
             assert np.abs(u).max() <= 1.02  # a guess, which the check decides on
             np.testing.assert_allclose(plan[1:], plan[:-1] @ Phi.T + u @ Gamma.T, atol=1e-6)
             np.testing.assert_allclose(plan[-1] @ brake.to_rest.T, 0.0, atol=1e-12)
-        moved = brake.plan(x, shift=-20 * toward)[-1] - brake.extended(brake.plan(x), len(plan))[-1]
-        assert (np.linalg.norm(moved[:, :3], axis=1) > 15).all()
+        shifts = brake.plan(x, shift=-20 * toward)[-1] - brake.extended(brake.plan(x), len(plan))[-1]
+        assert (np.linalg.norm(shifts[:, :3], axis=1) > 15).all()
 
 
 UNKNOWN = {
@@ -121,19 +121,19 @@ def test_no_errors_leave_the_tube_and_the_worst_come_near_its_wall(period, name)
     x = np.array([[300.0, 200.0, 400.0, 0.9, 0.9, -0.9]])
     plan = brake.plan(x, shift=np.array([[30.0, 0.0, 0.0]]))
     plan = brake.extended(plan, len(plan) + round(60 / period))
-    wall, asked, shares = brake.around(plan)[:, 0], brake.thrusts(plan)[:, 0], []
-    for axis, end in [(axis, end) for axis in range(6) for end in (round(10 / period), len(asked))]:
+    wall, thrusts, shares = brake.around(plan)[:, 0], brake.thrusts(plan)[:, 0], []
+    for axis, end in [(axis, end) for axis in range(6) for end in (round(10 / period), len(thrusts))]:
         rows = [np.eye(6)[axis]]
         for _ in range(end - 1):
             rows.append(rows[-1] @ A)
         rows, e = rows[::-1], -bound * np.sign(rows[-1] @ Phi)
         for k in range(end):
             noise = bound * np.sign(rows[k] @ Gamma @ K) if k else -e
-            u = asked[k] + K @ (e + noise)
-            assert np.abs(u - asked[k]).max() <= brake.tube.feedback + 1e-12
-            way = rows[k] @ Gamma
-            w = unknown.disturbance * Q.mass * way / np.linalg.norm(way)
-            e = Phi @ e + Gamma @ (K @ (e + noise) + unknown.thrusters.error(u) * np.sign(way) + w)
+            u = thrusts[k] + K @ (e + noise)
+            assert np.abs(u - thrusts[k]).max() <= brake.tube.feedback + 1e-12
+            direction = rows[k] @ Gamma
+            w = unknown.disturbance * Q.mass * direction / np.linalg.norm(direction)
+            e = Phi @ e + Gamma @ (K @ (e + noise) + unknown.thrusters.error(u) * np.sign(direction) + w)
             for at in wall[k : k + 2]:
                 assert np.linalg.norm(e[:3]) <= at[0] and np.linalg.norm(e[3:]) <= at[1]
         shares.append(abs(e[axis]) / wall[end, axis // 3])
@@ -159,8 +159,8 @@ def test_bounds_are_below_what_is_flown_and_not_far_below(period):
         rest = plan[-1]
         c, s, o = np.cos(angle), np.sin(angle), 0 * angle
         turns = np.array([[c, s, o], [-s, c, o], [o, o, o + 1]]).transpose(2, 1, 0)
-        held = np.concatenate([rest[:, :3] @ turns, rest[:, 3:] @ turns], axis=2)
-        x_all = np.concatenate([at, held])
+        hovering = np.concatenate([rest[:, :3] @ turns, rest[:, 3:] @ turns], axis=2)
+        x_all = np.concatenate([at, hovering])
         t_all = np.concatenate([t, D * len(u) + angle / Q.mean_motion])
         sun_all = Q.sun_angle(t_all, sun)
         phi = allowable(Q, x_all, sun_all)
@@ -198,9 +198,9 @@ def test_held_in_free_flight_a_deputy_keeps_its_share_of_the_distance():
     for duration in (500.0, quarter - 0.3, quarter, quarter + 0.7, 1.4 * quarter):
         brake = Brake(replace(Q, passive_time=duration))
         plane, across = brake.drifting
-        flown = free_flight(Q.mean_motion, np.linspace(0, duration, 20001))[:, :3] @ brake.resting
-        assert 0 <= across <= np.abs(flown[:, 2, 2]).min() + 1e-9
-        least = np.linalg.svd(flown[:, :2, :2], compute_uv=False).min()
+        drifts = free_flight(Q.mean_motion, np.linspace(0, duration, 20001))[:, :3] @ brake.resting
+        assert 0 <= across <= np.abs(drifts[:, 2, 2]).min() + 1e-9
+        least = np.linalg.svd(drifts[:, :2, :2], compute_uv=False).min()
         assert 0 <= plane <= least + 1e-9 and (duration > 500 or plane >= 0.8 * least)
 
 
@@ -235,8 +235,8 @@ def test_nearly_all_drawn_states_are_proven_as_the_page_says(period, exact, with
         planners = [BackupPlanner(AllTime(brake, sun)) for sun in suns]
         good = [planner.find(0.0, x).good for planner, x in zip(planners, states, strict=True)]
         assert abs(sum(good) - count) <= 1  # one may lie at the edge of rounding
-    shown = Path("docs/inspection-assured.md").read_text(encoding="utf-8")
-    assert f"| {period:g} s | {exact} | {with_errors} |" in shown
+    page = Path("docs/inspection-assured.md").read_text(encoding="utf-8")
+    assert f"| {period:g} s | {exact} | {with_errors} |" in page
 
 
 @pytest.mark.parametrize(
@@ -246,8 +246,8 @@ def test_harsh_primaries_find_no_period_without_a_proven_answer(kind, sharing):
     states, suns = drawn(3)
     f = make(kind, period=2.0, sun=suns[2], sharing=sharing)
     duration = 120.0 if sharing == "centralized" else 30.0
-    least, unproven, said = fly(f, states[2], suns[2], Harsh(Q, "mixed", suns[2], 30.0), duration)
-    assert unproven == 0 and least >= 0 and set(said) & {"filtered", "backup"}
+    least, unproven, statuses = fly(f, states[2], suns[2], Harsh(Q, "mixed", suns[2], 30.0), duration)
+    assert unproven == 0 and least >= 0 and set(statuses) & {"filtered", "backup"}
 
 
 @pytest.mark.parametrize("mode", ["bias", "flip", "against"])
@@ -255,7 +255,7 @@ def test_estimates_at_the_edge_of_their_bound(mode):
     planned = ((x, s, BackupPlanner(AllTime(Brake(Q, 1.0, BAD), s))) for x, s in zip(*drawn(8), strict=True))
     x, sun = next((x, s) for x, s, planner in planned if planner.find(0.0, x).good)
     f = make("explicit", sun=sun, unknown=BAD)
-    least, unproven, said = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0, BAD, navigation(BAD, mode))
+    least, unproven, statuses = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0, BAD, navigation(BAD, mode))
     assert unproven == 0 and least >= 0
 
 
@@ -270,18 +270,18 @@ class Group:
         self.inspection, self.period = self.rule.inspection, self.rule.period
         self.calls, self.moved, self.mixes = 0, np.zeros(len(members)), 0
 
-    def filter(self, t, x, wanted):
-        sent = [one.message(x[i], wanted[i]) for i, one in enumerate(self.members)]
+    def filter(self, t, x, desired):
+        sent = [one.message(x[i], desired[i]) for i, one in enumerate(self.members)]
         lost = self.lost(self.calls) & ~np.eye(len(sent), dtype=bool)
         u = [
             one.decide(t, [None if lost[i, j] else sent[j] for j in range(len(sent))])
             for i, one in enumerate(self.members)
         ]
         self.calls += 1
-        moved = np.array([one.moved for one in self.members])
-        self.moved, self.mixes = self.moved + moved, self.mixes + (moved.any() and not moved.all())
+        moving = np.array([one.moved for one in self.members])
+        self.moved, self.mixes = self.moved + moving, self.mixes + (moving.any() and not moving.all())
         unproven = any(one.unproven for one in self.members)
-        return Decision(np.array(u), moved, (), {}, "", on_backup=~moved, unproven=unproven)
+        return Decision(np.array(u), moving, (), {}, "", on_backup=~moving, unproven=unproven)
 
 
 def group(kind, lost, k, period=1.0, unknown=None):
@@ -305,9 +305,9 @@ def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all()
     Phi, Gamma = Q.discretize(2.0)
     aim, members = Harsh(Q, "mixed", sun, 10.0), f.members
     for k in range(6):
-        seen, wanted = x.copy(), aim(2.0 * k, x)
-        seen[2] = 1e30 if k == 5 else x[2]
-        sent = [one.message(*each) for one, *each in zip(members, seen, wanted, strict=True)]
+        estimates, desired = x.copy(), aim(2.0 * k, x)
+        estimates[2] = 1e30 if k == 5 else x[2]
+        sent = [one.message(*each) for one, *each in zip(members, estimates, desired, strict=True)]
         deaf = [None if j == 1 and k < 5 else each for j, each in enumerate(sent)]
         u = [one.decide(2.0 * k, sent if i else deaf) for i, one in enumerate(members)]
         x = x @ Phi.T + np.array(u) @ Gamma.T
@@ -334,24 +334,24 @@ def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
     f, x, _ = group("implicit", None, 5, 2.0, BAD if how == "not known" else None)
     one, Phi, Gamma = f.members[0], *Q.discretize(2.0)
 
-    def go(t, heard):
+    def go(t, radio):
         nonlocal x
         sent = [each.message(x[i], np.zeros(3)) for i, each in enumerate(f.members)]
         u = [
-            each.decide(t, sent if heard or i else [sent[0], *[None] * 4]) for i, each in enumerate(f.members)
+            each.decide(t, sent if radio or i else [sent[0], *[None] * 4]) for i, each in enumerate(f.members)
         ]
         x = x @ Phi.T + np.array(u) @ Gamma.T
         return one.unproven
 
-    assert not go(0.0, heard=False)
-    bad = np.full(6, np.nan) if how == "not known" else x[0]
+    assert not go(0.0, radio=False)
+    measured = np.full(6, np.nan) if how == "not known" else x[0]
     t = {"late": 3.0, "no number": np.nan, "not known": 2.0}[how]
-    one.decide(t, [one.message(bad, np.zeros(3)), *[None] * 4])
+    one.decide(t, [one.message(measured, np.zeros(3)), *[None] * 4])
     assert one.unproven
     x[0] = one.message(x[0], x[0, :3]).plan[0, 0]  # on its plan again
     for each in f.members:  # the others' clocks and plans have gone on, too
         each._due = one._due
-    assert go(one._due, heard=False) and not go(one._due, heard=True) and one.moved
+    assert go(one._due, radio=False) and not go(one._due, radio=True) and one.moved
 
 
 OTHERS = {
@@ -372,8 +372,8 @@ def test_a_group_whose_deputies_have_different_rules_moves_nowhere_and_says_so(n
     rules = [build_filter(**common | changed) for changed in (OTHERS[name], {})]
     members, (Phi, Gamma) = [Member(i, rule, 0.0, x) for i, rule in enumerate(rules)], TWO.discretize(1.0)
     for k in range(20):
-        wanted = np.array([[0, 0, 1.0], [0, 0, -1.0]])
-        sent = [one.message(x[i], wanted[i]) for i, one in enumerate(members)]
+        desired = np.array([[0, 0, 1.0], [0, 0, -1.0]])
+        sent = [one.message(x[i], desired[i]) for i, one in enumerate(members)]
         u = [one.decide(float(k), sent) for one in members]
         assert all(one.unproven and not one.moved for one in members)
         x = x @ Phi.T + np.array(u) @ Gamma.T
@@ -381,8 +381,8 @@ def test_a_group_whose_deputies_have_different_rules_moves_nowhere_and_says_so(n
 
 
 def test_without_mixed_plans_there_is_no_group():
-    x, again = drawn(1)[0][0], SimplexImplicit(BackupPlanner(AllTime(Brake(Q)), mixed=True))
-    for words, rule in (("mixed", make("explicit")), ("equal answers to equal messages", again)):
+    x, simplex = drawn(1)[0][0], SimplexImplicit(BackupPlanner(AllTime(Brake(Q)), mixed=True))
+    for words, rule in (("mixed", make("explicit")), ("equal answers to equal messages", simplex)):
         with pytest.raises(ScenarioError, match=words):
             Member(0, rule, 0.0, x)
     with pytest.raises(ScenarioError, match="must have a proven plan"):
@@ -422,9 +422,9 @@ def test_latching_and_handing_back():
     aim = Harsh(Q, "mixed", suns[2], 40.0)
     fly(f, states[2], suns[2], lambda t, x: aim(t, x) if t % 120 < 60 else -5 * x[:, 3:], 240.0)
     for i in range(5):
-        own = [entry for entry in f.log if entry.deputy == i]
-        assert [entry.to for entry in own] == (["backup", "desired"] * len(own))[: len(own)]
-        for back, on in zip(own[::2], own[1::2], strict=False):
+        entries = [entry for entry in f.log if entry.deputy == i]
+        assert [entry.to for entry in entries] == (["backup", "desired"] * len(entries))[: len(entries)]
+        for back, on in zip(entries[::2], entries[1::2], strict=False):
             assert on.t - back.t >= 10.0 and "would be" in back.reason
     assert {entry.to for entry in f.log} == {"backup", "desired"}
 
@@ -447,8 +447,8 @@ def test_the_command_of_the_long_flights(capsys, monkeypatch):
     monkeypatch.setattr(harsh, "PERIODS", (2.0, 1.0))
     harsh.main(["--flights", "4", "--seconds", "20", "--kind", "simplex_implicit", "--errors"])
     lines = capsys.readouterr().out.splitlines()
-    flown = [line.split()[1:3] for line in lines[:4]]
-    assert flown == [["deputy", "2"], ["cone", "2"], ["far", "2"], ["deputy", "1"]]
+    flights = [line.split()[1:3] for line in lines[:4]]
+    assert flights == [["deputy", "2"], ["cone", "2"], ["far", "2"], ["deputy", "1"]]
     assert lines[-1] == "4 flights of 20 s: 0 violated, 0 periods not proven"
 
 

@@ -129,14 +129,14 @@ def test_the_way_back_is_never_asked_to_be_faster_than_its_limit(outside, a, dep
     assert further[0] <= speed * (1 - 1e-12) and further[1] <= slope
 
 
-def turned(way):
-    return way / np.linalg.norm(way, axis=1, keepdims=True)
+def turned(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def on_the_cone(barrier, sun, delta, way, along):
+def on_the_cone(barrier, sun, delta, direction, along):
     """Places `delta` [m] outside a sun's cone, `along` its axis, and the normals there."""
     axis = -barrier.side * np.stack([np.cos(sun), np.sin(sun), 0 * sun], axis=1)
-    across = turned(np.cross(axis, way))
+    across = turned(np.cross(axis, direction))
     s, c = np.sin(barrier.half_angle), np.cos(barrier.half_angle)
     return along * axis + np.abs(delta[:, None] + s * along) / c * across, c * across - s * axis
 
@@ -144,9 +144,9 @@ def on_the_cone(barrier, sun, delta, way, along):
 def special_places():
     axis = -oracle.sun_direction(0.7)
     across = np.cross(axis, [0.0, 0.0, 1.0])
-    rest = np.zeros(3)
+    at_rest = np.zeros(3)
     slow, fast = np.array([0.1, -0.2, 0.05]), np.array([1.0, 1.0, -1.0])
-    for velocity in (rest, slow, fast):
+    for velocity in (at_rest, slow, fast):
         yield "centre", np.r_[0.0, 0.0, 0.0, velocity]
         yield "almost the centre", np.r_[1e-12, 0.0, -1e-13, velocity]
         yield "axis", np.r_[300 * axis, velocity]
@@ -219,25 +219,25 @@ def test_keeping_h_keeps_phi(seed):
     h = families(x, sun).h
     later = 1e-2
     drifted = x + later * (x @ q.system.A.T)
-    now, then = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
+    phi, phi_later = allowable(q, x, sun), allowable(q, drifted, sun - q.mean_motion * later)
     # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
     cones = next(group for group in families.groups if isinstance(group.barrier, SunCone))
     places = [(x, sun), (drifted, sun - q.mean_motion * later)]
     signed = [cones.barrier._geometry(families.stack(at)[:, cones.at, :3], s[:, None])[0] for at, s in places]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
-        held = h[:, names == name]
-        outside = now[of] < 0
+        h_rows = h[:, names == name]
+        outside = phi[of] < 0
         if name == "h3":
-            assert not (outside & (held >= 1e-6)).any()
+            assert not (outside & (h_rows >= 1e-6)).any()
             continue
-        back = then[of] - now[of]
+        change = phi_later[of] - phi[of]
         if name in ("h4", "h5"):
-            apart = names[cones.rows] == name
-            back, outside = (signed[1] - signed[0])[:, apart], signed[0][:, apart] < 0
-        assert (back[outside & (held >= 0)] > 0).all(), name
+            selected = names[cones.rows] == name
+            change, outside = (signed[1] - signed[0])[:, selected], signed[0][:, selected] < 0
+        assert (change[outside & (h_rows >= 0)] > 0).all(), name
     for name in ("h9", "h10", "h11"):
-        assert not ((now["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()
+        assert not ((phi["phi" + name[1:]] < 0) & (h[:, names == name] >= 0)).any()
 
 
 @pytest.mark.parametrize("family", ["chief_separation", "keep_in", "speed", "sun", "velocity"])
@@ -256,9 +256,9 @@ def test_thrust_can_keep_each_constraint_where_it_is_zero(family, q):
     K = 4000
     families = Families(q)
     sun = rng.uniform(-np.pi, np.pi, K)
-    way = rng.standard_normal((K, 3)) * rng.choice([0.0, 1.0], (K, 3), p=[0.3, 0.7])
-    way[~way.any(axis=1)] = [1.0, 0.0, 0.0]
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    direction = rng.standard_normal((K, 3)) * rng.choice([0.0, 1.0], (K, 3), p=[0.3, 0.7])
+    direction[~direction.any(axis=1)] = [1.0, 0.0, 0.0]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     v = q.speed_max * rng.choice([-1.0, 1.0, 0.3], (K, 3))
     distance = 10 ** rng.uniform(1, np.log10(q.distance_max), K)
     if family == "keep_in":
@@ -268,15 +268,15 @@ def test_thrust_can_keep_each_constraint_where_it_is_zero(family, q):
     if family == "sun":
         half = q.field_of_view / 2
         axis = -np.stack([np.cos(sun), np.sin(sun), 0 * sun], axis=1)
-        across = np.cross(axis, way)
+        across = np.cross(axis, direction)
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
         along = rng.uniform(q.separation, 0.8 * q.distance_max, (K, 1))
         delta = 10 ** rng.uniform(-3, 1.5, (K, 1))
-        way = along * axis + (delta + np.sin(half) * along) / np.cos(half) * across
-        distance = np.linalg.norm(way, axis=1)
-        way /= distance[:, None]
-    z = np.concatenate([way * distance[:, None], v], axis=1)
-    seen = 0
+        direction = along * axis + (delta + np.sin(half) * along) / np.cos(half) * across
+        distance = np.linalg.norm(direction, axis=1)
+        direction /= distance[:, None]
+    z = np.concatenate([direction * distance[:, None], v], axis=1)
+    tested = 0
     for row in (m for m, name in enumerate(families.family) if name == family):
         x = z.copy()
         for _ in range(8 if family != "velocity" else 0):  # to the boundary, along the gradient in v
@@ -292,8 +292,8 @@ def test_thrust_can_keep_each_constraint_where_it_is_zero(family, q):
         alpha = families.alpha[family](rows.h[:, row])
         growth = q.thrust_max * np.abs(rows.G[:, row]).sum(1) - rows.bound[:, row] - alpha
         assert growth[ok].min() >= -1e-9
-        seen += ok.sum()
-    assert seen > 100
+        tested += ok.sum()
+    assert tested > 100
 
 
 PERIODS = (0.1, 0.5, 1.0, 3.0, 10.0)
@@ -305,8 +305,8 @@ def held(n, t):
     block = np.zeros((9, 9))
     block[:6, :6] = cw_matrix(n)
     block[3:6, 6:] = np.eye(3)
-    moved = np.stack([expm(block * s) for s in t])
-    return moved[:, :6, :6], moved[:, :6, 6:]
+    powers = np.stack([expm(block * s) for s in t])
+    return powers[:, :6, :6], powers[:, :6, 6:]
 
 
 class Attack:
@@ -353,12 +353,12 @@ class Attack:
         """Return the largest fall of h below ``(1 - share t / D) h`` (0 for dropped rows), and who flew."""
         h, G, tightening, M = self.rows(z, sun)
         a = self.just_enough(G, tightening, one, two)
-        flown = np.isfinite(a).all(-1) & (h >= 0) & ~np.isposinf(M)
+        admissible = np.isfinite(a).all(-1) & (h >= 0) & ~np.isposinf(M)
         path = self.fly(z, np.nan_to_num(a))
         values = self.values(path, sun, z)
         part = (self.times / self.data.period).reshape(-1, *[1] * h.ndim)
         promised = np.where(self.dropped(z, M), 0.0, (1 - self.data.share * part) * h)
-        return np.where(flown, promised - values, -np.inf).max(axis=0), flown
+        return np.where(admissible, promised - values, -np.inf).max(axis=0), admissible
 
     def dropped(self, z, M):
         """Rows that promise no more than that h does not become negative."""
@@ -398,8 +398,8 @@ def near_the_boundary(kind, barrier, rng, K):
     """States with h from 0 to a few tenths, some of them as fast as the braking allows."""
     sun, delta = rng.uniform(-np.pi, np.pi, K), 10 ** rng.uniform(-3, 2, K)
     v = rng.standard_normal((K, 3)) * 10 ** rng.uniform(-2, 0, (K, 1))
-    way = turned(rng.standard_normal((K, 3)))
-    p, less = way * 10 ** rng.uniform(1, 3, (K, 1)), rng.choice([0.0, 1e-3, 0.05, 0.3], K)
+    direction = turned(rng.standard_normal((K, 3)))
+    p, less = direction * 10 ** rng.uniform(1, 3, (K, 1)), rng.choice([0.0, 1e-3, 0.05, 0.3], K)
     if kind == "speed":
         limit = barrier.docking_speed + barrier.slope * np.linalg.norm(p, axis=1)
         return np.concatenate([p, turned(v) * (limit * (1 - less))[:, None]], axis=1), sun
@@ -409,24 +409,24 @@ def near_the_boundary(kind, barrier, rng, K):
         z[:, 3 + barrier.axis] = barrier.limit * rng.choice([-1, 1], K) * (1 - less)
         return z, sun
     if kind == "cone":
-        z[:, :3], normal = on_the_cone(barrier, sun, delta, way, rng.uniform(5, 900, (K, 1)))
+        z[:, :3], normal = on_the_cone(barrier, sun, delta, direction, rng.uniform(5, 900, (K, 1)))
     else:
-        normal = way if kind == "outside" else -way
-        z[:, :3] = barrier.radius * way + delta[:, None] * normal
+        normal = direction if kind == "outside" else -direction
+        z[:, :3] = barrier.radius * direction + delta[:, None] * normal
     z[:, 3:] += (less - barrier(z, sun).h)[:, None] * normal  # so that h is just what is wanted
     return z, sun
 
 
 def attacks(kind, n, period, thrust, share=0.5):
     braking = Braking(0.8 * thrust, 0.1, 0.2)
-    made, barrier = {
+    attack_type, barrier = {
         "outside": (Attack, Radial(10.0, braking)),
         "inside": (Attack, Radial(1000.0, braking, -1.0)),
         "cone": (Attack, SunCone(np.pi / 6, n, braking)),
         "speed": (SpeedAttack, SpeedInSquares(0.2, 2 * n)),
         "velocity": (VelocityAttack, VelocitySide(0, 1.0)),
     }[kind]
-    return made(barrier, n, period, thrust, share)
+    return attack_type(barrier, n, period, thrust, share)
 
 
 KINDS = ("outside", "inside", "cone", "speed", "velocity")
@@ -435,7 +435,7 @@ KINDS = ("outside", "inside", "cone", "speed", "velocity")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_input_that_satisfies_a_row_breaks_its_promise(kind):
     rng = np.random.default_rng(42)
-    flown = 0
+    count = 0
     for period in PERIODS:
         for n in (1e-4, 1.027e-3, 1e-2):
             for thrust in (0.01, 1 / 12, 0.3):
@@ -443,21 +443,21 @@ def test_no_input_that_satisfies_a_row_breaks_its_promise(kind):
                 K = 150
                 z, sun = near_the_boundary(kind, attack.barrier, rng, K)
                 one, two = rng.choice([-thrust, thrust], (2, K, 3)) * rng.choice([0.3, 1.0], (2, K, 1))
-                worst, flew = attack.shortfall(z, sun, one, two)
+                worst, tested = attack.shortfall(z, sun, one, two)
                 assert worst.max() <= 1e-10, (period, n, thrust)
-                flown += flew.sum()
-    assert flown > 1000
+                count += tested.sum()
+    assert count > 1000
 
 
 def outside_and_near(kind, barrier, rng, K):
     """States from deep outside to just inside the boundary, at any speed."""
     sun = rng.uniform(-np.pi, np.pi, K)
     delta = rng.choice([-1.0, 1.0], K, p=[0.8, 0.2]) * 10 ** rng.uniform(-3, 2.3, K)
-    way, v = turned(rng.standard_normal((K, 3))), rng.standard_normal((K, 3))
+    direction, v = turned(rng.standard_normal((K, 3))), rng.standard_normal((K, 3))
     if kind == "cone":
-        p = on_the_cone(barrier, sun, delta, way, rng.uniform(5, 900, (K, 1)))[0]
+        p = on_the_cone(barrier, sun, delta, direction, rng.uniform(5, 900, (K, 1)))[0]
     else:
-        p = np.abs(barrier.radius + (delta if kind == "outside" else -delta))[:, None] * way
+        p = np.abs(barrier.radius + (delta if kind == "outside" else -delta))[:, None] * direction
     return np.concatenate([p, v * 10 ** rng.uniform(-3, 0.5, (K, 1))], axis=1), sun
 
 
@@ -478,12 +478,12 @@ def test_curvature_bounds_hold_from_outside_too(kind, factor):
         rate = rate + (G * a).sum(axis=1)
         t = attack.times[:, None]
         path = attack.barrier(attack.fly(z, a), sun - attack.n * t).h
-        some = np.isfinite(M)
-        bounded += (some & (h < 0)).sum()
-        short = path - (h + t * rate - factor * np.where(some, M, 0.0) * t**2 / 2)
-        found_out += (short[:, some] < -1e-9).any(axis=0).sum()
+        finite = np.isfinite(M)
+        bounded += (finite & (h < 0)).sum()
+        short = path - (h + t * rate - factor * np.where(finite, M, 0.0) * t**2 / 2)
+        found_out += (short[:, finite] < -1e-9).any(axis=0).sum()
         if factor == 1.0:
-            assert short[:, some].min() >= -1e-9, period
+            assert short[:, finite].min() >= -1e-9, period
             assert path[:, np.isneginf(M)].min(initial=0.0) >= -1e-12
     assert bounded > 500 and (found_out > 0) == (factor < 1)
 
@@ -515,8 +515,8 @@ def flights(rng, K, n, radius):
     v = rng.standard_normal((K, 3)) * 10 ** rng.uniform(-2, 0, (K, 1))
     v -= (v * near).sum(-1, keepdims=True) * near / (near**2).sum(-1, keepdims=True)
     z = np.concatenate([near, v], axis=1)
-    back = rng.uniform(0, 500, K)
-    return np.stack([expm(-cw_matrix(n) * t) @ one for t, one in zip(back, z, strict=True)])
+    times = rng.uniform(0, 500, K)
+    return np.stack([expm(-cw_matrix(n) * t) @ one for t, one in zip(times, z, strict=True)])
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0, 3.0])
@@ -542,16 +542,16 @@ def test_passive_rows_keep_every_flight_of_the_period_clear(period):
         if not allowed.any():
             continue
         best = options[allowed][np.argsort(slack[allowed])[:5]]
-        for good in best:
-            for bad in options[~allowed][:5]:
+        for inner in best:
+            for outer in options[~allowed][:5]:
                 low, high = 0.0, 1.0
                 for _ in range(40):
                     mid = (low + high) / 2
-                    if (G[k] @ (good + mid * (bad - good)) >= tightening[k]).all():
+                    if (G[k] @ (inner + mid * (outer - inner)) >= tightening[k]).all():
                         low = mid
                     else:
                         high = mid
-                best = np.vstack([best, good + low * (bad - good)])
+                best = np.vstack([best, inner + low * (outer - inner)])
         path = attack.fly(np.repeat(z[k][None], len(best), axis=0), best)
         assert approach(path).distance.min() >= radius - 1e-6
         alone = PassiveSegments(np.full(len(best), radius), approach)
@@ -589,18 +589,18 @@ def test_filtered_flights_stay_allowable_between_samples(period, make):
     moves = [q.discretize(period * part) for part in (0.25, 0.5, 0.75, 1.0)]
     decided = 0
     for k in range(15):
-        now = sun - q.mean_motion * k * period
+        angle = sun - q.mean_motion * k * period
         desired = -np.sign(x[..., :3]) * q.thrust_max if k % 4 else rng.uniform(-1, 1, (len(x), 3, 3))
-        answer = filtering.batch(x, now, desired)
+        answer = filtering.batch(x, angle, desired)
         assert np.isfinite(answer.u).all() and np.abs(answer.u).max() <= q.thrust_max
-        kept = (answer.status < SHORT).all(axis=1)
-        decided += kept.sum()
+        solved = (answer.status < SHORT).all(axis=1)
+        decided += solved.sum()
         for part, (Phi, Gamma) in zip((0.25, 0.5, 0.75, 1.0), moves, strict=True):
             after = x @ Phi.T + answer.u @ Gamma.T
-            phi = allowable(q, after, now - q.mean_motion * period * part)
+            phi = allowable(q, after, angle - q.mean_motion * period * part)
             for name, values in phi.items():
-                assert values[kept].min(initial=np.inf) >= -1e-9, (k, name)
-        x, sun = after[kept], sun[kept]
+                assert values[solved].min(initial=np.inf) >= -1e-9, (k, name)
+        x, sun = after[solved], sun[solved]
         assert families(x, sun - q.mean_motion * (k + 1) * period).h.min(initial=np.inf) >= -1e-9
     assert decided > 100
 
@@ -681,8 +681,8 @@ def test_filters_ask_for_what_the_attacks_here_only_just_satisfy(period):
     for group in families.groups:
         attack = Attack(group.barrier, q.mean_motion, period, q.thrust_max / q.mass, data.share)
         h, _, tightening, M = attack.rows(families.stack(z)[..., group.at, :], sun[:, None])
-        own = slice(start, start := start + h.shape[-1])
+        columns = slice(start, start := start + h.shape[-1])
         inside = h > 0
         finite += np.isfinite(M[inside]).sum()
-        np.testing.assert_allclose(rows.bound[:, own][inside], tightening[inside], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rows.bound[:, columns][inside], tightening[inside], rtol=1e-9, atol=1e-12)
     assert start == len(families.labels) and finite > 20

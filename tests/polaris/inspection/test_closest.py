@@ -24,10 +24,10 @@ def infimum(z, n, T):
         return np.sqrt((oracle.free_flight(z, n, at) ** 2).sum())
 
     low = np.flatnonzero((d <= np.r_[d[1:], np.inf]) & (d <= np.r_[np.inf, d[:-1]]))
-    least, how = [d.min()], {"method": "bounded", "options": {"xatol": 1e-9}}
+    least, options = [d.min()], {"method": "bounded", "options": {"xatol": 1e-9}}
     for k in low[np.argsort(d[low])][:3]:
         ends = t[max(k - 1, 0)], t[min(k + 1, DENSE - 1)]
-        least.append(minimize_scalar(distance, bounds=ends, **how).fun)
+        least.append(minimize_scalar(distance, bounds=ends, **options).fun)
     return min(least)
 
 
@@ -37,8 +37,8 @@ def circular(rng, n, K):
     s, c = np.sin(phase), np.cos(phase)
     z = np.stack([r / 2 * s, r * c, np.sqrt(0.75) * r * s], axis=1)
     v = n * np.stack([r / 2 * c, -r * s, np.sqrt(0.75) * r * c], axis=1)
-    off = 10.0 ** rng.uniform(-9, -2, (K, 1))
-    return np.concatenate([z, v], axis=1) * (1 + off * rng.standard_normal((K, 6)))
+    relative = 10.0 ** rng.uniform(-9, -2, (K, 1))
+    return np.concatenate([z, v], axis=1) * (1 + relative * rng.standard_normal((K, 6)))
 
 
 def flights(kind, rng, n, T, K):
@@ -132,15 +132,15 @@ def test_gradient_of_the_infimum(seed):
     assert value.h == passive.value(z) == pytest.approx(infimum(z, N_ORBIT, 500.0) - 10.0, abs=1e-6)
     at = approach(z).when
 
-    def distance(moved):
-        return oracle.norm(oracle.free_flight(moved, N_ORBIT, at))
+    def distance(state):
+        return oracle.norm(oracle.free_flight(state, N_ORBIT, at))
 
     np.testing.assert_allclose(value.gradient, oracle.gradient(distance, z), rtol=1e-9, atol=1e-9)
     scale = np.r_[1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]
     for _ in range(3):
-        way = rng.standard_normal(6) * scale * 1e-4
-        ahead, back = passive(z + way).h, passive(z - way).h
+        step = rng.standard_normal(6) * scale * 1e-4
+        forward, backward = passive(z + step).h, passive(z - step).h
         # One-sided slopes bracket it where two minima compete; else all three agree.
-        linear = value.gradient @ way
-        assert min(ahead - value.h, value.h - back) - 1e-6 <= linear + 2e-6
-        assert ahead - value.h <= linear + 2e-6  # an infimum lies below each of its tangents
+        linear = value.gradient @ step
+        assert min(forward - value.h, value.h - backward) - 1e-6 <= linear + 2e-6
+        assert forward - value.h <= linear + 2e-6  # an infimum lies below each of its tangents

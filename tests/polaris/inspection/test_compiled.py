@@ -56,11 +56,11 @@ def test_rows_for_sampled_data_are_those_of_the_formulas(seed, deputies, wide, k
     q, x, sun, rng = drawn(seed, deputies, wide)
     sampled = SampledData(rng.uniform(0.2, 5.0), rng.uniform(0.1, 1.0))
     looped, plain = both(lambda: Families(q, sampled=sampled))
-    held = rng.uniform(-1, 1, (8, deputies, 3)) if known else None
-    a, b = looped(x, sun, held), plain(x, sun, held)
+    inputs = rng.uniform(-1, 1, (8, deputies, 3)) if known else None
+    a, b = looped(x, sun, inputs), plain(x, sun, inputs)
     for one, other in ((a.h, b.h), (a.G, b.G), (a.bound, b.bound)):
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # inf where it is inf, too
-    one = looped(x[3], sun[3], None if held is None else held[3])
+    one = looped(x[3], sun[3], None if inputs is None else inputs[3])
     assert np.array_equal(one.bound, a.bound[3])
 
 
@@ -75,10 +75,10 @@ def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
     passive = plain.among("passive", "deputy_passive")
     np.testing.assert_allclose(a.h[:, ~passive], b.h[:, ~passive], rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(a.h, b.h, rtol=1e-9, atol=2 * TOLERANCE)
-    alike = ~passive | (np.abs(a.h - b.h) < 1e-12)
+    same_time = ~passive | (np.abs(a.h - b.h) < 1e-12)
     size = 1 + np.abs(b.G).max(axis=-1)
-    assert (np.abs(a.G - b.G).max(axis=-1) / size)[alike].max() < 1e-9
-    assert (np.abs(a.bound - b.bound) / (1 + np.abs(b.bound)))[alike].max() < 1e-9
+    assert (np.abs(a.G - b.G).max(axis=-1) / size)[same_time].max() < 1e-9
+    assert (np.abs(a.bound - b.bound) / (1 + np.abs(b.bound)))[same_time].max() < 1e-9
     one = looped(x[3], sun[3])  # leading axes are kept
     assert np.array_equal(one.h, a.h[3]) and one.G.shape == b.G[3].shape
 
@@ -95,11 +95,11 @@ def test_programs_are_answered_as_by_the_solver_or_left(seed, coupled):
         G[0, 1], first[1], second[1] = G[0, 0] * (1 + 1e-9 * rng.standard_normal(3)), first[0], second[0]
     bound = rng.uniform(-1.5, 0.6, (1, M)) * np.linalg.norm(G, axis=2)
     desired = rng.uniform(-1, 1, (1, N, 3)) * 10 ** rng.uniform(-1, 3)
-    u, status, left = nearest.coupled(G, bound, first, second, desired, 1.0)
+    u, status, unsolved = nearest.coupled(G, bound, first, second, desired, 1.0)
     expected = project_coupled(G, bound, np.clip(desired, -1.0, 1.0), 1.0, first, second)
     if expected.status[0] != FILTERED:
-        assert left == 1 and (status == nearest.LEFT).all()
-    elif not left:
+        assert unsolved == 1 and (status == nearest.LEFT).all()
+    elif not unsolved:
         np.testing.assert_allclose(u, expected.u, atol=1e-8)
         relative = u[0, first] - np.where(second[:, None] >= 0, u[0, second], 0.0)
         length = np.linalg.norm(G[0], axis=1) * np.where(second >= 0, 2.0, 1.0) ** 0.5
@@ -113,12 +113,12 @@ def test_what_is_no_number_is_left(bad):
     G, bound, desired = np.diag([1.0, 1.0, -1.0])[None], np.full((1, 3), 0.5), np.zeros((1, 1, 3))
     index = np.zeros(3, dtype=int), np.full(3, -1)
     for values in (G, bound, desired):
-        kept = values.copy()
+        original = values.copy()
         values[0, 0] = bad
-        u, status, left = nearest.coupled(G, bound, *index, desired, 1.0)
-        good = values is bound and bad == -np.inf or values is desired and abs(bad) == np.inf  # clipped
-        assert left == (not good) and (good or (status == nearest.LEFT).all())
-        values[:] = kept
+        u, status, unsolved = nearest.coupled(G, bound, *index, desired, 1.0)
+        solvable = values is bound and bad == -np.inf or values is desired and abs(bad) == np.inf  # clipped
+        assert unsolved == (not solvable) and (solvable or (status == nearest.LEFT).all())
+        values[:] = original
 
 
 @pytest.mark.slow

@@ -49,13 +49,13 @@ def test_figure_fits_its_page_and_shows_the_data(run, name):
 
 @pytest.mark.slow
 def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
-    for spent, duration, switched in ((0.0, 40, False), (19.0, 200, True)):
+    for delta_v, duration, switched in ((0.0, 40, False), (19.0, 200, True)):
         scenario = load_scenario("fuel-limit").with_assignments(
-            [f"flight.duration_s={duration}", f"fuel.spent_m_s={spent}", "fuel.predictions=3"]
+            [f"flight.duration_s={duration}", f"fuel.spent_m_s={delta_v}", "fuel.predictions=3"]
         )
-        flown = fly_fuel(scenario)
-        assert (flown.latched_at is not None) == switched
-        names = {path.name for path in draw_figures(flown, tmp_path, inspection.FUEL_FIGURES)}
+        run = fly_fuel(scenario)
+        assert (run.latched_at is not None) == switched
+        names = {path.name for path in draw_figures(run, tmp_path, inspection.FUEL_FIGURES)}
         assert names == {f"{name}.{kind}" for name in ("path", "fuel", "thrust") for kind in ("pdf", "png")}
 
 

@@ -54,10 +54,10 @@ def feasible(wide, bound):
     length, size, limit = np.linalg.norm(wide, axis=1), wide.shape[1], FOUR.thrust_max
     if (bound[length == 0] > 0).any() or (bound == np.inf).any():
         return False
-    some = (length > 0) & (bound > -np.inf)
-    rows = np.c_[wide[some] / length[some, None], np.ones(some.sum())]
+    bounding = (length > 0) & (bound > -np.inf)
+    rows = np.c_[wide[bounding] / length[bounding, None], np.ones(bounding.sum())]
     limits = [(-limit, limit)] * size + [(-1, None)]
-    answer = linprog(np.r_[np.zeros(size), 1.0], -rows, -bound[some] / length[some], bounds=limits)
+    answer = linprog(np.r_[np.zeros(size), 1.0], -rows, -bound[bounding] / length[bounding], bounds=limits)
     return answer.status == 0 and answer.fun <= -1e-9
 
 
@@ -82,12 +82,12 @@ def test_centralized_is_the_projection(name, seed):
         assert np.isfinite(answer.u).all() and np.abs(answer.u).max() <= FOUR.thrust_max
         for r in range(R):
             wide, bound = wide_rows(families, answer.rows.G[r]), answer.rows.bound[r]
-            given_ = desired[r].ravel()
-            kept = (wide @ given_ >= bound + 1e-12).all() and np.abs(given_).max() <= FOUR.thrust_max
-            if kept:
+            target = desired[r].ravel()
+            unchanged = (wide @ target >= bound + 1e-12).all() and np.abs(target).max() <= FOUR.thrust_max
+            if unchanged:
                 assert (answer.u[r] == desired[r]).all() and (answer.status[r] == DESIRED).all()
             solved = (answer.status[r] < SHORT).all()
-            check_projection(wide, bound, given_, answer.u[r].ravel(), solved)
+            check_projection(wide, bound, target, answer.u[r].ravel(), solved)
             changed = (answer.u[r] != desired[r]).any(axis=1)
             assert (changed == (answer.status[r] != DESIRED) if solved else answer.status[r] == SHORT).all()
 
@@ -103,9 +103,9 @@ def test_coasting_is_the_projection_of_each_deputy(name, seed):
         assert np.isfinite(answer.u).all() and np.abs(answer.u).max() <= FOUR.thrust_max
         for r in range(R):
             for i in range(N):
-                mine = (families.first == i) | (families.second == i)
-                sign = np.where(families.second[mine] == i, -1.0, 1.0)
-                rows, bound = answer.rows.G[r, mine] * sign[:, None], answer.rows.bound[r, mine]
+                involved = (families.first == i) | (families.second == i)
+                sign = np.where(families.second[involved] == i, -1.0, 1.0)
+                rows, bound = answer.rows.G[r, involved] * sign[:, None], answer.rows.bound[r, involved]
                 solved = answer.status[r, i] < SHORT
                 check_projection(rows, bound, desired[r, i], answer.u[r, i], solved)
 
@@ -120,10 +120,10 @@ def test_shares_add_up_to_the_whole_condition(sharing, name):
     for seed in range(5):
         x, sun, desired = situation(seed, spread=(100.0, 600.0))
         answer = Decentralized(families, sharing).batch(x, sun, desired)
-        met = (answer.status[:, first] < SHORT) & (answer.status[:, second] < SHORT)
+        solved = (answer.status[:, first] < SHORT) & (answer.status[:, second] < SHORT)
         relative = answer.u[:, first] - np.where(pair[:, None], answer.u[:, second], 0.0)
         slack = np.einsum("rmv,rmv->rm", answer.rows.G, relative) - answer.rows.bound
-        assert slack[met].min(initial=np.inf) >= -1e-9
+        assert slack[solved].min(initial=np.inf) >= -1e-9
         count += (answer.status < SHORT).all(axis=1).sum()
     assert count > 5
 
@@ -227,9 +227,9 @@ def test_no_desired_input_means_the_backup_filtered(drawn):
         assert "desired input" in decision.fallback
         expected = Centralized(asif.families).batch(x[0][None], sun[:1], push[None]).u[0]
         np.testing.assert_allclose(decision.u, expected, atol=1e-12)
-    some = push.copy()
-    some[2, 1] = np.nan
-    assert "deputy 2" in asif.filter(0.0, x[0], some).fallback
+    partial = push.copy()
+    partial[2, 1] = np.nan
+    assert "deputy 2" in asif.filter(0.0, x[0], partial).fallback
 
 
 def broken(t, x):
@@ -252,15 +252,15 @@ def test_an_unknown_state_is_predicted_then_given_up(drawn):
     asif = active(Q, sun_start=float(sun[0]))
     u = asif.filter(0.0, x[0], np.full((5, 3), 0.3)).u
     Phi, Gamma = Q.discretize(1.0)
-    moved = x[0] @ Phi.T + u @ Gamma.T
-    lost = moved.copy()
-    lost[3, 2] = np.nan
-    decision = asif.filter(1.0, lost, np.zeros((5, 3)))
+    states = x[0] @ Phi.T + u @ Gamma.T
+    partial = states.copy()
+    partial[3, 2] = np.nan
+    decision = asif.filter(1.0, partial, np.zeros((5, 3)))
     assert "deputy 3" in decision.fallback
-    honest = active(Q, sun_start=float(sun[0])).filter(1.0, moved, np.zeros((5, 3)))
+    honest = active(Q, sun_start=float(sun[0])).filter(1.0, states, np.zeros((5, 3)))
     np.testing.assert_allclose(decision.u, honest.u, atol=1e-9)
-    gone = asif.filter(1000.0, np.full((5, 6), np.nan), np.ones((5, 3)))
-    assert gone.status == "coast" and not gone.u.any() and gone.intervened.all()
+    late = asif.filter(1000.0, np.full((5, 6), np.nan), np.ones((5, 3)))
+    assert late.status == "coast" and not late.u.any() and late.intervened.all()
     never = active(Q).filter(0.0, np.full((5, 6), np.inf), np.ones((5, 3)))
     assert never.status == "coast" and not never.u.any()
 
@@ -292,9 +292,9 @@ def test_sampled_conditions_held_for_too_long_are_recorded(drawn):
 def test_a_program_that_fails_is_answered_by_the_backup(drawn, sharing, monkeypatch):
     x, sun = drawn
     monkeypatch.setattr(
-        "polaris.rta.projection.daqp.solve", lambda H, f, *rest, **how: (np.full(len(f), np.nan), 0, -9, {})
+        "polaris.rta.projection.daqp.solve", lambda H, f, *rest, **extra: (np.full(len(f), np.nan), 0, -9, {})
     )
-    monkeypatch.setattr("polaris.rta.priorities.lowest", lambda *_, **how: None)
+    monkeypatch.setattr("polaris.rta.priorities.lowest", lambda *_, **extra: None)
     push = np.tile([0.1, -0.2, 0.3], (5, 1))
     asif = active(Q, sharing, backup=lambda t, z: push, sun_start=float(sun[0]))
     x = x[0].copy()
@@ -320,11 +320,11 @@ def test_no_state_is_propagated_across_a_break_of_the_clock(drawn, then):
     asif.filter(10.0, x[0], np.zeros((5, 3)))
     decision = asif.filter(then, np.full((5, 6), np.nan), np.zeros((5, 3)))
     assert decision.status == "coast" and "the time" in decision.fallback
-    known = active(Q, sun_start=float(sun[0]))
-    known.filter(10.0, x[0], np.zeros((5, 3)))
-    again = known.filter(then, x[0], np.full((5, 3), 0.1))
-    fresh = active(Q, sun_start=float(sun[0])).filter(then, x[0], np.full((5, 3), 0.1))
-    np.testing.assert_array_equal(again.u, fresh.u)
+    asif_known = active(Q, sun_start=float(sun[0]))
+    asif_known.filter(10.0, x[0], np.zeros((5, 3)))
+    after = asif_known.filter(then, x[0], np.full((5, 3), 0.1))
+    expected = active(Q, sun_start=float(sun[0])).filter(then, x[0], np.full((5, 3), 0.1))
+    np.testing.assert_array_equal(after.u, expected.u)
 
 
 @pytest.mark.parametrize("sharing", ALL)
@@ -346,6 +346,6 @@ def test_what_is_missed_is_recorded(sharing):
             expected |= {label: max(gap, expected.get(label, 0.0))} if gap > 1e-7 else {}
     assert decision.status == "short" and decision.missed == pytest.approx(expected) and expected
     assert all(name in decision.fallback for name in sorted(expected, key=expected.get)[-3:])
-    fine = active(q, sharing, sun_start=np.pi / 2 + 0.1)
-    apart = np.array([[0, 300.0, 0, 0, 0, 0], [60.0, 340.0, 200.0, 0, 0, 0]])
-    assert fine.filter(0.0, apart, np.zeros((2, 3))).missed == {}
+    satisfied = active(q, sharing, sun_start=np.pi / 2 + 0.1)
+    separated = np.array([[0, 300.0, 0, 0, 0, 0], [60.0, 340.0, 200.0, 0, 0, 0]])
+    assert satisfied.filter(0.0, separated, np.zeros((2, 3))).missed == {}

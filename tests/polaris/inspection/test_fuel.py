@@ -58,10 +58,10 @@ def test_the_printed_condition_breaks_the_limit_and_ours_does_not():
         return fly_backup(law, x, 500).delta_v(ONE.mass, period)[0]
 
     def printed(limit):
-        x, spent = np.array([[200.0, -100.0, 0, 0, 0, 0]]), 0.0
-        while spent + bound(x) <= limit:
-            x, spent = x @ Phi.T + np.ones((1, 3)) @ Gamma.T, spent + 3 * period / ONE.mass
-        return spent + bound(x)
+        x, delta_v = np.array([[200.0, -100.0, 0, 0, 0, 0]]), 0.0
+        while delta_v + bound(x) <= limit:
+            x, delta_v = x @ Phi.T + np.ones((1, 3)) @ Gamma.T, delta_v + 3 * period / ONE.mass
+        return delta_v + bound(x)
 
     totals = []
     for limit in np.linspace(15.0, 25.0, 11):
@@ -83,16 +83,16 @@ def test_the_limit_is_kept_by_the_condition_alone(seed):
     x[:, 1] += 150 * np.sign(x[:, 1])
     f = FuelLimit(law, spent=rng.uniform(5, 15, 2))
     push = rng.uniform(-2, 2, (2, 3))
-    spent = f.spent.copy()
+    delta_v = f.spent.copy()
     for k in range(700):
         if k % 20 == 0:
             push = rng.uniform(-2, 2, (2, 3))
         d = f.filter(float(k), x, push)
         assert k or min(d.margins["reserve[0]"], d.margins["reserve[1]"]) > 0, "the start is as it must be"
-        spent += np.abs(d.u).sum(axis=1) / TWO.mass
-        np.testing.assert_allclose(spent, f.spent, rtol=1e-12)
+        delta_v += np.abs(d.u).sum(axis=1) / TWO.mass
+        np.testing.assert_allclose(delta_v, f.spent, rtol=1e-12)
         assert not any(name.startswith("phi12") for name in d.active)
-        assert (spent <= TWO.delta_v_max).all()
+        assert (delta_v <= TWO.delta_v_max).all()
         assert (np.linalg.norm(x[:, :3], axis=1) > TWO.separation).all()
         x = x @ Phi.T + d.u @ Gamma.T
     assert f.latched.all() and np.abs(d.u).max() < 1e-3
@@ -102,12 +102,12 @@ def test_the_limit_is_kept_by_the_condition_alone(seed):
 def test_a_chief_in_the_way_is_left_clear_of():
     """The deputy is sent straight at the chief, with fuel enough."""
     x0 = [0.0, -400.0, 0.0, 0.0, 0.0, 0.0]
-    free, kept = (
+    free, avoiding = (
         fly_fuel_limit(FuelLimit(BackupTracker(ONE), keep_clear=clear), LQR(ONE), x0, 700.0)
         for clear in (False, True)
     )
     assert np.linalg.norm(free.x[:, :3], axis=1).min() < ONE.separation
-    assert np.linalg.norm(kept.x[:, :3], axis=1).min() >= ONE.separation and "chief" in kept.reason
+    assert np.linalg.norm(avoiding.x[:, :3], axis=1).min() >= ONE.separation and "chief" in avoiding.reason
 
 
 def test_clearance_is_below_what_dense_samples_show():
@@ -160,9 +160,9 @@ def test_a_horizon_too_short_is_not_taken_for_safe():
 def test_missing_input_is_backup_for_that_period_only():
     x = ELLIPSE + [0, 0, 0, 0.05, 0, 0]
     law = BackupTracker(ONE)
-    for bad in (None, [[np.nan, 0, 0]], [[np.inf, 0, 0]]):
+    for desired in (None, [[np.nan, 0, 0]], [[np.inf, 0, 0]]):
         f = FuelLimit(BackupTracker(ONE))
-        d = f.filter(0.0, x, bad)
+        d = f.filter(0.0, x, desired)
         np.testing.assert_allclose(d.u, law.thrust(x, law.start(x))[0], atol=1e-12)
         assert d.status == "backup" and "desired input" in d.fallback and not f.latched[0]
         assert f.filter(1.0, x, np.full((1, 3), 0.1)).status == "desired"
@@ -203,9 +203,9 @@ def test_horizons_out_of_range(horizon):
 
 
 def test_arguments():
-    for spent in (-1.0, np.nan, [1.0, 2.0, 3.0]):
+    for delta_v in (-1.0, np.nan, [1.0, 2.0, 3.0]):
         with pytest.raises(ScenarioError, match="spent"):
-            FuelLimit(BackupTracker(TWO), spent=spent)
+            FuelLimit(BackupTracker(TWO), spent=delta_v)
     with pytest.raises(ScenarioError, match="deputies"):
         fly_fuel_limit(FuelLimit(BackupTracker(TWO)), wasteful(TWO), START)
     with pytest.raises(ScenarioError, match="period"):
@@ -312,9 +312,9 @@ def test_flights_settle_thrust_goes_to_zero_and_the_outlook_holds(law):
     assert np.abs(us[-1]).max() < 1e-7 and np.abs(us[-1]).max() < 1e-6 * np.abs(us[0]).max() + 1e-12
     # Nothing is clipped, the bounds hold and are of the right size.
     assert np.abs(us).max() < ONE.thrust_max
-    spent = np.abs(us).sum(axis=(0, 2)) * law.period / ONE.mass
-    assert (spent <= look.delta_v * (1 + 1e-9)).all()
-    assert (look.delta_v <= 1.05 * spent + 1e-3).all()
+    delta_v = np.abs(us).sum(axis=(0, 2)) * law.period / ONE.mass
+    assert (delta_v <= look.delta_v * (1 + 1e-9)).all()
+    assert (look.delta_v <= 1.05 * delta_v + 1e-3).all()
     distance = np.linalg.norm(xs[..., :3], axis=-1)
     assert (distance.min(axis=0) >= look.distance).all()
     # It ends clear of the chief.

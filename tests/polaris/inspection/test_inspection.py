@@ -169,13 +169,13 @@ def test_rows_and_labels(N):
 @pytest.mark.parametrize("left_out", FAMILIES)
 def test_families_can_be_left_out(left_out):
     q = Inspection(deputies=3)
-    every, some = Families(q), Families(q, without=(left_out,))
-    kept = [k for k, family in enumerate(every.family) if family != left_out]
-    assert [every.labels[k] for k in kept] == list(some.labels)
+    full, reduced = Families(q), Families(q, without=(left_out,))
+    rows_kept = [k for k, family in enumerate(full.family) if family != left_out]
+    assert [full.labels[k] for k in rows_kept] == list(reduced.labels)
     x = np.random.default_rng(0).uniform(-100, 100, (2, 3, 6)) * [1, 1, 1, 0.003, 0.003, 0.003]
-    all_rows, rows = every(x, np.zeros(2)), some(x, np.zeros(2))
-    np.testing.assert_allclose(rows.h, all_rows.h[:, kept], rtol=1e-9)
-    np.testing.assert_allclose(rows.bound, all_rows.bound[:, kept], rtol=1e-9, atol=1e-12)
+    all_rows, rows = full(x, np.zeros(2)), reduced(x, np.zeros(2))
+    np.testing.assert_allclose(rows.h, all_rows.h[:, rows_kept], rtol=1e-9)
+    np.testing.assert_allclose(rows.bound, all_rows.bound[:, rows_kept], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("duration", [np.nan, "x", None, np.inf])

@@ -46,9 +46,9 @@ def drawn():
 
 def test_initial_conditions_are_inside_and_reproducible(drawn):
     x, sun, accepted = drawn
-    again = initial_conditions(Families(Q), 8, seed=1)
-    np.testing.assert_array_equal(x, again[0])
-    np.testing.assert_array_equal(sun, again[1])
+    redrawn = initial_conditions(Families(Q), 8, seed=1)
+    np.testing.assert_array_equal(x, redrawn[0])
+    np.testing.assert_array_equal(sun, redrawn[1])
     assert (Families(Q)(x, sun).h >= 0).all()
     assert not np.array_equal(x, initial_conditions(Families(Q), 8, seed=2)[0])
     # With the cube of 1000 m and 1 m/s, the published library accepts 0.65 % of the samples.
@@ -68,30 +68,30 @@ def test_least_values_are_those_of_the_flight_flown_alone(drawn):
     """A run kept out of a block, too."""
     x, sun, _ = drawn
     flights = FlightBatch(Q, x[:3], sun[:3], 30.0)
-    kept = RunRecorder(flights, 2)
-    block = fly_block(flights, central(), kept)
+    recorder = RunRecorder(flights, 2)
+    block = fly_block(flights, central(), recorder)
     for run in range(3):
         flight = fly_one(FlightBatch(Q, x[run : run + 1], sun[run : run + 1], 30.0), central())
         for name, values in allowable(Q, flight.x, flight.sun).items():
             # Half a second between the instants looked at: nothing moves by more than a metre.
             assert values.min() - 1.0 < block.least[name][run] <= values.min() + 1e-9
         np.testing.assert_allclose(block.delta_v[run], flight.delta_v[-1], rtol=1e-9, atol=1e-12)
-    for name, values in array_fields(kept.flight(), ARRAYS).items():
+    for name, values in array_fields(recorder.flight(), ARRAYS).items():
         np.testing.assert_allclose(values, array_fields(flight, ARRAYS)[name], rtol=1e-9, atol=1e-9)
 
 
 def test_results_come_back_from_their_columns(drawn):
     x, sun, _ = drawn
     block = fly_block(FlightBatch(Q, x[:3], sun[:3], 4.0), without_sun())
-    again = BlockOutcome(
+    restored = BlockOutcome(
         {"run": np.arange(3)} | {name: values.copy() for name, values in block.columns.items()}
     )
-    assert list(again.least) == list(block.least) and "phi5" not in again.least
+    assert list(restored.least) == list(block.least) and "phi5" not in restored.least
     assert np.isnan(block.columns["least_phi5"]).all()
     for key, values in block.least.items():
-        np.testing.assert_array_equal(values, again.least[key])
-    np.testing.assert_array_equal(block.delta_v, again.delta_v)
-    assert again.failures() == block.failures()
+        np.testing.assert_array_equal(values, restored.least[key])
+    np.testing.assert_array_equal(block.delta_v, restored.delta_v)
+    assert restored.failures() == block.failures()
 
 
 def test_a_failure_says_what_who_and_when():
@@ -100,11 +100,11 @@ def test_a_failure_says_what_who_and_when():
     x = np.array([[[0, 300, 0, 0, -0.4, 0], [0, 289, 0, 0, 0.4, 0], [0, 0, 1010.0, 0, 0, 0]]])
     block = fly_block(FlightBatch(q, x, np.zeros(1), 10.0), central(q))
     assert not block.success[0] and any(least[0] < 0 for least in block.least.values())
-    what = {row["what"]: row for row in block.failures()}
-    assert what["phi2"]["deputies"] == (0, 1) and what["phi2"]["value"] < 0 < what["phi2"]["time"] <= 10
-    assert what["phi6"]["deputies"] == (2,) and what["phi6"]["time"] == 0.0
-    assert what["phi6"]["value"] == pytest.approx(-10)
-    assert "no solution" in what and np.isnan(what["no solution"]["value"])
+    failed = {row["what"]: row for row in block.failures()}
+    assert failed["phi2"]["deputies"] == (0, 1) and failed["phi2"]["value"] < 0 < failed["phi2"]["time"] <= 10
+    assert failed["phi6"]["deputies"] == (2,) and failed["phi6"]["time"] == 0.0
+    assert failed["phi6"]["value"] == pytest.approx(-10)
+    assert "no solution" in failed and np.isnan(failed["no solution"]["value"])
 
 
 def test_left_out_families_and_sampled_studies_are_judged_alike():
@@ -123,10 +123,10 @@ def test_left_out_families_and_sampled_studies_are_judged_alike():
 def test_what_cannot_be_told_is_a_failure(drawn):
     """States that become nan, and a primary controller that does."""
     x, sun, _ = drawn
-    lost = x[:1].copy()
-    lost[0, 2, 4] = np.nan
+    nan_x = x[:1].copy()
+    nan_x[0, 2, 4] = np.nan
     with np.errstate(invalid="ignore"):
-        block = fly_block(FlightBatch(Q, lost, sun[:1], 2.0), central())
+        block = fly_block(FlightBatch(Q, nan_x, sun[:1], 2.0), central())
     assert not block.success[0] and block.least["phi1"][0] == -np.inf
 
     def broken(t, states):
@@ -151,8 +151,8 @@ def test_the_papers_monte_carlo(tmp_path):
     scenario = load_scenario("inspection-monte-carlo", {"campaign.runs": runs})
     folder = run_monte_carlo(tmp_path / "c", scenario, executor=local(2))
     success = {study["name"]: study["success_share"] for study in folder.summary["studies"]}
-    shown = Path("docs/inspection.md").read_text(encoding="utf-8")
-    page = {name: float(re.findall(rf"^{name} +\d+ +([0-9.]+) %", shown, re.M)[0]) / 100 for name in success}
+    text = Path("docs/inspection.md").read_text(encoding="utf-8")
+    page = {name: float(re.findall(rf"^{name} +\d+ +([0-9.]+) %", text, re.M)[0]) / 100 for name in success}
     assert success["centralized"] == page["centralized"] == 1.0
     assert success["decentralized-no-h5"] == page["decentralized-no-h5"] == 1.0
     assert success["decentralized-shared"] == page["decentralized-shared"] == 1.0
@@ -176,10 +176,10 @@ def test_success_hangs_on_the_function_of_h5(tmp_path, coefficients, share):
     folder = run_monte_carlo(tmp_path / "c", load_scenario("inspection-monte-carlo", changed))
     linear_and_cubic = coefficients[0] and coefficients[2]
     assert linear_and_cubic or f"{share} %" in page_text()
-    lost, allowed = runs * (1 - folder.summary["studies"][0]["success_share"]), 2 * (100 - share)
-    assert runs < 200 or lost == pytest.approx(allowed, abs=1.02)
-    few, many = binomtest(round(lost), runs).proportion_ci(0.999)
-    assert few <= allowed / 200 <= many and lost <= allowed + 1.02
+    failures, allowed = runs * (1 - folder.summary["studies"][0]["success_share"]), 2 * (100 - share)
+    assert runs < 200 or failures == pytest.approx(allowed, abs=1.02)
+    few, many = binomtest(round(failures), runs).proportion_ci(0.999)
+    assert few <= allowed / 200 <= many and failures <= allowed + 1.02
 
 
 @pytest.mark.slow

@@ -118,8 +118,8 @@ def test_many_flights_are_drawn_and_judged_by_them():
     assert "ceiling" in outcome.least and outcome.columns["least_ceiling"].shape == (8,)
 
 
-def with_(name, made):
-    return Inspection(deputies=2, constraints=(type("Own", (Ceiling,), {name: made})(),))
+def with_(name, attribute):
+    return Inspection(deputies=2, constraints=(type("Own", (Ceiling,), {name: attribute})(),))
 
 
 def valued(value):
@@ -201,8 +201,8 @@ def test_each_has_its_own_alpha_in_a_family_and_any_sequence_will_do():
     q = Inspection(deputies=2, constraints=[slow, quick])
     rows = Families(q, "afrl")(START, np.zeros(()))
     assert rows.h[-4] == rows.h[-2] and rows.bound[-4] > rows.bound[-2]
-    given = {**PRESETS["linear"], "roof": slow.alpha}
-    bound = Families(q, given)(START, np.zeros(())).bound
+    functions = {**PRESETS["linear"], "roof": slow.alpha}
+    bound = Families(q, functions)(START, np.zeros(())).bound
     assert bound[-4] == bound[-2] == rows.bound[-4]
     assert {"slow", "quick"} <= {*allowable(q, START, 0.0)}
 

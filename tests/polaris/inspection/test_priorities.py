@@ -64,10 +64,10 @@ def odd_program(rng, least_angle=1e-6):
 
 def of_length_1(G, tightening, rank):
     """Rows of length 1, and what they need of what full thrust gives."""
-    some = G.any(axis=1)
-    length = np.linalg.norm(G[some], axis=1)
-    G = G[some] / length[:, None]
-    return G, np.minimum(tightening[some] / length, np.abs(G).sum(axis=1) * (1 - SPARE)), rank[some]
+    nonzero = G.any(axis=1)
+    length = np.linalg.norm(G[nonzero], axis=1)
+    G = G[nonzero] / length[:, None]
+    return G, np.minimum(tightening[nonzero] / length, np.abs(G).sum(axis=1) * (1 - SPARE)), rank[nonzero]
 
 
 def witnessed(G, tightening, rank, short, m):
@@ -76,12 +76,12 @@ def witnessed(G, tightening, rank, short, m):
     Those of earlier ranks count more, and those of its own rank that are as large; smaller ones of its rank
     may grow until they are as large; later ranks do not count.
     """
-    own, earlier = rank == rank[m], rank < rank[m]
-    allowed = np.where(earlier, short, np.where(own, np.maximum(short, short[m]), np.inf))
+    same_rank, earlier = rank == rank[m], rank < rank[m]
+    allowed = np.where(earlier, short, np.where(same_rank, np.maximum(short, short[m]), np.inf))
     allowed[m] = np.inf
-    kept = np.isfinite(allowed)
+    finite = np.isfinite(allowed)
     rows, least = (
-        (G[kept], (tightening - allowed)[kept]) if kept.any() else (np.zeros((1, G.shape[1])), [-1.0])
+        (G[finite], (tightening - allowed)[finite]) if finite.any() else (np.zeros((1, G.shape[1])), [-1.0])
     )
     sharp = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
     answer = linprog(-G[m], -rows, -np.asarray(least), bounds=[(-1, 1)] * G.shape[1], options=sharp)
@@ -211,8 +211,8 @@ def test_whatever_later_ranks_ask_a_rank_that_can_be_met_is_met(seed):
         assert (bound[rows] / limit - G[rows] @ u / limit).max() <= 2e-9
         # What is there for the first ranks alone is not changed by any later row.
         worse = np.where(rows, bound, bound + 10 * limit)
-        again = least_violation(G, worse, desired, limit, rank)
-        assert (bound[rows] / limit - G[rows] @ again / limit).max() <= 2e-9
+        u_worse = least_violation(G, worse, desired, limit, rank)
+        assert (bound[rows] / limit - G[rows] @ u_worse / limit).max() <= 2e-9
 
 
 def test_a_hopeless_row_frees_no_row_of_an_earlier_rank_and_none_of_its_own_that_can_be_met():

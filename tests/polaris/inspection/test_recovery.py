@@ -25,10 +25,10 @@ def fly(q, families, sharing, x, seconds):
         assert (answer.status < FAILED).all() and np.abs(answer.u).max() <= q.thrust_max
         for part, Phi, Gamma in moves:
             after = x @ Phi.T + answer.u @ Gamma.T
-            now = allowable(q, after, q.sun_angle(np.full(K, k + part)))
-            least = {name: np.minimum(least[name], now[name]) for name in least}
+            phi = allowable(q, after, q.sun_angle(np.full(K, k + part)))
+            least = {name: np.minimum(least[name], phi[name]) for name in least}
         x = after
-    return least, now
+    return least, phi
 
 
 def outside(q, K, rng):
@@ -57,22 +57,22 @@ def recoveries(N, preset, sharing, sampled, K, seconds, seed):
     q = Inspection(deputies=N)
     families = Families(q, preset, (), sampled)
     x = outside(q, K, np.random.default_rng(seed))
-    h, start, kept = families(x, np.zeros(K)).h, allowable(q, x, np.zeros(K)), 0
+    h, start, count = families(x, np.zeros(K)).h, allowable(q, x, np.zeros(K)), 0
     least, last = fly(q, families, sharing, x, seconds)
     for name, phi in (("chief_separation", "phi1"), ("deputy_separation", "phi2")):
-        some = np.array(families.family) == name
-        good = (h[:, some] >= 0) & (start[phi] >= 0)
+        selected = np.array(families.family) == name
+        good = (h[:, selected] >= 0) & (start[phi] >= 0)
         assert (least[phi][good] >= 0).all(), (N, preset, sharing, phi, least[phi][good].min())
-        kept += good.sum()
-    return kept, last
+        count += good.sum()
+    return count, last
 
 
 @pytest.mark.parametrize("sharing", ALL)
 @pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
 def test_no_way_back_violates_a_separation(sharing, sampled):
     for N, preset in ((3, "polaris"), (2, "linear")):
-        kept, last = recoveries(N, preset, sharing, sampled, 6, 60, 3)
-        assert kept > 6 * N
+        count, last = recoveries(N, preset, sharing, sampled, 6, 60, 3)
+        assert count > 6 * N
         for name in SPEEDS:
             assert last[name].min() >= -0.02, name
 

@@ -125,8 +125,8 @@ def test_fuel_folder_holds_what_was_flown(folders):
     folder, table = folders["fuel_limit"], summary(folders["fuel_limit"])
     run = read_run(folder).plot_data()
     assert run.x.shape == (21, 6) and table["latched_at_s"] is None and table["safe"]
-    spent = np.abs(run.u).sum() / run.inspection.mass
-    assert run.delta_v[-1] == pytest.approx(spent) == table["delta_v_m_s"]
+    delta_v = np.abs(run.u).sum() / run.inspection.mass
+    assert run.delta_v[-1] == pytest.approx(delta_v) == table["delta_v_m_s"]
 
 
 def test_fuel_limit_is_kept_by_the_backup(tmp_path):
@@ -201,9 +201,9 @@ def test_arrays_that_do_not_belong_together_are_refused(folders, tmp_path):
     folder = shutil.copytree(folders["inspection"], tmp_path / "broken")
     with np.load(folder / "flight.npz") as file:
         arrays = dict(file)
-    lost = arrays["states"].copy()
-    lost[3, 1, 2] = np.nan
-    for states, words in ((arrays["states"][:-1], "wrong shape"), (lost, "not finite")):
+    nan_states = arrays["states"].copy()
+    nan_states[3, 1, 2] = np.nan
+    for states, words in ((arrays["states"][:-1], "wrong shape"), (nan_states, "not finite")):
         np.savez(folder / "flight.npz", **arrays | {"states": states})
         with pytest.raises(ScenarioError, match=words):
             read_run(folder).plot_data()
@@ -311,16 +311,16 @@ def test_flight_is_that_of_the_filter_asked_by_hand(flown):
 
 
 def test_flight_is_judged_and_told(flown):
-    kind, folder, shown = flown
+    kind, folder, output = flown
     table = summary(folder)
     sharing = "centralized" if kind == "explicit" else None
     assert table["filter"] == {"kind": kind, "sharing": sharing, "without": [], "sampled_data": False}
     judged = [row["constraint"] for row in table["constraints"]]
     assert table["safe"] and judged == [f"phi{k}" for k in range(1, 12)]
-    assert sum(table["steps"].values()) == 2 * PERIODS and f"Filter ({kind})" in shown
+    assert sum(table["steps"].values()) == 2 * PERIODS and f"Filter ({kind})" in output
     claim = table["guarantee"]
     assert claim["kind"] == "all_time" and claim["periods_covered"] == PERIODS
-    assert "Guarantee: all time" in shown
+    assert "Guarantee: all time" in output
 
 
 def test_nothing_is_claimed_where_no_plan_is_proven(tmp_path):
@@ -340,8 +340,8 @@ def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
     (_, table), folder = fly(tmp_path, "inspection", *words), read_run(tmp_path / "a")
     claim = table["guarantee"]
     assert claim["kind"] == "all_time" and table["safe"]
-    said = "; ".join(claim["assumptions"])
-    assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
+    assumptions = "; ".join(claim["assumptions"])
+    assert all(word in assumptions for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
     run, q = folder.plot_data(), folder.scenario.inspection()
     Phi, Gamma = q.discretize(1.0)
     np.testing.assert_allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, atol=1e-9)
@@ -368,7 +368,7 @@ def test_a_jitter_is_tolerated_by_every_kind(kind):
         assert filtering.families.sampled.period == 1.1  # from one late call to another
     else:
         assert filtering.filter.recovery.families.sampled.period == 1.1
-    assert any("at most 0.05 s early or late" in said for said in assumptions(scenario))
+    assert any("at most 0.05 s early or late" in assumption for assumption in assumptions(scenario))
 
 
 SCHEDULES = "timing.clock_error_s=0.1 timing.missed_periods=2 thrusters.pulse=centred"

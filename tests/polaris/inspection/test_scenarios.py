@@ -75,8 +75,8 @@ def test_filter_is_what_the_table_says():
 def test_drawn_states_are_safe_and_the_same_for_the_same_seed():
     drawn = {"kind": "latin_hypercube", "deputies": 2, "seed": 3}
     scenario = load_scenario("inspection", {"initial": drawn})
-    (x, sun), (again, _) = scenario.initial(), scenario.initial()
-    assert x.shape == (2, 6) and np.array_equal(x, again)
+    (x, sun), (redrawn, _) = scenario.initial(), scenario.initial()
+    assert x.shape == (2, 6) and np.array_equal(x, redrawn)
     assert (scenario.families()(x[None], np.array([sun])).h >= 0).all()
 
 
@@ -156,9 +156,9 @@ def test_broken_scenario_is_one_line_with_field_value_and_rule(case):
 
 def test_every_constraint_is_judged_and_holds_for_a_while():
     scenario = load_scenario("inspection").with_assignments(["flight.duration_s=60", "flight.between=3"])
-    flown = fly_flight(scenario)
-    assert tuple(flown.constraints) == CONSTRAINTS and tuple(flown.barriers) == FAMILIES
-    for least in (*flown.constraints.values(), *flown.barriers.values()):
+    run = fly_flight(scenario)
+    assert tuple(run.constraints) == CONSTRAINTS and tuple(run.barriers) == FAMILIES
+    for least in (*run.constraints.values(), *run.barriers.values()):
         assert 0 <= least.value <= least.at_samples and 0 <= least.time <= 60.0
         assert least.violated_share == 0 and 1 <= len(least.deputies) <= 2
 

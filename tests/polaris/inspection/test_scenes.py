@@ -28,12 +28,12 @@ def told(*parts: str) -> None:
     assert not [part for part in parts if part not in page]
 
 
-def short(flown: EvaluatedRun) -> float:
-    return float((flown.run.status == SHORT).mean())
+def short(evaluated: EvaluatedRun) -> float:
+    return float((evaluated.run.status == SHORT).mean())
 
 
-def switches(flown: EvaluatedRun) -> float:
-    return smoothness(flown.run.u, flown.run.t, flown.run.inspection.thrust_max)["switches"]
+def switches(evaluated: EvaluatedRun) -> float:
+    return smoothness(evaluated.run.u, evaluated.run.t, evaluated.run.inspection.thrust_max)["switches"]
 
 
 @pytest.mark.parametrize(
@@ -41,15 +41,15 @@ def switches(flown: EvaluatedRun) -> float:
     [("inspection", "every program of the first scene"), ("inspection-decentralized", "99.8 %")],
 )
 def test_every_constraint_is_kept_for_the_whole_flight(name, share):
-    flown = flight(name)
-    assert set(flown.constraints) == set(CONSTRAINTS) and flown.run.t[-1] == 3000.0
-    for constraint, least in flown.constraints.items():
+    evaluated = flight(name)
+    assert set(evaluated.constraints) == set(CONSTRAINTS) and evaluated.run.t[-1] == 3000.0
+    for constraint, least in evaluated.constraints.items():
         assert least.value >= 0 and least.violated_share == 0, constraint
-    assert np.abs(flown.run.u).max() <= flown.run.inspection.thrust_max
-    desired = np.abs(flown.run.desired).max(axis=(1, 2))
+    assert np.abs(evaluated.run.u).max() <= evaluated.run.inspection.thrust_max
+    desired = np.abs(evaluated.run.desired).max(axis=(1, 2))
     assert np.median(desired) > 1.0, "the primary controller asks for more than there is"
     told(share)
-    assert short(flown) == 0 if name == "inspection" else round(1 - short(flown), 3) == 0.998
+    assert short(evaluated) == 0 if name == "inspection" else round(1 - short(evaluated), 3) == 0.998
 
 
 def test_what_the_scene_costs_and_how_smooth_it_is():
@@ -65,19 +65,19 @@ def test_what_the_scene_costs_and_how_smooth_it_is():
 def test_under_the_explicit_filter_thrust_is_nearly_as_smooth(timing, smooth, most):
     """Its proofs begin and end by rounding: the figures are told coarsely. Changes of sign were 4.5."""
     changed = {"filter": {"kind": "explicit"}} | ({"flight": timing} if timing else {})
-    flown = fly_flight(load_scenario("inspection", changed))
-    assert min(least.value for least in flown.constraints.values()) >= 0
-    assert flown.run.status.max() <= BACKUP  # and every period is proven
+    evaluated = fly_flight(load_scenario("inspection", changed))
+    assert min(least.value for least in evaluated.constraints.values()) >= 0
+    assert evaluated.run.status.max() <= BACKUP  # and every period is proven
     told("18 to 30 m/s per deputy")
-    assert switches(flown) < smooth and flown.run.delta_v[-1].max() < most
-    assert timing or flown.run.delta_v[-1].min() > 15
+    assert switches(evaluated) < smooth and evaluated.run.delta_v[-1].max() < most
+    assert timing or evaluated.run.delta_v[-1].min() > 15
 
 
 def test_shares_that_count_on_the_others_to_coast_are_sometimes_short():
-    flown = flight("inspection-decentralized", "filter.sharing=coasting")
+    evaluated = flight("inspection-decentralized", "filter.sharing=coasting")
     told("1.2 % of the programs have no solution")
-    assert 0.009 < short(flown) < 0.015
-    assert min(least.value for least in flown.constraints.values()) >= 0
+    assert 0.009 < short(evaluated) < 0.015
+    assert min(least.value for least in evaluated.constraints.values()) >= 0
 
 
 def test_conditions_at_samples_alone_are_exceeded_between_them():
@@ -93,7 +93,7 @@ def test_conditions_at_samples_alone_are_exceeded_between_them():
 @pytest.mark.parametrize("preset", ["afrl-five", "afrl-one", "afrl"])
 def test_published_presets_chatter_where_conditions_hold_between_samples(preset):
     """So much that a last digit decides (loops are compiled or not): the figures are told coarsely."""
-    flown = flight("inspection", f"strengthening.preset={preset}")
+    evaluated = flight("inspection", f"strengthening.preset={preset}")
     told("(130 to 200 m/s per deputy)", "22 % of the answers are `short`")
-    assert 0.20 < short(flown) < 0.24
-    assert flown.run.delta_v[-1].min() > 125 and flown.run.delta_v[-1].max() < 205
+    assert 0.20 < short(evaluated) < 0.24
+    assert evaluated.run.delta_v[-1].min() > 125 and evaluated.run.delta_v[-1].max() < 205

@@ -31,16 +31,16 @@ def drawn(seed, kind, faults=()):
         ways = np.vstack([ways, -ways]) if kind == PAIRS else ways
         limits = rng.uniform(0.02, 0.05, len(ways))
         try:
-            made = Allocation.from_directions(ways, limits, rng.uniform(0.02, 0.06, m), faults, kind)
+            allocation = Allocation.from_directions(ways, limits, rng.uniform(0.02, 0.06, m), faults, kind)
         except SynthesisInfeasible:
             continue
-        return rng, Nozzles.from_errors(made, *ERRORS, 1e-3, bool(seed % 3), True)
+        return rng, Nozzles.from_errors(allocation, *ERRORS, 1e-3, bool(seed % 3), True)
 
 
-def inputs(rng, made, count):
+def inputs(rng, allocation, count):
     """Draw inputs within the limits, corners and edges of them too."""
-    u = rng.uniform(-1, 1, (count, len(made.u_max))) * rng.choice([1.0, 0.0], (count, 1), p=[0.9, 0.1])
-    return np.vstack([u, 1.0 - 2.0 * made.signs, np.eye(len(made.u_max))]) * made.u_max
+    u = rng.uniform(-1, 1, (count, len(allocation.u_max))) * rng.choice([1.0, 0.0], (count, 1), p=[0.9, 0.1])
+    return np.vstack([u, 1.0 - 2.0 * allocation.signs, np.eye(len(allocation.u_max))]) * allocation.u_max
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -48,43 +48,43 @@ def inputs(rng, made, count):
 def test_thrusts_of_every_kind_lie_within_the_bounds_after_every_fault(kind, seed):
     faults = [[], [Fault("stuck_off", 0.0)], [Fault("loss", 0.5)]][seed % 3]
     rng, layout = drawn(seed, kind, faults)
-    made, bounds, each = (
+    allocation, bounds, each = (
         layout.allocation,
         layout.bounds,
         np.column_stack([layout.error, layout.allocation.lengths]),
     )
-    ones = np.column_stack([layout.error, np.ones(len(made.limits))])
-    for case, (_, capacity) in enumerate(cases(made.limits, faults)):
-        now = replace(made, limits=capacity, mixes=made.mixes[case : case + 1])
+    ones = np.column_stack([layout.error, np.ones(len(allocation.limits))])
+    for case, (_, capacity) in enumerate(cases(allocation.limits, faults)):
+        faulted = replace(allocation, limits=capacity, mixes=allocation.mixes[case : case + 1])
         if kind == PAIRS:  # those whose pair is whole
-            kept = np.any(now.mixes > 0, axis=(0, 1, 2))
-            now = replace(now, directions=made.directions * kept[:, None])
-        u = inputs(rng, made, 12 if kind == PROGRAM else 60)
-        f = thrusts_of(now, u)
-        np.testing.assert_allclose(f @ made.directions, u, atol=1e-9 * made.u_max.max())
+            paired = np.any(faulted.mixes > 0, axis=(0, 1, 2))
+            faulted = replace(faulted, directions=allocation.directions * paired[:, None])
+        u = inputs(rng, allocation, 12 if kind == PROGRAM else 60)
+        f = thrusts_of(faulted, u)
+        np.testing.assert_allclose(f @ allocation.directions, u, atol=1e-9 * allocation.u_max.max())
         assert np.all(f >= 0) and np.all(f <= capacity * (1 + 1e-9) + 1e-15)
         assert np.all(f @ each <= np.abs(u) @ bounds.T * (1 + 1e-9) + 1e-12)
-        asked = np.where(f > 1e-9 * made.limits.max(), 1.0, 0.0)
-        assert np.all(asked @ ones <= made.at_once(ones) + 1e-9)
+        firing = np.where(f > 1e-9 * allocation.limits.max(), 1.0, 0.0)
+        assert np.all(firing @ ones <= allocation.at_once(ones) + 1e-9)
 
 
 @pytest.mark.parametrize("kind", [PROGRAM, NEAREST])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in (1, 2))])
 def test_programs_are_solved_as_another_solver_does(kind, seed):
     rng, layout = drawn(seed, kind)
-    made = layout.allocation
-    for u in inputs(rng, made, 4):
-        f = thrusts_of(made, u)
+    allocation = layout.allocation
+    for u in inputs(rng, allocation, 4):
+        f = thrusts_of(allocation, u)
         if kind == PROGRAM:
-            bounds = np.column_stack([0 * made.limits, made.limits])
-            other = linprog(made.lengths, A_eq=made.directions.T, b_eq=u, bounds=bounds).fun
-            assert f @ made.lengths == pytest.approx(other, rel=1e-7, abs=1e-12)
+            bounds = np.column_stack([0 * allocation.limits, allocation.limits])
+            other = linprog(allocation.lengths, A_eq=allocation.directions.T, b_eq=u, bounds=bounds).fun
+            assert f @ allocation.lengths == pytest.approx(other, rel=1e-7, abs=1e-12)
         else:  # no step that leaves the input as it is makes it less
-            away = np.linalg.svd(made.directions.T)[2][len(u) :]
-            table = np.vstack([away.T, -away.T]), np.append(-f, f - made.limits)
+            null = np.linalg.svd(allocation.directions.T)[2][len(u) :]
+            table = np.vstack([null.T, -null.T]), np.append(-f, f - allocation.limits)
             within = {"type": "ineq", "fun": lambda c, table=table: table[0] @ c - table[1]}
             other = minimize(
-                lambda c, f=f, away=away: np.sum((f + c @ away) ** 2), away[:, 0] * 0, constraints=within
+                lambda c, f=f, null=null: np.sum((f + c @ null) ** 2), null[:, 0] * 0, constraints=within
             ).fun
             assert f @ f <= other * (1 + 1e-6) + 1e-12
 
@@ -93,15 +93,15 @@ def test_programs_are_solved_as_another_solver_does(kind, seed):
 def test_no_thrusts_of_the_size_of_the_mixes_go_beyond_the_bounds(kind):
     """By another program: the most that errors of any thrusts are that make u and have no larger size."""
     rng, layout = drawn(3, kind)
-    made, reached = layout.allocation, 0.0
-    for u in inputs(rng, made, 5)[:8]:
-        f = np.maximum(u, 0) @ made.mixes[0, 0] + np.maximum(-u, 0) @ made.mixes[0, 1]
-        size = f @ made.lengths if kind == PROGRAM else np.linalg.norm(f)
+    allocation, reached = layout.allocation, 0.0
+    for u in inputs(rng, allocation, 5)[:8]:
+        f = np.maximum(u, 0) @ allocation.mixes[0, 0] + np.maximum(-u, 0) @ allocation.mixes[0, 1]
+        size = f @ allocation.lengths if kind == PROGRAM else np.linalg.norm(f)
         for column, bound in zip(layout.error.T, np.abs(u) @ layout.bounds[:-1].T, strict=True):
-            budget = {"A_ub": made.lengths[None], "b_ub": [size]} if kind == PROGRAM else {}
-            capacity = np.minimum(made.limits, np.inf if kind == PROGRAM else size)
-            limits = np.column_stack([0 * made.limits, capacity])
-            worst = linprog(-column, A_eq=made.directions.T, b_eq=u, bounds=limits, **budget)
+            budget = {"A_ub": allocation.lengths[None], "b_ub": [size]} if kind == PROGRAM else {}
+            capacity = np.minimum(allocation.limits, np.inf if kind == PROGRAM else size)
+            limits = np.column_stack([0 * allocation.limits, capacity])
+            worst = linprog(-column, A_eq=allocation.directions.T, b_eq=u, bounds=limits, **budget)
             if kind == PROGRAM:
                 assert -worst.fun <= bound * (1 + 1e-7) + 1e-12
                 reached = max(reached, -worst.fun / max(bound, 1e-12))
@@ -113,16 +113,16 @@ def test_no_thrusts_of_the_size_of_the_mixes_go_beyond_the_bounds(kind):
 def test_the_checker_derives_the_bounds_of_the_synthesis(kind):
     for seed in (0, 1):
         _, layout = drawn(seed, kind, [Fault("stuck_off", 0.0)] * seed)
-        made = layout.allocation
-        table = {name: getattr(made, name).tolist() for name in ("directions", "limits", "mixes")} | {
+        allocation = layout.allocation
+        table = {name: getattr(allocation, name).tolist() for name in ("directions", "limits", "mixes")} | {
             "kind": kind
         }
-        table |= {"multipliers": layout.multipliers.tolist()} if made.solves else {}
-        stated = Stated(table, layout.along, layout.across, layout.mass)
-        bounds = np.array([[float(x) for x in row] for row in stated.bounds])
+        table |= {"multipliers": layout.multipliers.tolist()} if allocation.solves else {}
+        claimed = Stated(table, layout.along, layout.across, layout.mass)
+        bounds = np.array([[float(x) for x in row] for row in claimed.bounds])
         np.testing.assert_allclose(bounds, layout.bounds, rtol=1e-9, atol=1e-12)
-        derived = [float(x) for x in stated.at_once(stated.largest)]
-        np.testing.assert_allclose(derived, made.at_once(layout.largest), rtol=1e-9)
+        derived = [float(x) for x in claimed.at_once(claimed.largest)]
+        np.testing.assert_allclose(derived, allocation.at_once(layout.largest), rtol=1e-9)
 
 
 ROUND = [[float(np.cos(a)), float(np.sin(a)) * 0.7] for a in np.arange(3) * np.pi / 3 + 0.2]
@@ -145,7 +145,7 @@ WRONG = (
     "kind", [PROGRAM, *(pytest.param(x, marks=pytest.mark.slow) for x in (PAIRS, NEAREST))]
 )
 def test_every_kind_is_verified_and_none_passes_for_another(kind, tmp_path):
-    given = [
+    assignments = [
         "tracking.R=[60,60]",
         "simulation.runs=2",
         COARSE,
@@ -153,7 +153,7 @@ def test_every_kind_is_verified_and_none_passes_for_another(kind, tmp_path):
         *WRONG,
         f'thrusters.allocation="{kind}"',
     ]
-    forger = Forger(run(TINY, tmp_path / "run", overrides=given).path, tmp_path)
+    forger = Forger(run(TINY, tmp_path / "run", overrides=assignments).path, tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     assert sum(line.startswith("allocation: ") for line in forger.honest["assumptions"]) == 1
 

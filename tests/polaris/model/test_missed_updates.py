@@ -64,19 +64,19 @@ def reached(craft, h, gaps, errors, first=None):
     observer, n = craft.observer, craft.n
     gains = (observer.gain, *observer.after)
     whole = expm(np.block([[craft.A, np.eye(n)], [np.zeros((n, 2 * n))]]) * h / PARTS)
-    part, held = whole[:n, :n], whole[:n, n:]
-    left, total, age = np.eye(n), np.zeros(n), 0
+    part, input_map = whole[:n, :n], whole[:n, n:]
+    transition, total, age = np.eye(n), np.zeros(n), 0
     for gap in gaps:
         L, rest = gains[gap - 1], observer.rests[gap - 1]
-        total = total + np.abs(left @ L) @ observer.noise
-        left = left @ rest
+        total = total + np.abs(transition @ L) @ observer.noise
+        transition = transition @ rest
         for _ in range(gap):
             for _ in range(PARTS):
-                total = total + np.linalg.norm(left @ held @ craft.D, axis=1) * craft.w_max
-                total = total + np.abs(left @ held @ craft.B) @ errors[min(age, len(errors) - 1)]
-                left = left @ part
+                total = total + np.linalg.norm(transition @ input_map @ craft.D, axis=1) * craft.w_max
+                total = total + np.abs(transition @ input_map @ craft.B) @ errors[min(age, len(errors) - 1)]
+                transition = transition @ part
             age += 1
-    return total if first is None else total + np.abs(left) @ first
+    return total if first is None else total + np.abs(transition) @ first
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -133,40 +133,40 @@ def test_flights_with_an_outage_keep_to_what_limits_are_tightened_by(seed, late)
     bound = tracking.disturbance(np.vstack([np.eye(n), -np.eye(n)]))[:, :n]
     inputs = np.hstack([craft.B, craft.D * craft.w_max])
     block = expm(np.block([[craft.A, inputs], [np.zeros((craft.m + p, n + craft.m + p))]]) * h)
-    step, held, moved = block[:n, :n], block[:n, n : n + craft.m], block[:n, n + craft.m :]
-    observer, past, flown = craft.observer, 60, 40
-    gains, r, nodes = (observer.gain, *observer.after), len(observer.noise), past + flown
+    step, input_map, push_map = block[:n, :n], block[:n, n : n + craft.m], block[:n, n + craft.m :]
+    observer, past, duration = craft.observer, 60, 40
+    gains, r, nodes = (observer.gain, *observer.after), len(observer.noise), past + duration
     for _ in range(10):
         first, share = past + int(rng.integers(0, 8)), float(rng.choice([0.2, 0.5, 0.9]))
-        gone = range(first, first + round(lasts / h))
+        outage = range(first, first + round(lasts / h))
         x, since = np.zeros((n, nodes, r + p)), 0
-        off, pushes, estimates = 0 * x, [], []
+        error, pushes, estimates = 0 * x, [], []
         for i in range(nodes):
-            estimates.append(off)
+            estimates.append(error)
             pushes.append(np.zeros_like(x))
-            pushes[-1][:, i, r:] = moved
+            pushes[-1][:, i, r:] = push_map
             if i >= past:
-                known = x + _carried(step, estimates[i - late], pushes[i - late : i])
-                x = np.tensordot(step, x, 1) - np.tensordot(held @ gain, known, 1) + pushes[-1]
+                predicted = x + _carried(step, estimates[i - late], pushes[i - late : i])
+                x = np.tensordot(step, x, 1) - np.tensordot(input_map @ gain, predicted, 1) + pushes[-1]
                 errors = np.abs(x[..., :r]).sum(axis=(1, 2)) + np.linalg.norm(x[..., r:], axis=2).sum(axis=1)
                 at = bound[min(i + 1 - past, len(bound) - 1)]
                 assert np.all(errors <= at)
                 worst = max(worst, float(np.max(errors / at)))
-            off = np.tensordot(step, off, 1) - pushes[-1]
-            if i + 1 in gone or (since < missed and rng.random() < share):
+            error = np.tensordot(step, error, 1) - pushes[-1]
+            if i + 1 in outage or (since < missed and rng.random() < share):
                 since += 1
                 continue
             L, since = gains[min(since, missed)], 0
-            off = off - np.tensordot(L @ observer.measures, off, 1)
-            off[:, i, :r] += L * observer.noise
+            error = error - np.tensordot(L @ observer.measures, error, 1)
+            error[:, i, :r] += L * observer.noise
     assert worst > 0.05
 
 
-def _carried(step, off, pushes):
+def _carried(step, error, pushes):
     """Return errors of a prediction from an estimate, which knows of no push since."""
     for push in pushes:
-        off = np.tensordot(step, off, 1) - push
-    return off
+        error = np.tensordot(step, error, 1) - push
+    return error
 
 
 def test_an_observer_that_never_forgets_is_refused():

@@ -51,7 +51,7 @@ def random_system(rng: np.random.Generator) -> LinearSystem:
 def worst_motion(system, rows, start, push, bound, total, steps, rng, kind):
     """Return states under an input ``x' = A x + push w`` within its bound, held between `steps` instants."""
     h = total / steps
-    phi, held = discretize(system.A, push, h)
+    phi, input_map = discretize(system.A, push, h)
     end = rng.integers(1, steps + 1)
     row = rows[rng.integers(len(rows))]
     states = [start]
@@ -66,7 +66,7 @@ def worst_motion(system, rows, start, push, bound, total, steps, rng, kind):
             w = rng.normal(size=push.shape[1])
         size = np.linalg.norm(w)
         w = w * (bound / size) if size > 0 else 0 * w
-        states.append(phi @ states[-1] + held @ w)
+        states.append(phi @ states[-1] + input_map @ w)
     return np.array(states)
 
 
@@ -89,14 +89,14 @@ def test_satellite_is_inside_its_polytope_at_every_instant(seed, kind, corner):
     for _ in range(4):
         draw = rng.choice([-1.0, 1.0], size=system.n) if corner else rng.uniform(-1, 1, size=system.n)
         share = 1.0 if kind != "random" else rng.uniform(0, 1)
-        how = delta * cells, per * cells, rng, kind
-        x = worst_motion(system, rows, x0 + half * draw, system.D, share * system.w_max, *how)
+        arguments = delta * cells, per * cells, rng, kind
+        x = worst_motion(system, rows, x0 + half * draw, system.D, share * system.w_max, *arguments)
         if thrust:
             E = system.acceleration_input
-            x = x + worst_motion(system, rows, np.zeros(system.n), E, share * thrust, *how)
+            x = x + worst_motion(system, rows, np.zeros(system.n), E, share * thrust, *arguments)
         reach = x @ rows.T + radius
-        seen = np.stack([reach[k * per : (k + 1) * per + 1] for k in range(cells)])
-        assert np.all(seen <= offsets)
+        by_cell = np.stack([reach[k * per : (k + 1) * per + 1] for k in range(cells)])
+        assert np.all(by_cell <= offsets)
 
 
 @pytest.mark.parametrize("thrust", [0.0, 1e-5])
@@ -108,10 +108,10 @@ def test_satellite_polytope_is_tight(thrust):
     t = np.linspace(0, delta * cells, cells * per + 1)
     rows = tp.normals @ CW.position @ free_flight(CW.mean_motion, t)
     rate = np.linalg.norm(rows @ CW.D, axis=-1) * (thrust + CW.w_max)
-    gained = np.vstack([0 * rate[:1], np.cumsum((rate[1:] + rate[:-1]) / 2 * (t[1] - t[0]), axis=0)])
-    support = rows @ sat.state + np.abs(rows) @ sat.state_half_widths + gained + sat.radius
-    seen = np.stack([support[k * per : (k + 1) * per + 1] for k in range(cells)])
-    slack = tp.fine(per) - seen
+    growth = np.vstack([0 * rate[:1], np.cumsum((rate[1:] + rate[:-1]) / 2 * (t[1] - t[0]), axis=0)])
+    support = rows @ sat.state + np.abs(rows) @ sat.state_half_widths + growth + sat.radius
+    by_cell = np.stack([support[k * per : (k + 1) * per + 1] for k in range(cells)])
+    slack = tp.fine(per) - by_cell
     assert slack.min() >= 0
     assert slack.min(axis=1).max() < 0.004  # touches somewhere in every cell, along every facet
     bulge = delta**2 / 8 * (2 * CW.mean_motion * 0.5 + thrust + 1e-5)
@@ -218,14 +218,14 @@ def test_cone_polytope_is_inscribed_and_touches(seed, d, angle, cut, facets):
 
 
 def test_keep_in_polytope_is_one_unsafe_halfspace_per_facet():
-    keep = KeepInPolytope("corridor", [[2.0, 0], [-1, 0]], [10.0, 3])
-    first, second = perceive([keep], PLANE, 1.0, 2)
+    walls = KeepInPolytope("corridor", [[2.0, 0], [-1, 0]], [10.0, 3])
+    first, second = perceive([walls], PLANE, 1.0, 2)
     assert (first.name, second.name) == ("corridor[0]", "corridor[1]")
     np.testing.assert_allclose(first.normals, [[-1, 0]])
     np.testing.assert_allclose(first.offsets, -5 * np.ones((2, 2, 1)))
     p = np.array([[4.0, 100], [5, 0], [6, 0], [-2, 0]])
-    np.testing.assert_allclose(keep.signed_distance(0.0, p), [1, 0, -1, 1])
-    np.testing.assert_allclose(keep.entry_time(0.0, p, [[1, 0], [1, 0], [-1, 0], [0, 1]]), [1, 0, 0, np.inf])
+    np.testing.assert_allclose(walls.signed_distance(0.0, p), [1, 0, -1, 1])
+    np.testing.assert_allclose(walls.entry_time(0.0, p, [[1, 0], [1, 0], [-1, 0], [0, 1]]), [1, 0, 0, np.inf])
 
 
 # -- distances ------------------------------------------------------------------------------------
@@ -489,12 +489,12 @@ def test_facets_through_the_origin_are_those_of_a_set_that_is_moved(kind, rows, 
     H = rng.normal(size=(rows, d)) if d > 1 else np.full((rows, 1), -2.0)
     H[H @ np.ones(d) > 0] *= -1  # they leave (1, 1, 1) inside
     more = {"unbounded": True} if kind is PolytopeObstacle else {}
-    at, moved = kind("wall", H, np.zeros(rows), **more), kind("wall", H, H @ move, **more)
+    at, shifted = kind("wall", H, np.zeros(rows), **more), kind("wall", H, H @ move, **more)
     p, v = rng.normal(size=(200, d)) * 10, rng.normal(size=(200, d))
-    assert at.signed_distance(0.0, p) == pytest.approx(moved.signed_distance(0.0, p + move), abs=1e-9)
-    assert at.entry_time(0.0, p, v) == pytest.approx(moved.entry_time(0.0, p + move, v), abs=1e-6)
+    assert at.signed_distance(0.0, p) == pytest.approx(shifted.signed_distance(0.0, p + move), abs=1e-9)
+    assert at.entry_time(0.0, p, v) == pytest.approx(shifted.entry_time(0.0, p + move, v), abs=1e-6)
     place = Zonotope(p[0], rng.normal(size=(d, 2)))
-    assert at.shape.overlap(place) == pytest.approx(moved.shape.overlap(place + move), abs=1e-9)
+    assert at.shape.overlap(place) == pytest.approx(shifted.shape.overlap(place + move), abs=1e-9)
 
 
 @pytest.mark.parametrize("b", [[0.0, 0.0], [0.0, -1e-13], [0.0, -1.0]])

@@ -129,10 +129,10 @@ def test_the_worst_motion_never_leaves_the_polytope_and_touches_it(seed):
     for f in rng.permutation(len(polytope.normals))[:4]:
         row = polytope.normals[f] @ system.position
         support = worst_support(system, E, sat, row, delta / per, cells * per)
-        seen = np.stack([support[k * per : (k + 1) * per + 1] for k in range(cells)])
-        slack = offsets[..., f] - seen
+        by_cell = np.stack([support[k * per : (k + 1) * per + 1] for k in range(cells)])
+        slack = offsets[..., f] - by_cell
         assert slack.min() >= 0
-        assert slack.min(axis=1).max() <= 0.03 * np.abs(seen).max() + 2e-3, "as tight as a chord can be"
+        assert slack.min(axis=1).max() <= 0.03 * np.abs(by_cell).max() + 2e-3, "as tight as a chord can be"
 
 
 def test_a_declared_acceleration_is_one_of_position_whatever_d_is():
@@ -154,9 +154,9 @@ def test_simulated_bodies_use_what_is_declared_and_no_more():
     scenario = Scenario.from_dict(scene())
     times = np.arange(151) * 0.1
     states = true_states(scenario.obstacles(), scenario.system(), times, 40, np.random.default_rng(0))
-    moved = np.linalg.norm(states["trolley"][:, -1, :2] - [5.6, 2.2], axis=1)
+    distances = np.linalg.norm(states["trolley"][:, -1, :2] - [5.6, 2.2], axis=1)
     reach = 0.014 * 15.0**2 / 2
-    assert moved.max() == pytest.approx(reach) and np.median(moved) > reach / 2
+    assert distances.max() == pytest.approx(reach) and np.median(distances) > reach / 2
 
 
 def test_free_bodies_need_no_acceleration_and_a_still_disturbance_moves_none():
@@ -164,10 +164,10 @@ def test_free_bodies_need_no_acceleration_and_a_still_disturbance_moves_none():
     sat = SatelliteObstacle("s", [1.0], [0.0], 1.0)
     states = true_states([sat], system, np.arange(11.0), 20, np.random.default_rng(0))["s"]
     assert np.abs(states[:, -1, 0] - 1.0).max() == pytest.approx(5.0)
-    still = scene(D=[[0.0]] * 4)
-    (sat,), system = Scenario.from_dict(still).obstacles(), Scenario.from_dict(still).system()
-    moved = true_states([sat], system, np.arange(16.0), 20, np.random.default_rng(0))["trolley"]
-    assert np.linalg.norm(moved[:, -1, :2] - [5.6, 2.2], axis=1).max() == pytest.approx(0.01 * 15**2 / 2)
+    undisturbed = scene(D=[[0.0]] * 4)
+    (sat,), system = Scenario.from_dict(undisturbed).obstacles(), Scenario.from_dict(undisturbed).system()
+    drifted = true_states([sat], system, np.arange(16.0), 20, np.random.default_rng(0))["trolley"]
+    assert np.linalg.norm(drifted[:, -1, :2] - [5.6, 2.2], axis=1).max() == pytest.approx(0.01 * 15**2 / 2)
 
 
 # -- where it has no meaning ----------------------------------------------------------------------------

@@ -93,22 +93,22 @@ def test_all_of_what_is_unsafe_is_in_a_timed_polytope(seed):
     for limit in random_limits(rng, system):
         slack = limit.signed_distance(0.0, x, system)
         parts = limit.timed_polytopes(system, 2.0, 3)
-        held = [np.all(x @ part.rows(system).T <= part.offsets[0, 0], axis=1) for part in parts]
+        covered = [np.all(x @ part.rows(system).T <= part.offsets[0, 0], axis=1) for part in parts]
         unsafe = slack <= 0
         assert unsafe.any() or slack.min() > 0
-        assert np.any(held, axis=0)[unsafe].all(), limit.name
+        assert np.any(covered, axis=0)[unsafe].all(), limit.name
         if isinstance(limit, KeepInStates):  # nothing is added but rounding
-            assert not np.any(held, axis=0)[slack > 1e-6].any()
+            assert not np.any(covered, axis=0)[slack > 1e-6].any()
 
 
 @pytest.mark.parametrize("d, count", [(1, 2), (2, 3), (2, 8), (2, 12), (3, 6), (3, 14), (3, 18), (3, 26)])
 def test_the_covering_cosine_is_the_least_largest_cosine(d, count):
-    given = None if d == 1 else count
-    e, c = directions(d, given), covering_cosine(d, count)
+    requested = None if d == 1 else count
+    e, c = directions(d, requested), covering_cosine(d, count)
     v = np.random.default_rng(0).normal(size=(200_000, d))
     cosines = (v / np.linalg.norm(v, axis=1, keepdims=True) @ e.T).max(axis=1)
     assert c - 1e-12 <= cosines.min() <= c + 0.02
-    exact, cosine = exact_directions(d, given)
+    exact, cosine = exact_directions(d, requested)
     assert abs(float(cosine) - c) < 1e-14
     assert np.allclose([[float(x) for x in way] for way in exact], e, atol=1e-15)
 
@@ -150,12 +150,12 @@ def test_limits_bind_and_are_kept(limited):
     free = synthesize(load_scenario(TINY, [SOFT]))
     limits = [item for item in unsafe if item.name in ("speed", "octagon", "mixed", "dash")]
     assert len(limits) == 4
-    for about, kept in ((schedule, True), (free, False)):
+    for about, safe in ((schedule, True), (free, False)):
         path = about.safety.reference
         x = path.fine(64)[: about.safety.problem.K]
         t = (np.arange(12)[:, None] + np.linspace(0, 1, 65)) * 1.0
         worst = min(float(item.signed_distance(t, x, system).min()) for item in limits)
-        assert (worst > 0) == kept
+        assert (worst > 0) == safe
     runs = simulate(schedule, 200, 1, tail=True, substeps=4)
     assert not runs.metrics().collided.any()
     for item in limits:
@@ -173,9 +173,9 @@ def test_diagrams_show_what_is_flown_and_no_more_than_is_proven(limited):
         panel.title.partition("limit ")[2].partition(",")[0]: panel
         for panel in schedule_timeline(picture, drawn_pilots(picture), True).panels
     }
-    flown = picture.flights["polaris"]
+    flights = picture.flights["polaris"]
     speed = next(one for one in panels["speed"].series if one.controller == "polaris")
-    assert np.allclose(speed.values, np.linalg.norm(flown.states @ system.velocity.T, axis=-1))
+    assert np.allclose(speed.values, np.linalg.norm(flights.states @ system.velocity.T, axis=-1))
     for limit in picture.state_limits:
         proven = proven_distance(picture, limit)
         assert proven.shape == picture.tube.intersample.shape[:2] and (proven > 0).any()
@@ -316,9 +316,9 @@ def test_numbers_of_limits_are_finite(forger, key, value):
 def test_a_limit_that_is_left_out_everywhere_but_in_the_scenario_is_missed(forger):
     lie = Lie(forger)
     data = lie.certificate
-    kept = [i for i, item in enumerate(data["unsafe_sets"]) if not item["name"].startswith("octagon")]
-    data["unsafe_sets"] = [data["unsafe_sets"][i] for i in kept]
-    data["facets"] = [[row[i] for i in kept] for row in data["facets"]]
+    remaining = [i for i, item in enumerate(data["unsafe_sets"]) if not item["name"].startswith("octagon")]
+    data["unsafe_sets"] = [data["unsafe_sets"][i] for i in remaining]
+    data["facets"] = [[row[i] for i in remaining] for row in data["facets"]]
     lie.judge({"unsafe_sets", "format"})
 
 
@@ -380,18 +380,18 @@ def test_rows_of_velocity_stray_from_their_chord_by_no_more_than_is_booked(limit
     recovery, rng = Recovery(DecisionGrid.from_schedule(schedule)), np.random.default_rng(seed)
     system, h, parts = recovery.grid.system, recovery.grid.h, 200
     rows = recovery.grid.clearance.obstacle_rows[0]
-    phi, moved = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
+    phi, input_map = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
     row = rows[rng.integers(len(rows))]
     way = system.D.T @ (np.sign(row @ system.B) @ system.B.T)
     w = system.w_max * way / np.linalg.norm(way)
     turn, u = rng.uniform(0, 1), rng.uniform(-2, 2, system.m) * system.u_max
     e, path = np.zeros(system.n), [np.zeros(system.n)]
     for i in range(parts):
-        e = phi @ e + moved @ np.r_[u, w if i < turn * parts else -w]
+        e = phi @ e + input_map @ np.r_[u, w if i < turn * parts else -w]
         path.append(e)
     path = np.array(path) @ rows.T
-    off = np.abs(path - np.linspace(0, 1, parts + 1)[:, None] * path[-1]).max(axis=0)
-    assert np.all(off <= recovery.intersample)
+    deviation = np.abs(path - np.linspace(0, 1, parts + 1)[:, None] * path[-1]).max(axis=0)
+    assert np.all(deviation <= recovery.intersample)
 
 
 # -- sets that turn ---------------------------------------------------------------------------------
@@ -424,19 +424,19 @@ def test_whoever_keeps_the_rows_of_a_set_that_turns_is_inside_it_whatever_its_er
     offsets = sides[1] / np.linalg.norm(sides[0], axis=1)
     x = rng.normal(size=(3000, system.n)) * 10 ** rng.uniform(-1, 1.5, (3000, 1))
     about = np.zeros((3, 3)) if axis is None else np.cross(np.eye(3), axis / np.linalg.norm(axis))
-    kept = 0
+    tested = 0
     for k in range(10):
         outside = [np.all(x @ s.rows(system).T <= s.offsets[k, 0], axis=1) for s in sets]
-        left = x[~np.any(outside, axis=0)]
+        clear = x[~np.any(outside, axis=0)]
         low, high = max(k, begins), min(k + 1, ends)
         for t in rng.uniform(low, high, 20) if low < high else ():
             turn = rate * t + rng.choice([-1.0, -0.5, 0.0, 1.0]) * (angle + error * t)
             R = expm(turn * about) if d == 3 else expm(turn * np.array([[0.0, -1.0], [1.0, 0.0]]))
-            inside = left @ system.position.T @ R @ unit.T <= offsets
+            inside = clear @ system.position.T @ R @ unit.T <= offsets
             assert inside.all()
-            assert (limit.signed_distance(t, left, system) > 0).all()
-            kept += len(left)
-    assert kept or ends - begins < 1
+            assert (limit.signed_distance(t, clear, system) > 0).all()
+            tested += len(clear)
+    assert tested or ends - begins < 1
 
 
 @pytest.fixture(scope="module")
@@ -451,10 +451,10 @@ def test_a_set_that_turns_binds_and_is_kept():
     assert schedule.guarantee == "proved" and schedule.share(1) > 0
     assert any(step.margin.limit.startswith("beam") for step in schedule.steps)
     (beam,), system = scenario.obstacles(), scenario.system()
-    for about, kept in ((schedule, True), (free, False)):
+    for about, safe in ((schedule, True), (free, False)):
         t = np.arange(12)[:, None] + np.linspace(0, 1, 33)
         x = about.safety.reference.fine(32)[:12]
-        assert (beam.signed_distance(t, x, system).min() > 0) == kept
+        assert (beam.signed_distance(t, x, system).min() > 0) == safe
     assert not simulate(schedule, 200, 1, substeps=3).metrics().collided.any()
     assert falsify(schedule, 800, 0).failure is None
 

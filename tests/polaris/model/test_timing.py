@@ -112,35 +112,35 @@ def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_
                 )
                 for at in (np.array(real), begin)
             ]
-            asked = np.diff(done[1], axis=0) / step
+            commanded = np.diff(done[1], axis=0) / step
         else:
             wrong = rng.uniform(-1, 1, (count * parts, system.m))
             at = np.clip(np.searchsorted(begins[1:-1] + shifts[1:-1], t, side="right"), 0, count - 1)
-            made = u[at] + wrong * errors.error(u[at])
+            thrust = u[at] + wrong * errors.error(u[at])
             edges = np.arange(count * parts + 1) * step
-            total = np.vstack([0 * u[:1], np.cumsum(made * step, axis=0)])
+            total = np.vstack([0 * u[:1], np.cumsum(thrust * step, axis=0)])
             ends = np.concatenate([[0], begins[1:-1] + shifts[1:-1], [count * h]])
             warped = np.interp(edges, begins, ends)
             done = [total, np.array([np.interp(warped, edges, each) for each in total.T]).T]
-            asked = np.diff(done[1], axis=0) / step
-            held = np.repeat(u, parts, axis=0)
-            off, limit = np.abs(asked - held), late.thrusters.error(held)
-            assert np.all(off <= limit * (1 + 1e-6) + 1e-9) and np.any(off >= 0.6 * limit.max())
+            commanded = np.diff(done[1], axis=0) / step
+            nominal = np.repeat(u, parts, axis=0)
+            deviation, limit = np.abs(commanded - nominal), late.thrusters.error(nominal)
+            assert np.all(deviation <= limit * (1 + 1e-6) + 1e-9) and np.any(deviation >= 0.6 * limit.max())
         delta = done[0] - done[1]
         assert np.all(np.abs(delta) <= late.shifted * (1 + 1e-9))
         assert fired or np.abs(delta).max() >= 0.5 * late.shifted.min()
         A, B, x, y = system.A, system.B, np.zeros(system.n), np.zeros(system.n)
         carry, push = expm(A * step), discretize(A, np.eye(system.n), step)[1]
         applied, middle = np.diff(done[0], axis=0) / step, (delta[1:] + delta[:-1]) / 2
-        scale = apart = 0.0
+        scale = gap = 0.0
         for i in range(count * parts):
             x = carry @ x + push @ B @ applied[i]
-            y = carry @ y + push @ (B @ asked[i] + A @ B @ middle[i])
+            y = carry @ y + push @ (B @ commanded[i] + A @ B @ middle[i])
             scale = max(scale, np.abs(x).max())
-            apart = max(apart, np.abs(x - y - B @ delta[i + 1]).max())
-        assert apart <= 1e-4 * scale
-        away = late.state_offset_at_nodes
-        assert np.all(np.abs(B) @ np.abs(delta).max(axis=0) <= away * (1 + 1e-9))
+            gap = max(gap, np.abs(x - y - B @ delta[i + 1]).max())
+        assert gap <= 1e-4 * scale
+        offset = late.state_offset_at_nodes
+        assert np.all(np.abs(B) @ np.abs(delta).max(axis=0) <= offset * (1 + 1e-9))
         assert np.allclose(late.impulse_rates, A @ B * late.shifted)
 
 
@@ -153,11 +153,11 @@ def test_without_timing_everything_is_as_without_the_table():
 
 def test_delays_flown_for_real_stay_within_the_bounds_and_use_them():
     scenario, schedule = late()
-    runs, off = fly_delayed(schedule, 60, 1, substeps=10)
+    runs, shares = fly_delayed(schedule, 60, 1, substeps=10)
     system = scenario.system()
-    assert np.all(off <= 1) and off.max() > 0.7
+    assert np.all(shares <= 1) and shares.max() > 0.7
     assert np.any(
-        off * system.navigation > system.timing.measured_error
+        shares * system.navigation > system.timing.measured_error
     )  # without delay the bound would not hold
     assert not runs.metrics().collided.any() and runs.states.shape[0] == 60
     assert falsify(schedule, 200, 1).failure is None
@@ -264,8 +264,8 @@ def test_forged_timing_is_refused(tmp_path):
         float.fromhex(data["system"]["timing"]["bit"]),
     )
     for thrust, outcome in ((sum(top) + bit * len(top), "VERIFIED"), (sum(top) * 1.1, "REJECTED")):
-        spent = {"delta_v_m_s": thrust * duration, "delta_v_max_m_s": thrust * duration}
-        sooner["experimental"].update(spent)  # what is applied, not what is commanded
+        delta_v = {"delta_v_m_s": thrust * duration, "delta_v_max_m_s": thrust * duration}
+        sooner["experimental"].update(delta_v)  # what is applied, not what is commanded
         assert forger.judge({"summary.json": json.dumps(sooner)}).outcome == outcome
     for key, value in (("delay_s", 0.75), ("jitter_s", 0.01), ("missed_periods", 2), ("clock_error_s", 1.0)):
         scenario = forger.tree("scenario.toml")
@@ -275,8 +275,8 @@ def test_forged_timing_is_refused(tmp_path):
 
 def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     """Fly predictions with the worst errors of thrusters: they need what is booked, or a little less."""
-    given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
-    tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
+    options = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
+    tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *options])).safety.tracking
     system, feedback_bound = tracking.system, tracking.feedback_bound
     ((hidden, _),) = system.timing.by_lag
     assert hidden == 2
@@ -284,9 +284,9 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     part, rows, last = system.thrusters.part, np.eye(system.n), tracking.settling
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
     last = min(last, calm.settling)
-    booked = tracking.responses(rows, feedback_bound)[: last + 1] - calm.responses(rows, None)[: last + 1]
+    bound = tracking.responses(rows, feedback_bound)[: last + 1] - calm.responses(rows, None)[: last + 1]
     others = np.abs(tracking.loop_transitions[: last + 1, : system.n, system.n :])
-    booked += others @ (tracking.remembered - calm.remembered)
+    bound += others @ (tracking.remembered - calm.remembered)
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):
         sent = (
@@ -297,10 +297,10 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
         size = part(sent)
         e, wrong = np.zeros((system.n, system.m)), np.zeros((system.n, system.m))
         for node in range(-hidden, last):
-            pushed = Bd * (size if node == first else 0.0)
+            push = Bd * (size if node == first else 0.0)
             if node >= 0:  # before, what errors do is part of where S takes over
-                e = Ad @ e - Bd @ tracking.gain @ (e - wrong) + pushed
+                e = Ad @ e - Bd @ tracking.gain @ (e - wrong) + push
                 reached[node + 1] += np.abs(e).sum(axis=1)
-            seen = np.linalg.matrix_power(Ad, hidden) @ Bd * (size if node - hidden == first else 0.0)
-            wrong = Ad @ wrong + pushed - seen
-    assert np.all(reached <= booked * (1 + 1e-9)) and np.all(reached[-1] > 0.7 * booked[-1])
+            measured = np.linalg.matrix_power(Ad, hidden) @ Bd * (size if node - hidden == first else 0.0)
+            wrong = Ad @ wrong + push - measured
+    assert np.all(reached <= bound * (1 + 1e-9)) and np.all(reached[-1] > 0.7 * bound[-1])

@@ -232,10 +232,10 @@ def test_least_fuel_gets_its_share_where_the_margin_is_out_of_reach():
     assert answer.status == "effort_limit" and answer.cut_by_clock == ()
 
 
-def clock(monkeypatch, tell):
+def clock(monkeypatch, timer):
     """Give the planner another clock."""
     for module in (problem_module, solve, effort, model, search, tree, diagnose, recourse):
-        monkeypatch.setattr(module, "perf_counter", tell)
+        monkeypatch.setattr(module, "perf_counter", timer)
 
 
 @pytest.mark.parametrize(
@@ -249,13 +249,13 @@ def clock(monkeypatch, tell):
 def test_a_slower_machine_finds_the_same_plan(monkeypatch, recwarn, task, options):
     """A hundred thousand times slower, and one that stands still."""
     plans = []
-    heard = []
+    reports = []
     for speed in (1.0, 1e5, 0.0):
         clock(monkeypatch, lambda speed=speed: speed * perf_counter())
-        plans.append(plan(task, PlannerOptions(progress=heard.append, **options)))
+        plans.append(plan(task, PlannerOptions(progress=reports.append, **options)))
     assert len({answer.nu.tobytes() for answer in plans}) == 1
     assert len({(answer.stages, answer.status, answer.bound) for answer in plans}) == 1
-    assert all(answer.cut_by_clock == () for answer in plans) and all(h.seconds >= 0 for h in heard)
+    assert all(answer.cut_by_clock == () for answer in plans) and all(h.seconds >= 0 for h in reports)
     assert not [w for w in recwarn if issubclass(w.category, ClockWarning)]
 
 
@@ -263,22 +263,22 @@ def test_a_slower_machine_finds_the_same_plan(monkeypatch, recwarn, task, option
 def test_a_clock_that_jumps_changes_no_run(monkeypatch, solver):
     """A day at every look: no search ends by the clock unless a scenario sets one, a back end's included."""
     scenario = load_scenario(TINY).with_assignments([f"planner.solver={solver}"])
-    known, looks = certificate(synthesize(scenario), "tiny")["digest"], iter(range(10**9))
+    expected, looks = certificate(synthesize(scenario), "tiny")["digest"], iter(range(10**9))
     clock(monkeypatch, lambda: 86400.0 * next(looks))
-    assert certificate(synthesize(scenario), "tiny")["digest"] == known
+    assert certificate(synthesize(scenario), "tiny")["digest"] == expected
 
 
 def test_a_back_end_that_does_not_come_to_its_next_node_is_ended_by_a_count(monkeypatch):
-    given = []
-    whole = backends._highs
-    monkeypatch.setattr(backends, "_highs", lambda *args: given.append(whole(*args)) or given[-1])
+    answers = []
+    original = backends._highs
+    monkeypatch.setattr(backends, "_highs", lambda *args: answers.append(original(*args)) or answers[-1])
     task = small_robot([((4.0, 0.3), (0.8, 0.9)), ((7.0, -0.4), (0.6, 0.9))])
     plan(task, PlannerOptions(solver="highs", gap=0.0))
-    assert given[-1].status == "optimal"
+    assert answers[-1].status == "optimal"
     monkeypatch.setattr(backends, "ASKED", 1e-5)
     with suppress(NotCertified):
         plan(task, PlannerOptions(solver="highs", gap=0.0))
-    assert given[-1].status == "effort_limit"
+    assert answers[-1].status == "effort_limit"
 
 
 @pytest.mark.parametrize("readings", [40, 100, 200])
@@ -303,12 +303,12 @@ def test_what_the_solver_takes_for_the_goal_counts_as_the_goal(away):
     start, goals = np.array([away, -away, 0.0, 0.0]), (np.zeros(4), np.array([0.3, 20.0, 0.0, 0.0]))
     for goal in (StationaryPoint(goals[0]), StationaryPoint(goals[1]), Box(goals[1], np.full(4, 0.2))):
         task = PlanProblem(system, start, 20, 1.0, (), (), np.ones((20, 2)), goal.for_system(system))
-        rows, wanted = PlanRows(task), task.goal.conditions
+        rows, conditions = PlanRows(task), task.goal.conditions
         lp, z = PathSearch(rows, np.inf).lp, np.random.default_rng(0).uniform(-1, 1, rows.N)
         last = rows.free[20] + rows.state_rows(np.eye(4), 20) @ z
-        over = np.concatenate([wanted.E @ last - wanted.e, wanted.g - wanted.G @ last])
+        over = np.concatenate([conditions.E @ last - conditions.e, conditions.g - conditions.G @ last])
         missed = np.vstack(lp._a)[:, : rows.N] @ z - np.concatenate(lp._least)
-        assert np.all(np.abs(over) * SOLVER_FEASIBILITY <= GOAL * wanted.scale * np.abs(missed))
+        assert np.all(np.abs(over) * SOLVER_FEASIBILITY <= GOAL * conditions.scale * np.abs(missed))
 
 
 def test_unreachable_goal_names_the_limits_needed():
@@ -369,7 +369,7 @@ def test_blocked_goal_names_the_uncertainty_of_places(grows):
 @pytest.mark.parametrize("wrong", [{"surplus": (np.full((60, 6), -1.0),)}, {"goal": (0.5, "off")}])
 def test_failed_recheck_is_an_error(monkeypatch, wrong):
     module = sys.modules["polaris.planning.recheck"]
-    monkeypatch.setattr(module, "recheck", lambda *asked: replace(recheck(*asked), **wrong))
+    monkeypatch.setattr(module, "recheck", lambda *arguments: replace(recheck(*arguments), **wrong))
     with pytest.raises(NotCertified, match="plan not certified: (the clearance from|the goal is missed)"):
         plan(problem([STATIC]))
 
@@ -418,8 +418,8 @@ def test_prices_of_facets_are_lower_bounds(prices):
         path = search.solve(choice)
         bounds = search.bounds(path, [key])[key]
         real = [search.solve({**choice, key: j}) for j in range(len(bounds))]
-        for bound, better in zip(bounds, real, strict=True):
-            value = np.inf if better is None else search.value(better)
+        for bound, solution in zip(bounds, real, strict=True):
+            value = np.inf if solution is None else search.value(solution)
             assert bound <= value + 1e-6 * max(abs(search.value(path)), 1.0)
             sharp += bound > search.value(path) + 0.3 * (value - search.value(path)) > search.value(path)
         choice[key] = int(np.argmin([np.inf if p is None else search.value(p) for p in real]))

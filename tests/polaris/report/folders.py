@@ -59,9 +59,9 @@ def write_comparison(target, run, flights):
         row = {"key": key, "name": name, "guarantee": guarantee, "reach": reach}
         row["note"] = "" if i < 3 else EVIL
         rows.append(row | {"available": True, "metrics": metrics})
-    gone = {"key": "gone", "name": "needs a licence", "guarantee": "none", "reach": ""}
-    gone |= {"note": "not installed"}
-    rows.append(gone | {"available": False, "metrics": {}})
+    missing = {"key": "gone", "name": "needs a licence", "guarantee": "none", "reach": ""}
+    missing |= {"note": "not installed"}
+    rows.append(missing | {"available": False, "metrics": {}})
     np.savez(target / "comparison.npz", **arrays)
     pair = {"against": "schedule", "metric": "min_distance_m", "difference": -1.0, "low": -1.5, "high": -0.5}
     protocol = {"runs": 100, "seed": 0, "decision_period_s": 1.0, "latency_s": 0.0, "initial": "corners"}

@@ -35,9 +35,9 @@ FLAGS = (
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A small run in the plane, with a title that tries to run a script."""
-    made = write_tiny(tmp_path_factory.mktemp("pages") / "run")
-    rename(made, EVIL)
-    return made
+    path = write_tiny(tmp_path_factory.mktemp("pages") / "run")
+    rename(path, EVIL)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,8 @@ def others(tmp_path_factory):
         ("fuel", "fuel-limit"),
         ("campaign", "inspection-monte-carlo --set campaign.runs=2"),
     ):
-        asked = f"run {command} --out {place / kind.replace(' ', '-')} --no-figures -q".split()
-        assert CliRunner().invoke(cli.app, asked).exit_code == 0
+        arguments = f"run {command} --out {place / kind.replace(' ', '-')} --no-figures -q".split()
+        assert CliRunner().invoke(cli.app, arguments).exit_code == 0
         addresses[kind] = write_report(place / kind.replace(" ", "-")).as_uri()
     return addresses
 
@@ -126,25 +126,25 @@ READOUT = "return ['now', 'readout'].map((id) => document.getElementById(id).tex
 def trace(browser, uid, unlike=()):
     """Coordinates of one trace of the scene, once they differ from `unlike`."""
     until = time.monotonic() + MOST
-    while (seen := browser.execute_script(TRACE, uid)) == unlike:
+    while (points := browser.execute_script(TRACE, uid)) == unlike:
         assert time.monotonic() < until
         time.sleep(0.1)
-    return seen
+    return points
 
 
 def test_slider_moves_scene_cursor_moving_sets_and_table(browser, page):
     open_page(browser, page)
-    at, seen = trace(browser, "pilotpolarisnow"), []
+    at, frames = trace(browser, "pilotpolarisnow"), []
     for share in (0.3, 1.0):
         t = move_slider(browser, share)
         at = trace(browser, "pilotpolarisnow", at)
         sets = [np.array(browser.execute_script(OF_NAME, name)) for name in ("trolley", "pillar")]
-        now, table = browser.execute_script(READOUT)
-        assert now.startswith(f"{t:.2f}"[:3])
-        seen.append((t, len(trace(browser, "pilotpolaris1")[0]), *sets, table))
-    (t, flown, trolley, pillar, table), after = seen
+        time_text, table = browser.execute_script(READOUT)
+        assert time_text.startswith(f"{t:.2f}"[:3])
+        frames.append((t, len(trace(browser, "pilotpolaris1")[0]), *sets, table))
+    (t, count, trolley, pillar, table), after = frames
     np.testing.assert_allclose(after[2] - trolley, -0.05 * (after[0] - t), atol=1e-3)
-    assert after[1] > flown and after[4] != table and np.array_equal(after[3], pillar)
+    assert after[1] > count and after[4] != table and np.array_equal(after[3], pillar)
     assert_quiet(browser)
 
 
@@ -181,13 +181,13 @@ def test_a_recoverable_set_holds_the_chaser_or_bears_its_own_time(browser, page)
             t = browser.execute_script("return document.getElementById('timelines').layout.shapes[0].x0")
         drawn = wait(browser, SLICE)
         edge = np.array(drawn["outline"]).T
-        along, now = np.diff(edge, axis=0), abs(drawn["t"] - t) < 1e-3
-        beside = np.array(drawn["here" if now else "place"]) - edge[:-1]
-        assert np.all(along[:, 0] * beside[:, 1] - along[:, 1] * beside[:, 0] > -1e-4)
+        along, current = np.diff(edge, axis=0), abs(drawn["t"] - t) < 1e-3
+        offset = np.array(drawn["here" if current else "place"]) - edge[:-1]
+        assert np.all(along[:, 0] * offset[:, 1] - along[:, 1] * offset[:, 0] > -1e-4)
         assert drawn["text"] == f"recoverable at {drawn['t']:.4g} s" and drawn["t"] < t + 1e-3
-        assert (drawn["filled"], drawn["dash"]) == ((True, "solid") if now else (False, "dash"))
-        assert now or drawn["place"] != drawn["here"]
-        filled += now
+        assert (drawn["filled"], drawn["dash"]) == ((True, "solid") if current else (False, "dash"))
+        assert current or drawn["place"] != drawn["here"]
+        filled += current
     assert 2 <= filled < 6  # where it opens, and at the start
     assert_quiet(browser)
 
@@ -350,9 +350,9 @@ def test_methods_are_sorted_and_overlaid(browser, comparison):
     browser.execute_script("document.querySelectorAll('#methods thead button')[2].click()")
     ordered = browser.execute_script(names)
     assert ordered[0] == "filter 0" and ordered[-1].startswith("needs a licence")  # without a value: last
-    shown = """return document.getElementById('timelines').data
+    series = """return document.getElementById('timelines').data
     .filter((one) => one.type === 'scatter').map((one) => one.name)"""
-    assert {"Polaris schedule", "S alone", "U alone", "filter 0"} <= set(browser.execute_script(shown))
+    assert {"Polaris schedule", "S alone", "U alone", "filter 0"} <= set(browser.execute_script(series))
     assert_quiet(browser)
 
 

@@ -20,8 +20,8 @@ from polaris.scenario.reading import write_toml
 from tests.polaris.report.folders import EVIL, rename, rewrite_json, write_tiny
 
 
-def write_dossier(folder, out=None, **how):
-    return write_report(folder, out, dossier=True, **how)
+def write_dossier(folder, out=None, **options):
+    return write_report(folder, out, dossier=True, **options)
 
 
 @pytest.fixture
@@ -31,8 +31,8 @@ def run(tmp_path):
 
 def text_of(pdf):
     """Text of an uncompressed PDF file, kerning put aside."""
-    shown = re.findall(rb"\[(.*?)(?<!\\)\] TJ|\((.*?)(?<!\\)\) Tj", pdf, re.S)
-    pieces = [b"".join(re.findall(rb"\((.*?)(?<!\\)\)", a, re.S)) if a else b for a, b in shown]
+    strings = re.findall(rb"\[(.*?)(?<!\\)\] TJ|\((.*?)(?<!\\)\) Tj", pdf, re.S)
+    pieces = [b"".join(re.findall(rb"\((.*?)(?<!\\)\)", a, re.S)) if a else b for a, b in strings]
     plain = [re.sub(rb"\\(.)", rb"\1", piece, flags=re.S) for piece in pieces]
     return " ".join(" ".join(piece.decode("utf-16-be", "replace") for piece in plain).split())
 
@@ -65,10 +65,10 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
             except (KeyError, TypeError):
                 continue
             if isinstance(expected, float):
-                shown = re.match(r"([-\d.e]+)( %)?", line.removeprefix(f"{one.words}: "))
-                scale = 100 if shown[2] else 1
+                match = re.match(r"([-\d.e]+)( %)?", line.removeprefix(f"{one.words}: "))
+                scale = 100 if match[2] else 1
                 real = pytest.approx(scale * expected, rel=1e-3, abs=0.05 * (scale > 1))
-                assert float(shown[1]) == real, line
+                assert float(match[1]) == real, line
                 compared += 1
             elif isinstance(expected, int):
                 assert line.startswith(f"{one.words}: {expected} "), line

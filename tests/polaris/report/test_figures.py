@@ -65,8 +65,8 @@ def test_every_hand_over_has_the_set_of_its_own_time(picture):
         assert f"{'SU'[one.mode]} from {one.time:.3g} s" in texts
         for obstacle in picture.obstacles:  # this is why it is safe
             assert obstacle.signed_distance(np.full(len(one.outline), one.time), one.outline).min() > 0
-    gone = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
-    assert not list(replace(picture, slices=gone).printed_slices())
+    shifted = replace(picture.slices, times=picture.slices.times + 0.1 * picture.reference.delta)
+    assert not list(replace(picture, slices=shifted).printed_slices())
 
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
@@ -83,8 +83,8 @@ def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypat
 
 def test_pdfs_embed_truetype_fonts_whose_text_can_be_searched(picture, tmp_path):
     for name, full in (("hasty", False), ("\N{CYRILLIC CAPITAL LETTER ZHE}", True)):
-        named = replace(picture, controllers=("safety", name))
-        pdf = draw_figures(named, tmp_path, {"modes": FIGURES["modes"]})[0].read_bytes()
+        renamed = replace(picture, controllers=("safety", name))
+        pdf = draw_figures(renamed, tmp_path, {"modes": FIGURES["modes"]})[0].read_bytes()
         assert b"/FontFile2" in pdf and b"/ToUnicode" in pdf and b"/Type3" not in pdf
         assert b"PolarisSans" in pdf and (b"DejaVuSans" in pdf) == full  # letters that the light font lacks
 
@@ -121,7 +121,7 @@ def random_picture(seed):
     zero, one = np.zeros((d, d)), np.eye(d)
     A, B = np.block([[zero, one], [zero, zero]]), np.vstack([zero, one])
     system = HILL if seed % 6 == 5 else LinearSystem(A, B, B, np.ones(d))
-    n, delta, rest = system.n, 40.0, np.zeros(system.n - d)
+    n, delta, zeros = system.n, 40.0, np.zeros(system.n - d)
     chi0 = np.r_[rng.uniform(-1, 1, d), rng.uniform(-1, 1, d) / (steps * delta)] * 3 * unit
     push = rng.normal(size=(steps, system.m)) * unit / (steps * delta) ** 2 * (10 if system is HILL else 3)
     reference = Reference.propagate(system, delta, chi0, push)
@@ -132,7 +132,7 @@ def random_picture(seed):
     sets = [
         BallObstacle("ball", at[0], 0.05 * size, velocity=rng.normal(size=d) * size / (steps * delta)),
         BoxObstacle("a-box-with-a-name-too-long-for-any-legend", at[1], rng.uniform(0.02, 0.1, d) * size),
-        SatelliteObstacle("visitor", np.r_[at[2], rest], np.r_[np.full(d, 0.02 * size), rest], 0.03 * size),
+        SatelliteObstacle("visitor", np.r_[at[2], zeros], np.r_[np.full(d, 0.02 * size), zeros], 0.03 * size),
         PolytopeObstacle("wall", [rng.normal(size=d)], [-2.0 * float(np.abs(path).max())], unbounded=True),
         KeepInPolytope("corridor", np.vstack([one, -one]), np.full(2 * d, 1.5 * np.abs(path[:, :d]).max())),
     ]
@@ -150,7 +150,7 @@ def random_picture(seed):
     return PlotData(
         "random", system, tuple(sets[i] for i in range(5) if rng.random() < 0.8),
         goals[rng.integers(len(goals))],
-        Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), rest]), reference, steps,
+        Zonotope.box(chi0, np.r_[np.full(d, 0.01 * size), zeros]), reference, steps,
         ("safety", "a learned policy whose name is far too long for any legend", "other"), modes,
         rng.uniform(-0.1, 1, steps), tuple(limits[i] for i in rng.integers(0, 6, steps)),
         {"polaris": flights, "experimental": replace(flights, states=flights.states + 0.03 * size)},
@@ -197,11 +197,11 @@ def assert_legend_is_seen(figure):
         image = np.asarray(canvas.buffer_rgba())[::-1, :, :3] / 255.0
         legend.set_visible(True)
         x0, y0, x1, y1 = (int(v) for v in ax.get_window_extent().extents)
-        seen = image[y0:y1, x0:x1].reshape(-1, 3)
+        pixels = image[y0:y1, x0:x1].reshape(-1, 3)
         for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-            shown = handle.get_facecolor if hasattr(handle, "get_facecolor") else handle.get_color
-            colour = to_rgb(shown())
-            count = np.count_nonzero(np.abs(seen - colour).max(axis=1) < 0.02)
+            get_colour = handle.get_facecolor if hasattr(handle, "get_facecolor") else handle.get_color
+            colour = to_rgb(get_colour())
+            count = np.count_nonzero(np.abs(pixels - colour).max(axis=1) < 0.02)
             assert count >= 2, (text.get_text(), count)
 
 
@@ -259,24 +259,24 @@ def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     panels = closeups(picture)
     for obstacle in picture.obstacles:
         distance = obstacle.signed_distance(times, path, picture.system)
-        own = [one for one in panels if one.obstacle is obstacle]
+        its_panels = [one for one in panels if one.obstacle is obstacle]
         inside = Space.from_paths(picture).corners(obstacle, picture.approach(obstacle).time)
         if isinstance(obstacle, KeepInPolytope) or distance.min() <= 0 or not len(inside):
-            assert own == []
+            assert its_panels == []
             continue
-        shown = drawn_gap(picture, obstacle, times, path, picture.frame.flat) > 0
-        for one in own:
+        visible = drawn_gap(picture, obstacle, times, path, picture.frame.flat) > 0
+        for one in its_panels:
             a, b = one.span
             assert times[a] <= one.time <= times[b - 1]
             cover = Space.from_paths(picture).cover(obstacle, one.time)
             if one.axes is not None and cover is not None:  # nor does the path cross the cover that is drawn
                 centres = obstacle.centre(times[a:b], picture.system)
-                beside = path[a:b] - centres + obstacle.centre(one.time, picture.system)
-                assert np.all(outline_gap(flat_outline(cover[:, one.axes]), beside[:, one.axes]) > 0)
+                relative = path[a:b] - centres + obstacle.centre(one.time, picture.system)
+                assert np.all(outline_gap(flat_outline(cover[:, one.axes]), relative[:, one.axes]) > 0)
             if one.axes is not None:
                 assert np.all(drawn_gap(picture, obstacle, times[a:b], path[a:b], one.axes) > 0)
-            shown[a:b] = True
-        assert shown.all() or len(panels) == MOST
+            visible[a:b] = True
+        assert visible.all() or len(panels) == MOST
 
 
 def over(height, radius=40.0):
@@ -368,10 +368,10 @@ def assert_slices_are_of_their_instants(schedule, picture):
                 assert outline.min() <= place <= outline.max()
             else:
                 assert inside(place[None, flat], outline, 1e-9 * size**2).all()
-            for share, known in ((0.999, True), (1.1, False)):
-                moved = middle + share * (outline - middle) - place[flat]
-                within = recoverable.contains(step * q + part, state - xi + moved @ lift)
-                assert within.all() if known else not within.any()
+            for share, contained in ((0.999, True), (1.1, False)):
+                offset = middle + share * (outline - middle) - place[flat]
+                within = recoverable.contains(step * q + part, state - xi + offset @ lift)
+                assert within.all() if contained else not within.any()
 
 
 def test_slices_contain_the_chaser_of_every_run():
@@ -400,7 +400,7 @@ def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
 
 
 def test_a_path_is_drawn_under_the_mode_that_flew_it():
-    flown, flags = np.arange(7.0)[:, None] * [1.0, 2.0], np.array([True, False, True, True, False, True])
-    drawn = under_mode(flown, flags)[:, 0]
+    path, flags = np.arange(7.0)[:, None] * [1.0, 2.0], np.array([True, False, True, True, False, True])
+    drawn = under_mode(path, flags)[:, 0]
     np.testing.assert_array_equal(drawn, [0, 1, np.nan, 2, 3, 4, np.nan, 5, 6, np.nan])
     assert stretches(flags) == [(0, 1), (2, 4), (5, 6)] and stretches([]) == []

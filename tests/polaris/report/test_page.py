@@ -72,8 +72,8 @@ def test_page_can_be_read_without_sight(html):
 
 def test_nothing_is_asked_of_the_network(html):
     tags = Tags(HIDDEN.sub("", html)).tags
-    asked = [attrs[key] for _, attrs in tags for key in ("src", "href", "action", "srcset") if key in attrs]
-    assert all(value.startswith(("#", "data:")) for value in asked)
+    urls = [attrs[key] for _, attrs in tags for key in ("src", "href", "action", "srcset") if key in attrs]
+    assert all(value.startswith(("#", "data:")) for value in urls)
     assert "url(" not in re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL)
     policy = next(attrs["content"] for _, attrs in tags if attrs.get("http-equiv"))
     assert "default-src 'none'" in policy and "connect-src 'none'" in policy and "unsafe-eval" not in policy
@@ -92,8 +92,8 @@ def test_paths_are_those_of_the_folder(run, html):
     assert controller["labels"] == list(flights.labels) and controller["labels"][0] == "nominal"
     for one, states in zip(controller["runs"], flights.states, strict=True):
         assert np.allclose(np.array(one["p"]).T, states[chosen, :2], rtol=1e-5, atol=1e-9)
-    who = np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
-    assert controller["runs"][0]["modes"] == who[chosen[:-1]].tolist()
+    modes = np.repeat(flights.modes, (len(flights.times) - 1) // len(flights.modes))
+    assert controller["runs"][0]["modes"] == modes[chosen[:-1]].tolist()
 
 
 def test_timelines_are_those_of_the_folder(run, html):
@@ -101,10 +101,10 @@ def test_timelines_are_those_of_the_folder(run, html):
     panels = {panel["key"]: panel for panel in data["panels"]}
     (margin,) = panels["margin"]["series"]
     margins = [step["margin"] for step in folder.json("schedule.json")["steps"]]
-    shown, real = (np.array(values, dtype=float) for values in (margin["y"], margins))
-    np.testing.assert_allclose(shown, real, rtol=1e-5)
+    printed, real = (np.array(values, dtype=float) for values in (margin["y"], margins))
+    np.testing.assert_allclose(printed, real, rtol=1e-5)
     shares = [float(text.removeprefix("margin ").split(",")[0]) for text in margin["text"]]
-    assert all(v is None or 0 <= v - shown < 1e-3 for v, shown in zip(margins, shares, strict=True))
+    assert all(v is None or 0 <= v - printed < 1e-3 for v, printed in zip(margins, shares, strict=True))
     flights = folder.plot_data().flights["polaris"]
     series = next(one for one in panels["input0"]["series"] if one["pilot"] == "polaris")
     assert np.allclose(series["runs"][0][:-1], flights.inputs[0][:, 0], rtol=1e-5, atol=1e-9)
@@ -125,26 +125,26 @@ def test_band_and_proof_lie_around_the_simulated_distances(run, html):
 
 
 def test_first_screen_answers_what_a_reader_asks(run, html):
-    summary, shown = read_run(run).summary, words(html)
-    head = shown[: shown.index("The flight")]
-    goal, known = summary["guarantee"]["goal"], summary["synthesis"]
+    summary, page = read_run(run).summary, words(html)
+    head = page[: page.index("The flight")]
+    goal, search = summary["guarantee"]["goal"], summary["synthesis"]
     assert goal["reached"] is True and f"Does it arrive? at {goal['by_s']:.6g} s proven, within" in head
     assert "Is it safe? ✓ proved" in head
     texts = {"distance_m": r"within ([\d.]+) m of the goal", "delta_v_max_m_s": r"at most ([\d.]+) m/s"}
     for key, text in texts.items():
         (bound,) = re.findall(text, head)
         assert goal[key] <= float(bound) <= goal[key] * 1.001
-    for who in ("polaris", "safety"):
-        assert f"{summary[who]['delta_v_m_s']:.4g} m/s" in head
-    assert f"U {100 * known['experimental_share']:.1f} %" in head and f"{known['switches']} switch" in head
+    for source in ("polaris", "safety"):
+        assert f"{summary[source]['delta_v_m_s']:.4g} m/s" in head
+    assert f"U {100 * search['experimental_share']:.1f} %" in head and f"{search['switches']} switch" in head
     modes = read_run(run).plot_data().modes
     bar = [int(width) for width in re.findall(r'<i style="flex: (\d+)', html)]
-    assert sum(bar) == len(modes) and len(bar) == 1 + known["switches"]
-    for who in ("safety", "experimental", "polaris"):
-        assert f"{summary[who]['min_distance_m']:.4g} m" in shown
-        assert f"{100 * summary[who]['experimental_share']:.1f} %" in shown
-    assert all(assumption in shown for assumption in summary["guarantee"]["assumptions"])
-    assert "What is not proven" in shown and "How far it reaches" in shown and "✓ proved" in shown
+    assert sum(bar) == len(modes) and len(bar) == 1 + search["switches"]
+    for source in ("safety", "experimental", "polaris"):
+        assert f"{summary[source]['min_distance_m']:.4g} m" in page
+        assert f"{100 * summary[source]['experimental_share']:.1f} %" in page
+    assert all(assumption in page for assumption in summary["guarantee"]["assumptions"])
+    assert "What is not proven" in page and "How far it reaches" in page and "✓ proved" in page
 
 
 @pytest.mark.parametrize(
@@ -201,8 +201,8 @@ def test_velocity_change_adds_up_to_what_was_flown(run, html):
     for series in panel["series"]:
         flights = picture.flights[series["pilot"]]
         for inputs, drawn in zip(flights.inputs, series["runs"], strict=True):
-            whole = (np.abs(inputs) * np.diff(flights.times)[:, None]).sum() / picture.system.mass
-            assert drawn[-1] == pytest.approx(whole, rel=1e-5)
+            total = (np.abs(inputs) * np.diff(flights.times)[:, None]).sum() / picture.system.mass
+            assert drawn[-1] == pytest.approx(total, rel=1e-5)
             assert drawn[0] == 0 and np.all(np.diff(drawn) >= 0)
             assert series["pilot"] != "polaris" or drawn[-1] <= bound["y"]
 
@@ -226,8 +226,8 @@ def test_no_raw_value_is_ever_printed(run, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
 
     def empty(data):
-        for who in ("safety", "experimental", "polaris"):
-            data[who] |= {"min_ttc_s": None, "min_distance_m": None, "max_thrust_ratio_safety": None}
+        for source in ("safety", "experimental", "polaris"):
+            data[source] |= {"min_ttc_s": None, "min_distance_m": None, "max_thrust_ratio_safety": None}
         data["synthesis"]["start_margin"] = None
         del data["definitions"]  # they explain what null means
 
@@ -275,9 +275,9 @@ def test_every_method_is_in_the_tables_and_in_the_scene(comparison, tmp_path):
     )
     tables = [attrs.get("class", "") for tag, attrs in Tags(HIDDEN.sub("", html)).tags if tag == "table"]
     assert sum("sortable" in name for name in tables) == 2 and any("wide" in name for name in tables)
-    flown = np.load(comparison / "comparison.npz")
-    near = [flown[f"{key}_distance_m"][0] for key in ("schedule", "safety", "experimental", "filter_0")]
-    assert data["open"] == pytest.approx(flown["schedule_t_s"][np.argmin(min(near, key=np.min))])
+    saved = np.load(comparison / "comparison.npz")
+    near = [saved[f"{key}_distance_m"][0] for key in ("schedule", "safety", "experimental", "filter_0")]
+    assert data["open"] == pytest.approx(saved["schedule_t_s"][np.argmin(min(near, key=np.min))])
 
 
 @pytest.fixture(scope="module")
@@ -308,9 +308,9 @@ def test_flight_of_deputies(inspections, tmp_path):
 
 
 def test_flight_into_the_fuel_limit(inspections, tmp_path):
-    data, flown = data_of(report_of(inspections["fuel"], tmp_path)), np.load(inspections["fuel"] / "fuel.npz")
+    data, saved = data_of(report_of(inspections["fuel"], tmp_path)), np.load(inspections["fuel"] / "fuel.npz")
     panel = next(panel for panel in data["panels"] if panel["key"] == "fuel")
-    assert np.allclose(panel["series"][0]["runs"][0], flown["delta_v_m_s"], rtol=1e-5, atol=1e-9)
+    assert np.allclose(panel["series"][0]["runs"][0], saved["delta_v_m_s"], rtol=1e-5, atol=1e-9)
     assert panel["limits"] == [{"y": 20, "text": "fuel limit", "unsafe": "above"}]
 
 
@@ -332,6 +332,6 @@ def test_one_error_for_what_is_no_folder_of_ours(run, tmp_path):
     cases = [(tmp_path / "empty",), (tmp_path / "missing",), (damaged,), (run, "--out", tmp_path)]
     cases.append((run, "--out", tmp_path / "no" / "where.html"))
     for case in cases:
-        asked = invoke(*case)
-        assert asked.exit_code == 2 and asked.stderr.startswith("error: ") and asked.stderr.count("\n") == 1
+        done = invoke(*case)
+        assert done.exit_code == 2 and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
     assert not list(damaged.glob("*report*"))

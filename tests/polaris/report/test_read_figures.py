@@ -83,8 +83,8 @@ def assert_texts_are_apart(figure):
         assert box.x1 <= figure.bbox.x1 + slack and box.y1 <= figure.bbox.y1 + slack, one
     for (one, a), (other, b) in itertools.combinations(texts, 2):
         wide, high = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
-        turned = one.get_rotation() % 90 or other.get_rotation() % 90
-        assert min(wide, high) <= slack or turned, (one, other)
+        rotated = one.get_rotation() % 90 or other.get_rotation() % 90
+        assert min(wide, high) <= slack or rotated, (one, other)
 
 
 @pytest.mark.parametrize("seed", MANY)
@@ -125,10 +125,10 @@ def dashed(ax, colour):
     """Paths of U alone in axes."""
     with style():
         look = Line2D([], [], ls=DASHES, lw=0.9)
-    own = [one for one in ax.lines if one.get_color() == colour and one._dash_pattern == look._dash_pattern]
+    lines = [one for one in ax.lines if one.get_color() == colour and one._dash_pattern == look._dash_pattern]
     low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
-    seen = [np.all((one.get_xydata() > low) & (one.get_xydata() < high), axis=1) for one in own]
-    return [one for one, flags in zip(own, seen, strict=True) if flags.any()]
+    visible = [np.all((one.get_xydata() > low) & (one.get_xydata() < high), axis=1) for one in lines]
+    return [one for one, flags in zip(lines, visible, strict=True) if flags.any()]
 
 
 def test_u_alone_flies_through_a_set_beside_the_path_that_passes_it():
@@ -145,8 +145,8 @@ def test_u_alone_flies_through_a_set_beside_the_path_that_passes_it():
 def test_each_of_several_experimental_controllers_is_named_and_drawn_alone():
     base = tiny()
     one = base.flights["experimental"]
-    named = {"experimental": replace(one, controller="a"), "second": replace(one, controller="b")}
-    picture = replace(base, controllers=("safety", "a", "b"), flights={**base.flights, **named})
+    flights = {"experimental": replace(one, controller="a"), "second": replace(one, controller="b")}
+    picture = replace(base, controllers=("safety", "a", "b"), flights={**base.flights, **flights})
     for name in ("scene", "distance"):
         names = {text.get_text() for text, _ in texts_of(draw(picture, name))}
         assert {"U alone (a)", "U alone (b)"} <= names, name

@@ -144,9 +144,9 @@ def test_timed_cover_holds_the_satellite_wherever_it_may_be(space, scene):
     (timed,) = visitor.timed_polytopes(space.system, DELTA, K)
     for t in np.linspace(0, K * DELTA, 301)[:-1]:
         points, (k, s) = at(cover, t), divmod(t / DELTA, 1)
-        known = (1 - s) * timed.offsets[int(k), 0] + s * timed.offsets[int(k), 1]
-        grown = (timed.normals[:, [1, 0, 2]] @ points).max(axis=1) - known
-        assert grown.min() > -2e-3 and grown.max() < 1.0  # what the proof uses then, not in all the step
+        offsets = (1 - s) * timed.offsets[int(k), 0] + s * timed.offsets[int(k), 1]
+        excess = (timed.normals[:, [1, 0, 2]] @ points).max(axis=1) - offsets
+        assert excess.min() > -2e-3 and excess.max() < 1.0  # what the proof uses then, not in all the step
         centre = visitor.centre(t, space.system)[[1, 0, 2]]
         for axis in range(3):  # at least the ball and the half widths, to either side
             assert points[axis].max() >= centre[axis] + 9 - 1e-3

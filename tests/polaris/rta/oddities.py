@@ -73,8 +73,8 @@ class Changing:
         self.good = np.array(good)
 
     def __array__(self, dtype=None, copy=None):
-        now, self.good = self.good, self.good + 1e3
-        return now
+        state, self.good = self.good, self.good + 1e3
+        return state
 
 
 class Stubborn(np.ndarray):

@@ -55,9 +55,9 @@ def corridor(period=None, unknown=False):
     else:
         t = np.linspace(0.0, 1.0, 41)[:, None]
         chi = np.hstack([8 * t, 0 * t, np.full_like(t, 0.4), 0 * t])  # 8 m in 20 s, straight through the box
-        own = Reference(system, 0.5, chi, np.zeros((40, 2)))
+        u_path = Reference(system, 0.5, chi, np.zeros((40, 2)))
         gain = lqr_gain(system, Q, [5.0, 5.0])
-        laws = [AffineController("straight", system, gain, safety.reference, own, safety.tracking, True)]
+        laws = [AffineController("straight", system, gain, safety.reference, u_path, safety.tracking, True)]
     return synthesize(safety, experimental=laws)
 
 

@@ -59,8 +59,8 @@ class Operator:
         pass
 
     def __call__(self, k, delivery, past):
-        gone = delivery.missing or np.shape(as_array(delivery.state)) != (self.n,)
-        if gone or not self.first <= k < self.last:
+        no_state = delivery.missing or np.shape(as_array(delivery.state)) != (self.n,)
+        if no_state or not self.first <= k < self.last:
             return  # not now, or there is no state left to corrupt
         if self.corrupt(k, delivery, past) is not False and self.certain:
             delivery.families.add(self.family)
@@ -79,10 +79,10 @@ class Old(Operator):
     """One of the last five measurements: delayed, out of order or once more."""
 
     def corrupt(self, k, delivery, past):
-        back = int(self.rng.integers(0, 6))
-        if not 0 < back <= k:
+        delay = int(self.rng.integers(0, 6))
+        if not 0 < delay <= k:
             return False
-        delivery.stamp, delivery.state = past[k - back]
+        delivery.stamp, delivery.state = past[k - delay]
 
 
 class Frozen(Operator):
@@ -120,8 +120,8 @@ class Malformed(Operator):
         states += [x * 10.0 ** self.rng.integers(8, 300)]
         stamps = [None, "now", np.nan, np.inf, -np.inf, past[k][0] + self.rng.uniform(0.001, 0.2)]
         half = [np.where(one, odd, HALF) for odd in (2 * HALF, -HALF, np.nan, np.inf)]
-        what, kinds = [("state", states), ("stamp", stamps), ("half", half)][int(self.rng.integers(3))]
-        setattr(delivery, what, kinds[int(self.rng.integers(len(kinds)))])
+        field, choices = [("state", states), ("stamp", stamps), ("half", half)][int(self.rng.integers(3))]
+        setattr(delivery, field, choices[int(self.rng.integers(len(choices)))])
 
 
 class Drifting(Operator):
@@ -226,9 +226,9 @@ def fly_streams(monitor, operators, deciders, seed, second_clock=(), applied=())
     x, past = conditions.x0, [[] for _ in range(runs)]
     states, steps = [x], [[] for _ in range(runs)]
     flying, until = np.zeros(runs, dtype=int), np.full(runs, -np.inf)
-    held, u = np.zeros((runs, scene.system.m)), np.zeros((runs, scene.system.m))
+    applied_u, u = np.zeros((runs, scene.system.m)), np.zeros((runs, scene.system.m))
     for k in range(scene.decisions):
-        decided, lasting = np.zeros(runs, dtype=int), np.full(runs, -np.inf)
+        decided, expiry = np.zeros(runs, dtype=int), np.full(runs, -np.inf)
         for run in range(runs):
             instant = k * scene.period
             honest = x[run] + conditions.errors[k, run]
@@ -241,20 +241,20 @@ def fly_streams(monitor, operators, deciders, seed, second_clock=(), applied=())
             answer = deciders[run](
                 delivery.now,
                 delivery.measurement,
-                held[run].copy() if run in applied and k and c == 1 else None,
+                applied_u[run].copy() if run in applied and k and c == 1 else None,
                 1e4 + instant if run in second_clock else None,
             )
-            decided[run], lasting[run] = answer.mode, answer.until
+            decided[run], expiry[run] = answer.mode, answer.until
             steps[run].append(Step(k, delivery, answer, x[run].copy()))
         for i in range(c):
             node = k * c + i
             if i == scene.delay:  # the answers take effect; without one, U has no permission any more
-                flying, until = decided, lasting
+                flying, until = decided, expiry
             flying = np.where(node * scene.h < until - 1e-9, flying, 0)
-            x, held, _, _ = engine.step(node, flying, u, x, conditions.w[node])
+            x, applied_u, _, _ = engine.step(node, flying, u, x, conditions.w[node])
             states.append(x)
         if scene.delay == c:
-            flying, until = decided, lasting
+            flying, until = decided, expiry
     return steps, np.array(states)
 
 

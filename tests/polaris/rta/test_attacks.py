@@ -58,9 +58,9 @@ def line(order=2, feedback=None, any_thrust=True, jump=False, goal=3.6, weight=4
         chi = np.zeros((K + 1, order))
         chi[:, 0] = 0.3 * delta * np.arange(K + 1)
         chi[:, 1:] = 0.0 if jump else 0.3  # with a jump the waypoints do not join
-        own = Reference(system, delta, chi, np.zeros((K, 1)))
+        u_path = Reference(system, delta, chi, np.zeros((K, 1)))
         gain = lqr_gain(system, Q, R)
-        laws = [AffineController("own", system, gain, safety.reference, own, safety.tracking, True)]
+        laws = [AffineController("own", system, gain, safety.reference, u_path, safety.tracking, True)]
     return synthesize(safety, experimental=laws)
 
 
@@ -79,12 +79,12 @@ def attack(scene, method, runs=24, seed=0):
     Dd = discretize(system.A, system.D, scene.h / SUB)[1]
     safe = scene.clearance.reference.fine(scene.clearance.q * SUB)
     walls = np.concatenate([unsafe.fine(scene.clearance.q * SUB) for unsafe in scene.unsafe], axis=-1)
-    least, demand, flown = np.inf, 0.0, 0
+    least, demand, u_steps = np.inf, 0.0, 0
     method.start(runs)
     for k in range(scene.decisions):
-        wanted = np.sign(push @ system.B) * system.u_max
-        away = -np.where(push < 0, -1.0, 1.0) * scene.half_widths
-        choice = method.decide(Observation(k, x + away, wanted, flying))
+        u_command = np.sign(push @ system.B) * system.u_max
+        error = -np.where(push < 0, -1.0, 1.0) * scene.half_widths
+        choice = method.decide(Observation(k, x + error, u_command, flying))
         for i in range(c + 1):
             if i == scene.delay:
                 flying, u = choice.mode, u if choice.u is None else choice.u
@@ -93,22 +93,22 @@ def attack(scene, method, runs=24, seed=0):
             cell, place = divmod(k * c + i, scene.clearance.q)
             since = np.where(flying == 0, since + 1, 0)
             push = np.einsum("ri,rij->rj", row, carried[np.maximum(lag - since, 0)])
-            held = None
+            inputs = None
             for part in range(SUB):
                 at = place * SUB + part
-                if held is None:
-                    held = scene.controllers[0].command(cell, safe[cell, at], safe[cell, at], x)
-                    asked = (np.abs(held) / system.u_max).max(axis=1)[flying == 0]
-                    demand = max(demand, float(asked.max(initial=0.0)))
+                if inputs is None:
+                    inputs = scene.controllers[0].command(cell, safe[cell, at], safe[cell, at], x)
+                    ratio = (np.abs(inputs) / system.u_max).max(axis=1)[flying == 0]
+                    demand = max(demand, float(ratio.max(initial=0.0)))
                 bang = np.where((flying == FILTERED)[:, None], u, np.sign(push @ system.B) * system.u_max)
-                applied = np.clip(np.where((flying == 0)[:, None], held, bang), -system.u_max, system.u_max)
+                applied = np.clip(np.where((flying == 0)[:, None], inputs, bang), -system.u_max, system.u_max)
                 w = push @ system.D
                 w *= system.w_max / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-300)
                 x = x @ Ad.T + applied @ Bd.T + w @ Dd.T
                 clearance = x @ scene.facets[0].T - walls[cell, at + 1]
                 least = min(least, float(scene.nearest(clearance).min()))
-            flown += int((flying != 0).sum())
-    return least, demand, flown / (runs * scene.last)
+            u_steps += int((flying != 0).sum())
+    return least, demand, u_steps / (runs * scene.last)
 
 
 SCENES = {
@@ -124,8 +124,8 @@ PROVED = "monitor", "simplex_explicit", "asif_implicit"
 @pytest.mark.parametrize("setting", SCENES)
 @pytest.mark.parametrize("key", PROVED)
 def test_no_conspiracy_leads_into_a_set_or_asks_s_for_too_much(setting, key):
-    made, *options = SCENES[setting]
-    scene = DecisionGrid.from_schedule(line(**made), *options)
+    settings, *options = SCENES[setting]
+    scene = DecisionGrid.from_schedule(line(**settings), *options)
     least, demand, share = attack(scene, METHODS[key](scene))
     assert least > 0
     assert demand <= 1
@@ -155,8 +155,8 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
         x = scene.own_references[1][node] + rng.uniform(-1, 1, (20, 2)) * [0.05, 0.02]
         e, demand = x - scene.xi[node], np.zeros(20)
         for i in range(node, after):
-            x, _, asked, _ = engine.step(i, np.ones(20, dtype=int), none, x, none)
-            demand = np.maximum(demand, asked)
+            x, _, ratio, _ = engine.step(i, np.ones(20, dtype=int), none, x, none)
+            demand = np.maximum(demand, ratio)
         linear = demand <= 1
         _, holds = prospect.share(k, e)
         assert not (holds & ~linear).any()
@@ -184,10 +184,10 @@ def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_le
             start = Zonotope.box(rng.uniform(-0.1, 0.2, n) / 2 ** np.arange(n), rng.uniform(0.0, 0.01, n))
             size = np.linalg.norm(scene.tracking.W @ start.c) + recovery.size(start.G)
             share = float(recovery.share(node, start.c, size, recovery.demand(start.G)))
-            left = sets.margin_at(cell, start)
-            assert 1 - share <= left.value + 3 * ROUNDING  # which both book, in their own ways
-            tightest = min(tightest, left.value - (1 - share))
-            behind += left.time >= clearance.planned * scene.tracking.delta
+            margin = sets.margin_at(cell, start)
+            assert 1 - share <= margin.value + 3 * ROUNDING  # which both book, in their own ways
+            tightest = min(tightest, margin.value - (1 - share))
+            behind += margin.time >= clearance.planned * scene.tracking.delta
     assert tightest < 0.05  # and it does not throw away much
     assert behind > 5 or not any(jump)
 
@@ -210,9 +210,9 @@ def test_a_start_that_is_not_recoverable_is_refused_and_no_number_flown_by_s(key
     assert method.claim.kind == "proved"
     for runs, wrong in ((1, np.nan), (2, np.inf), (2, -np.inf)):
         method.start(runs)
-        seen = Observation(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
+        observed = Observation(0, np.full((runs, 2), wrong), np.zeros((runs, 1)), np.zeros(runs, dtype=int))
         with np.errstate(invalid="ignore"):
-            assert (method.decide(seen).mode == 0).all()
+            assert (method.decide(observed).mode == 0).all()
     safety = scene.schedule.safety
     wide = replace(safety, start=Zonotope(safety.start.c, 20 * safety.start.G))
     with pytest.raises(NotCertified, match="first recoverable set"):

@@ -27,39 +27,41 @@ FEW = ("safety", "experimental", "schedule", "monitor", "asif_implicit")
 
 
 def test_filtered_inputs_count_as_us_only_where_they_are_the_desired_ones():
-    def who(made, modes, why):
-        modes, why = np.array([modes]), np.array([why])
+    def who(grid, modes, reasons):
+        modes, reasons = np.array([modes]), np.array([reasons])
         N, inputs, zero = modes.shape[1], np.zeros((1, modes.shape[1], 2)), np.zeros(1)
-        states, ones = np.zeros((1, N + 1, 4)), np.ones(why.shape[1])
-        margins = np.zeros(why.shape)
-        more = inputs, inputs.max(axis=2), zero, modes, margins, why, zero, ones
-        return executed_modes(made, Flight(np.arange(N + 1.0), states, *more)).tolist()
+        states, ones = np.zeros((1, N + 1, 4)), np.ones(reasons.shape[1])
+        margins = np.zeros(reasons.shape)
+        fields = inputs, inputs.max(axis=2), zero, modes, margins, reasons, zero, ones
+        return executed_modes(grid, Flight(np.arange(N + 1.0), states, *fields)).tolist()
 
     assert who(scene("robot"), [-1, -1, 1, 0], [0, 1, 0, 0]) == [[1, -1, 1, 0]]
-    made = scene("robot", period=0.25, latency=0.1)  # five nodes per decision, two of them late
-    assert (made.nodes, made.delay) == (5, 2)
-    assert who(made, [-1] * 10, [1, 0]) == [[-1] * 7 + [1] * 3]
+    grid = scene("robot", period=0.25, latency=0.1)  # five nodes per decision, two of them late
+    assert (grid.nodes, grid.delay) == (5, 2)
+    assert who(grid, [-1] * 10, [1, 0]) == [[-1] * 7 + [1] * 3]
 
 
 def test_metrics_by_hand():
-    made = scene("robot")
-    conditions = Conditions.draw(made, 3, 0)
-    flights = {key: fly(made, METHODS[key](made), conditions) for key in FEW}
-    measured = {key: measure(made, flight, conditions, key) for key, flight in flights.items()}
+    grid = scene("robot")
+    conditions = Conditions.draw(grid, 3, 0)
+    flights = {key: fly(grid, METHODS[key](grid), conditions) for key in FEW}
+    measured = {key: measure(grid, flight, conditions, key) for key, flight in flights.items()}
     flight, metrics = flights["schedule"], measured["schedule"]
-    modes = np.repeat(made.schedule.modes, made.clearance.q)
+    modes = np.repeat(grid.schedule.modes, grid.clearance.q)
     assert metrics.experimental_share[0] == pytest.approx(np.mean(modes > 0), abs=1e-12)
     assert metrics.switches[0] == np.count_nonzero(np.diff(modes))
-    assert metrics.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * made.h / made.system.mass)
+    assert metrics.delta_v[0] == pytest.approx(np.abs(flight.inputs[0]).sum() * grid.h / grid.system.mass)
     assert metrics.mean_distance[0] >= metrics.min_distance[0]
-    who = executed_modes(made, flights["asif_implicit"])  # a switch is a change to a filtered input, or back
-    assert (who == -1).any() and (who == 1).any()
-    changes = np.count_nonzero(np.diff(who, axis=1), axis=1)
+    pilots = executed_modes(
+        grid, flights["asif_implicit"]
+    )  # a switch is a change to a filtered input, or back
+    assert (pilots == -1).any() and (pilots == 1).any()
+    changes = np.count_nonzero(np.diff(pilots, axis=1), axis=1)
     assert measured["asif_implicit"].switches.tolist() == changes.tolist() and changes.min() > 0
     assert np.allclose(flights["experimental"].deviation, 0, atol=1e-12)
     safe, metrics = flights["safety"], measured["safety"]
-    wanted = np.stack([made.clipped(1, k, safe.states[:, k]) for k in range(made.last)], axis=1)
-    assert safe.deviation == pytest.approx(np.linalg.norm(safe.inputs - wanted, axis=2).mean(axis=1))
+    desired = np.stack([grid.clipped(1, k, safe.states[:, k]) for k in range(grid.last)], axis=1)
+    assert safe.deviation == pytest.approx(np.linalg.norm(safe.inputs - desired, axis=2).mean(axis=1))
     metrics.min_ttc[:] = [np.inf, 1.0, 2.0]  # of infinite times no difference is made
     one, other = (
         MethodResult(key, key, Claim("none", ""), metrics, safe.deviation, (1e-6, 2e-6), 0.5, {"a": 1})
@@ -142,14 +144,14 @@ def test_folder_holds_what_was_found(tmp_path):
         summary = comparison.results[method["key"]].summary()
         assert method["metrics"]["min_distance_m"] == summary["min_distance_m"]
         assert set(method["metrics"]) <= set(DEFINITIONS)
-    shown = folder.plot_data().shown
+    plotted = folder.plot_data().shown
     for key in FEW:
-        assert np.array_equal(shown[key].states, comparison.shown[key].states)
+        assert np.array_equal(plotted[key].states, comparison.shown[key].states)
     lines = [json.loads(line) for line in (folder.path / "decisions.jsonl").read_text().splitlines()]
     assert len(lines) == len(FEW) * comparison.grid.decisions
     reasons = {line["reason"] for line in lines if line["method"] == "monitor"}
-    kept = "S keeps control: dwell or re-entry margin"
-    assert reasons <= {"U is recoverable", "U is not recoverable", kept}
+    dwell = "S keeps control: dwell or re-entry margin"
+    assert reasons <= {"U is recoverable", "U is not recoverable", dwell}
     far = DecisionGrid.from_schedule(corridor(), half_widths=5.0)
     (far,) = compare_methods(far, 2, 0, methods=("monitor",)).results.values()
     assert far.metrics.experimental_share.max() == 0.0  # S throughout, and safe
@@ -167,9 +169,9 @@ def test_command(tmp_path):
     assert {"switches", "deviation", "decision", "median", "offline"} <= set(words)
     assert "warning" not in words and "in N for a spacecraft" in done.output
     assert not [word for word in words if len(word) > 1 and word.endswith("-")]
-    again = runner.invoke(app, ["compare", str(TINY), *options, "--json"])
-    assert again.exit_code == 0
-    table = json.loads(again.stdout)
+    repeated = runner.invoke(app, ["compare", str(TINY), *options, "--json"])
+    assert repeated.exit_code == 0
+    table = json.loads(repeated.stdout)
     assert table["protocol"]["runs"] == 3 and len(table["methods"]) == 3
     assert table["methods"][2]["settings"] == {"reentry": 0.1, "dwell": 4.0}
     for arguments, rule in (

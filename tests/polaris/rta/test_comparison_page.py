@@ -45,8 +45,8 @@ def test_the_page_holds_every_table():
     assert "](figures/comparison-sweep.csv)" in TEXT
     assert {name: TABLES[name] for name in written} == written, "run: python -m docs.generate.method_docs"
     for name in page.SCENES:
-        made = len(rows(TABLES[name]))
-        assert made >= len(METHODS), (name, "run: python -m benchmarks.comparison --write")
+        row_count = len(rows(TABLES[name]))
+        assert row_count >= len(METHODS), (name, "run: python -m benchmarks.comparison --write")
 
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
@@ -60,17 +60,17 @@ def test_defaults_are_what_the_sweep_of_the_page_says():
     tuned = {key for key, one in METHODS.items() if one.options}
     tried = {name.partition(".")[0] for name in swept} | {"monitor_declared"}
     assert tried == tuned, "run: python -m benchmarks.comparison --write"
-    made = scene("robot")
+    grid = scene("robot")
     for full, values in swept.items():
         assert list(values) == page.VALUES[full]
         assert page.chosen(values) == defaults[full]
-        method = METHODS[full.partition(".")[0]](made)
+        method = METHODS[full.partition(".")[0]](grid)
         for option, value in zip(page.SWEPT[full], defaults[full], strict=True):
-            assert page.standing(made, method, option) == pytest.approx(value), full
+            assert page.standing(grid, method, option) == pytest.approx(value), full
             assert option is not page.BUFFER or option.default == "0" and value == 0
             if option.name == "buffer" and value:
                 assert option.default == f"{value:g} {option.unit}"
-    assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
+    assert METHODS["monitor_declared"](grid).settings == METHODS["monitor"](grid).settings
 
 
 def test_scenes_have_a_row_for_a_value_that_is_better_there():
@@ -90,9 +90,9 @@ def test_the_words_of_the_page_follow_from_its_tables():
     """Proven methods hit nothing, the monitor is worth flying, and look-ahead needs its buffer."""
     swept, defaults = page.read_sweep(SWEEP)
     proving = {one.name for one in METHODS.values() if one.proven}
-    for name, share, switches, spent in (("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)):
+    for name, share, switches, cost in (("static", 0.91, 10, 1.2), ("dynamic", 0.94, 6, 1.5)):
         assert value(name, MONITOR, SHARE) >= share
-        assert value(name, MONITOR, "Switches") <= switches and value(name, MONITOR, COST) <= spent
+        assert value(name, MONITOR, "Switches") <= switches and value(name, MONITOR, COST) <= cost
     for name in page.SCENES:
         for row in (AHEAD, "Forward reachability", "Implicit simplex"):
             assert value(name, row, HITS) == 0
@@ -107,17 +107,17 @@ def test_the_words_of_the_page_follow_from_its_tables():
     assert all(ratio("static", row, "S alone", COST) == pytest.approx(1, abs=0.1) for row in others)
     for name in ("static", "dynamic"):
         assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
-    ahead, (horizon, _) = swept["simulation.horizon, buffer"], defaults["simulation.horizon, buffer"]
-    assert all(cells["static"].violations for (_, kept), cells in ahead.items() if not kept)
-    near = [cells["robot"].violations for (far, _), cells in ahead.items() if far == horizon / 2]
+    lookahead, (horizon, _) = swept["simulation.horizon, buffer"], defaults["simulation.horizon, buffer"]
+    assert all(cells["static"].violations for (_, buffer), cells in lookahead.items() if not buffer)
+    near = [cells["robot"].violations for (far, _), cells in lookahead.items() if far == horizon / 2]
     plain = next(iter(swept["simplex_implicit.buffer"].values()))
     assert set(near) == {page.RUNS} and page.RUNS / 2 < plain["robot"].violations < page.RUNS
 
 
-def compare(shown, real, tolerance=0.05):
+def compare(table, real, tolerance=0.05):
     """Tables agree, number by number: counts of a few runs to one in ten, the rest to five per cent."""
-    assert [line.count("|") for line in shown.splitlines()] == [line.count("|") for line in real.splitlines()]
-    for one, other in zip(shown.splitlines(), real.splitlines(), strict=True):
+    assert [line.count("|") for line in table.splitlines()] == [line.count("|") for line in real.splitlines()]
+    for one, other in zip(table.splitlines(), real.splitlines(), strict=True):
         one, other = (re.sub(r" ± [\d.e+-]+", "", line.replace("*", "")) for line in (one, other))
         assert re.sub(NUMBER, "", one) == re.sub(NUMBER, "", other)
         for ours, theirs in zip(re.findall(NUMBER, one), re.findall(NUMBER, other), strict=True):
@@ -128,8 +128,8 @@ def compare(shown, real, tolerance=0.05):
 @pytest.mark.parametrize("name", page.SCENES)
 def test_a_scenes_table_is_flown_again(name):
     swept, _ = page.read_sweep(SWEEP)
-    own = {key: page.own(values, name) for key, values in swept.items()}
-    tuned = {key: best for key, best in own.items() if best is not None}
+    settings = {key: page.own(values, name) for key, values in swept.items()}
+    tuned = {key: best for key, best in settings.items() if best is not None}
     table, _ = page.scene_table(scheduled(name)[1], page.RUNS, tuned)
     compare(TABLES[name], table)
 
@@ -145,12 +145,12 @@ def test_the_sweep_is_flown_again(name, monkeypatch):
         one_in = fewer(1, 2 * len(page.SCENES))
         some = page.VALUES[key][page.SCENES.index(name) % one_in :: one_in]
         monkeypatch.setitem(page.VALUES, key, some)
-    again = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
+    swept_now = page.sweep({name: scheduled(name)[1]}, page.SWEPT_RUNS)
     swept, _ = page.read_sweep(SWEEP)
-    for key, values in again.items():
+    for key, values in swept_now.items():
         for setting, cells in values.items():
-            shown, real = swept[key][setting][name], cells[name]
-            assert shown.violations == pytest.approx(real.violations, abs=1), (key, setting)
-            assert shown.share == pytest.approx(real.share, abs=0.02), (key, setting)
-            assert shown.delta_v == pytest.approx(real.delta_v, rel=0.05), (key, setting)
-            assert shown.deviation == pytest.approx(real.deviation, rel=0.05), (key, setting)
+            printed, real = swept[key][setting][name], cells[name]
+            assert printed.violations == pytest.approx(real.violations, abs=1), (key, setting)
+            assert printed.share == pytest.approx(real.share, abs=0.02), (key, setting)
+            assert printed.delta_v == pytest.approx(real.delta_v, rel=0.05), (key, setting)
+            assert printed.deviation == pytest.approx(real.deviation, rel=0.05), (key, setting)

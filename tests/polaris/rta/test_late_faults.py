@@ -35,9 +35,9 @@ PROVEN = ("monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
 
 
 @cache
-def tiny(told):
+def tiny(fault):
     """A small scene with a fault that is isolated late."""
-    return synthesize(load_scenario(TINY).with_assignments([*SOFT, *TWOS, f"faults=[{{{told}}}]"]))
+    return synthesize(load_scenario(TINY).with_assignments([*SOFT, *TWOS, f"faults=[{{{fault}}}]"]))
 
 
 def hostile(schedule, seed=0):
@@ -162,9 +162,9 @@ def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_t
     late = replace(system.timing, delay=hidden * h)
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
-    seen = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
+    timed = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
     loop = Loop.from_plant(system.A, system.B, h)
-    bound = wrong_thrust(seen, seen.transients[0], 0 * fault.gains, loop).max(axis=0)
+    bound = wrong_thrust(timed, timed.transients[0], 0 * fault.gains, loop).max(axis=0)
     Ad, Bd, _ = DecisionGrid.from_schedule(tiny(WEAK)).discrete
     assert np.all(np.abs(np.linalg.matrix_power(Ad, hidden + latency) @ Bd @ fault.pushes[-1]) <= bound)
 

@@ -43,8 +43,8 @@ class World:
         self.rng, self.rates, self.fails = np.random.default_rng(seed), rates, fails
         self.modes, self.answers, self.states, self.strict = [], {}, [], True
 
-    def happens(self, what):
-        return self.rng.random() < self.rates.get(what, 0.0)
+    def happens(self, event):
+        return self.rng.random() < self.rates.get(event, 0.0)
 
     def law(self, t, x):
         if self.rng.random() < self.fails:
@@ -60,19 +60,19 @@ class World:
         scene, rng = self.grid, self.rng
         if self.happens("missed"):
             return
-        now, number = t, k
+        clock, number = t, k
         if self.happens("jitter"):
-            now = t + rng.uniform(-0.3, 0.3) * scene.period
+            clock = t + rng.uniform(-0.3, 0.3) * scene.period
         if self.happens("clock"):
-            now = t + rng.choice([-3, -1, 1, 5, np.nan]) * scene.period
-        if now is t and self.happens("number"):  # two that lie alike cannot be told from the truth
+            clock = t + rng.choice([-3, -1, 1, 5, np.nan]) * scene.period
+        if clock is t and self.happens("number"):  # two that lie alike cannot be told from the truth
             number = [k + 1, k - 1, None, 0.5, "k"][int(rng.integers(5))]
         measured = Measurement(t, x + rng.uniform(-1, 1, len(x)) * HALF)
         if self.happens("odd"):
             measured = [None, oddities.Raises(), Measurement(t, oddities.NeedsGradient())][
                 int(rng.integers(3))
             ]
-        self.answers[k] = self.loop.decide(number, now, measured)
+        self.answers[k] = self.loop.decide(number, clock, measured)
 
     def fly(self):
         scene, rng = self.grid, self.rng
@@ -84,14 +84,14 @@ class World:
             self.t = t = node * scene.h
             if node % scene.nodes == 0:
                 self.decide(node // scene.nodes, t, x)
-            now, seen = t, x.copy()
+            clock, state = t, x.copy()
             if self.happens("back"):
-                now = t - scene.h * rng.choice([1, 1.3, 7, 40])  # of the last reading, or before
+                clock = t - scene.h * rng.choice([1, 1.3, 7, 40])  # of the last reading, or before
             if self.happens("gone"):
-                now = [None, np.nan, oddities.Raises()][int(rng.integers(3))]
-            mode, u, until = self.loop.command(now, seen)
+                clock = [None, np.nan, oddities.Raises()][int(rng.integers(3))]
+            mode, u, until = self.loop.command(clock, state)
             assert (np.abs(u) <= scene.system.u_max).all()
-            assert mode == 0 or until > t or now is not t or not self.strict
+            assert mode == 0 or until > t or clock is not t or not self.strict
             self.modes.append(mode)
             w = rng.normal(size=Dd.shape[1])
             x = Ad @ x + Bd @ u + Dd @ (w * scene.system.w_max / max(np.linalg.norm(w), 1e-9))
@@ -108,15 +108,15 @@ class World:
 
 
 def world(setting, seed, rates, fails=0.0):
-    scene, made = monitor(setting).grid, []
+    scene, worlds = monitor(setting).grid, []
     plan = loop(setting).laws[0]  # S has a clock of its own
 
     def safe(t, x):
-        return plan(made[0].t, x)
+        return plan(worlds[0].t, x)
 
-    flying = loop(setting, [safe, *[lambda t, x: made[0].law(t, x)] * (len(scene.controllers) - 1)])
-    made.append(World(flying, seed, rates, fails))
-    return made[0]
+    flying = loop(setting, [safe, *[lambda t, x: worlds[0].law(t, x)] * (len(scene.controllers) - 1)])
+    worlds.append(World(flying, seed, rates, fails))
+    return worlds[0]
 
 
 ALL = {"missed": 0.05, "jitter": 0.1, "clock": 0.03, "number": 0.03, "odd": 0.05, "back": 0.03, "gone": 0.03}
@@ -125,10 +125,10 @@ STREAMS = {}, {"missed": 0.3}, {"jitter": 0.5}, {"clock": 0.2, "number": 0.2}, {
 
 def check(setting, seed, rates, fails):
     scene = monitor(setting).grid
-    flown = world(setting, seed, rates, fails).fly()
-    states = np.array(flown.states)
+    flight = world(setting, seed, rates, fails).fly()
+    states = np.array(flight.states)
     assert not inside_unsafe(scene, states[:, None]).any()
-    permitted, modes = flown.permitted(), np.array(flown.modes)
+    permitted, modes = flight.permitted(), np.array(flight.modes)
     assert ((modes == 0) | (modes == permitted)).all()
     if not fails and not {"back", "gone", "clock", "number", "jitter"} & set(rates):
         np.testing.assert_array_equal(modes, permitted)
@@ -154,16 +154,16 @@ def test_a_loop_that_ignores_the_end_of_permissions_does_harm():
     """Shows that the streams can find what a wrong loop lets through."""
     harm = 0
     for seed in range(6):
-        flown = world("no latency", seed, {"missed": 0.3})
-        take, flown.strict = flown.loop._take_effect, False
+        flight = world("no latency", seed, {"missed": 0.3})
+        take, flight.strict = flight.loop._take_effect, False
 
-        def endless(t, loop=flown.loop, take=take):
+        def endless(t, loop=flight.loop, take=take):
             mode = loop._mode
             take(t)
             loop._mode = loop._mode or (mode if not loop._waiting else 0)
 
-        flown.loop._take_effect = endless
-        states = np.array(flown.fly().states)
+        flight.loop._take_effect = endless
+        states = np.array(flight.fly().states)
         tightening = recovery_tightening(monitor(), len(states) - 1, states[-1][None])[0]
         harm += bool(inside_unsafe(monitor().grid, states[:, None]).any() or tightening > 1)
     assert harm
@@ -232,7 +232,7 @@ def test_a_clock_that_cannot_be_read_or_runs_backwards_means_s(wrong):
 def test_a_reading_far_ahead_costs_no_more_than_what_it_ends():
     flying, effect, x = permitted_loop()
     scene = flying.grid
-    assert [flying.command(now, x).mode for now in (effect, 1e308, effect + 0.05)] == [1, 0, 0]
+    assert [flying.command(instant, x).mode for instant in (effect, 1e308, effect + 0.05)] == [1, 0, 0]
     for k in (2, 3):
         flying.decide(*measured(flying, k))
     assert flying.command(3 * scene.period, scene.xi[3 * scene.nodes]).mode == 1
@@ -240,17 +240,17 @@ def test_a_reading_far_ahead_costs_no_more_than_what_it_ends():
 
 @pytest.mark.parametrize("wrong", [oddities.Raises(), np.zeros(3), np.full(4, np.nan), None], ids=range(4))
 def test_a_state_that_is_none_means_s_on_the_last_good_one(wrong):
-    seen = []
+    calls = []
 
     def safe(t, x):
-        seen.append((t, x))
+        calls.append((t, x))
         return [0.0, 1e9]
 
     flying, effect, x = permitted_loop([safe, *loop().laws[1:]])
     assert flying.command(effect, x).mode == 1
     mode, u, _ = flying.command(effect + 0.05, wrong)
     assert mode == 0 and u.tolist() == [0.0, flying.grid.system.u_max[1]]
-    assert seen[0][0] == effect + 0.05 and seen[0][1].tolist() == x.tolist()
+    assert calls[0][0] == effect + 0.05 and calls[0][1].tolist() == x.tolist()
 
 
 def test_u_loses_its_permission_with_its_first_fault():

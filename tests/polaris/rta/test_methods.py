@@ -35,12 +35,12 @@ DEFAULT = ("anything", "whole period late, estimated")
 
 
 def flights(setting, keys, runs=12, seed=3):
-    made = scene(**SETTINGS[setting])
-    conditions = Conditions.draw(made, runs, seed)
+    grid = scene(**SETTINGS[setting])
+    conditions = Conditions.draw(grid, runs, seed)
     for key in keys:
-        method = METHODS[key](made)
-        flight = fly(made, method, conditions)
-        yield key, method, flight, measure(made, flight, conditions, method.name)
+        method = METHODS[key](grid)
+        flight = fly(grid, method, conditions)
+        yield key, method, flight, measure(grid, flight, conditions, method.name)
 
 
 @pytest.mark.parametrize(
@@ -52,8 +52,8 @@ def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
         assert not metrics.collided.any(), key
         assert metrics.min_distance.min() > 0, key
         # S must never be asked for more than there is: that is what recoverable means.
-        asked = metrics.max_thrust_ratio_safety
-        assert np.nanmax(np.append(asked, 0.0)) <= 1 + 1e-9, key
+        ratios = metrics.max_thrust_ratio_safety
+        assert np.nanmax(np.append(ratios, 0.0)) <= 1 + 1e-9, key
 
 
 @pytest.mark.parametrize("setting", ["chosen", pytest.param("robot", marks=pytest.mark.slow)])
@@ -65,11 +65,11 @@ def test_u_alone_does_collide(setting):
 
 def test_a_buffer_removes_what_look_ahead_hits():
     """The one thing that it lacks on this scene, and no proof: S may not take over for all that."""
-    made, hits = scene("robot"), []
-    conditions = Conditions.draw(made, 12, 3)
+    grid, hits = scene("robot"), []
+    conditions = Conditions.draw(grid, 12, 3)
     for buffer in (0.0, 0.1):
-        method = METHODS["simplex_implicit"](made, buffer=buffer)
-        hits.append(measure(made, fly(made, method, conditions), conditions, "rival").collided.sum())
+        method = METHODS["simplex_implicit"](grid, buffer=buffer)
+        hits.append(measure(grid, fly(grid, method, conditions), conditions, "rival").collided.sum())
     assert hits[0] > 0 == hits[1]
 
 
@@ -81,11 +81,11 @@ SLOW = "reachability", "simulation"
 )
 def test_a_keep_clear_buffer_keeps_rivals_further_away(key):
     """From boxes, walls and balls alike; what is proven stays proven."""
-    made = scene("robot")
-    conditions = Conditions.draw(made, 12, 3)
+    grid = scene("robot")
+    conditions = Conditions.draw(grid, 12, 3)
     least, shares, kind = [], [], "proved" if key in PROVED else "none"
     for buffer in (0.0, 0.08):
-        method = METHODS[key](made, buffer=buffer)
+        method = METHODS[key](grid, buffer=buffer)
         assert method.settings["buffer"] == buffer and method.claim.kind == kind
         metrics = measure(method.grid, fly(method.grid, method, conditions), conditions, key)
         least.append(metrics.min_distance.min())
@@ -95,12 +95,12 @@ def test_a_keep_clear_buffer_keeps_rivals_further_away(key):
 
 
 def test_same_conditions_give_the_same_flights_whatever_flies_beside():
-    made = scene("robot", period=0.25, half=0.005)
-    conditions = Conditions.draw(made, 2, 5)
+    grid = scene("robot", period=0.25, half=0.005)
+    conditions = Conditions.draw(grid, 2, 5)
     for key, make in MADE.items():
-        both, alone = (fly(made, make(made), each) for each in (conditions, conditions.only(1)))
+        both, alone = (fly(grid, make(grid), each) for each in (conditions, conditions.only(1)))
         assert np.allclose(both.states[1], alone.states[0], atol=1e-7), key
-    assert not np.array_equal(conditions.w, Conditions.draw(made, 2, 6).w)
+    assert not np.array_equal(conditions.w, Conditions.draw(grid, 2, 6).w)
 
 
 def test_monitor_uses_u_more_than_the_schedule_and_far_more_than_the_explicit_simplex():
@@ -114,21 +114,21 @@ def test_monitor_uses_u_more_than_the_schedule_and_far_more_than_the_explicit_si
 
 def test_filters_answer_within_the_limits_and_change_as_little_as_they_can():
     for key, method, flight, _ in flights("robot", ["asif_explicit", "asif_implicit"]):
-        made = scene("robot")
-        limit = made.system.u_max
+        grid = scene("robot")
+        limit = grid.system.u_max
         assert (np.abs(flight.inputs) <= limit * (1 + 1e-12)).all(), key
-        passed = (np.repeat(flight.why, made.nodes, axis=1) == 0) & (flight.modes == FILTERED)
+        passed = (np.repeat(flight.why, grid.nodes, axis=1) == 0) & (flight.modes == FILTERED)
         assert passed.any(), key
         run, node = (int(one) for one in np.argwhere(passed)[0])
-        desired = made.clipped(1, node, flight.states[run, node])
+        desired = grid.clipped(1, node, flight.states[run, node])
         assert flight.inputs[run, node] == pytest.approx(desired, abs=1e-8), key
         assert method.reasons[0] == "desired input"
 
 
 def test_dwell_keeps_s_in_control():
-    made = scene("robot")
-    conditions = Conditions.draw(made, 8, 1)
-    quick, slow = (fly(made, Monitor(made, dwell=dwell, reentry=0.0), conditions).modes for dwell in (1, 20))
+    grid = scene("robot")
+    conditions = Conditions.draw(grid, 8, 1)
+    quick, slow = (fly(grid, Monitor(grid, dwell=dwell, reentry=0.0), conditions).modes for dwell in (1, 20))
     for modes in slow:
         edges = np.flatnonzero(np.diff(np.concatenate([[1], modes[:-1]])))  # of stretches under S
         assert min(edges[1::2] - edges[: len(edges) // 2 * 2 : 2], default=20) >= 20
@@ -136,11 +136,11 @@ def test_dwell_keeps_s_in_control():
 
 
 def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier():
-    made, firsts = scene("robot", half=0.005), []
-    conditions = Conditions.draw(made, 8, 2)
-    for method in (ImplicitASIF(made), ImplicitASIF(made, slope=0.05)):
-        flight = fly(made, method, conditions)
-        metrics = measure(made, flight, conditions, method.name)
+    grid, firsts = scene("robot", half=0.005), []
+    conditions = Conditions.draw(grid, 8, 2)
+    for method in (ImplicitASIF(grid), ImplicitASIF(grid, slope=0.05)):
+        flight = fly(grid, method, conditions)
+        metrics = measure(grid, flight, conditions, method.name)
         assert not metrics.collided.any()
         assert np.nanmax(np.append(metrics.max_thrust_ratio_safety, 0.0)) <= 1 + 1e-9
         firsts.append((flight.why != 0).argmax(axis=1))  # the first decision that is not the desired input
@@ -177,14 +177,14 @@ def test_options_are_checked(method, wrong):
 
 
 def test_u_is_not_trusted_unless_that_is_asked_for():
-    made = scene("robot")
-    usual = Monitor(made)
-    assert (usual.key, usual.trust) == ("monitor", "thrust_limits")
-    assert {mode for mode, _ in usual.prospects} == {0}
-    trusting = METHODS["monitor_declared"](made)
+    grid = scene("robot")
+    default = Monitor(grid)
+    assert (default.key, default.trust) == ("monitor", "thrust_limits")
+    assert {mode for mode, _ in default.prospects} == {0}
+    trusting = METHODS["monitor_declared"](grid)
     assert (trusting.key, trusting.trust) == ("monitor_declared", "declared")
     assert {mode for mode, _ in trusting.prospects} > {0}
-    assert "nothing but its thrust limits" in METHODS["monitor"](made).claim.reach
+    assert "nothing but its thrust limits" in METHODS["monitor"](grid).claim.reach
 
 
 def test_no_limit_is_left_out_however_late_it_is():
@@ -210,14 +210,14 @@ def test_the_recipe_for_a_method_makes_one():
     """The class in ``CONTRIBUTING.md`` registers, is tuned and flies; it is taken out again."""
     text = (Path(__file__).parents[3] / "CONTRIBUTING.md").read_text(encoding="utf-8")
     recipe = re.search(r"^## Add a run-time method$.*?^ *```python\n(.*?)^ *```$", text, re.M | re.S)
-    known = dict(METHODS)
+    registered = dict(METHODS)
     try:
         exec(dedent(recipe[1]), {"__name__": "polaris.rta.methods.early"})
-        assert set(METHODS) - set(known) == {"early"} and "early.share" in tunable()
-        made = scene(**SETTINGS["chosen"])
-        flight = fly(made, METHODS["early"].on(made, share=0.25), Conditions.draw(made, 2, 0))
-        assert np.mean(flight.modes > 0) == pytest.approx(0.25, abs=1 / made.decisions)
+        assert set(METHODS) - set(registered) == {"early"} and "early.share" in tunable()
+        grid = scene(**SETTINGS["chosen"])
+        flight = fly(grid, METHODS["early"].on(grid, share=0.25), Conditions.draw(grid, 2, 0))
+        assert np.mean(flight.modes > 0) == pytest.approx(0.25, abs=1 / grid.decisions)
         assert (np.diff(flight.modes) <= 0).all()
     finally:
         METHODS.clear()
-        METHODS.update(known)
+        METHODS.update(registered)

@@ -27,8 +27,8 @@ class Whimsical(Monitor):
         super().start(runs)
         self.rng = np.random.default_rng(5)
 
-    def decide(self, seen):
-        choice = super().decide(seen)
+    def decide(self, observed):
+        choice = super().decide(observed)
         return replace(choice, mode=np.where(self.rng.random(len(choice.mode)) < 0.3, 0, choice.mode))
 
 
@@ -59,25 +59,25 @@ def members(schedule):
 
 @pytest.mark.parametrize("runs", [1, 6])
 def test_u_takes_over_from_s_with_room_to_spare_alone(runs):
-    made = scene("robot")
-    drawn, met, flights = Conditions.draw(made, 6, 2), [], {}
+    grid = scene("robot")
+    drawn, margins, flights = Conditions.draw(grid, 6, 2), [], {}
     conditions = drawn if runs > 1 else drawn.only(0)
     for reentry in (0.0, 0.1):
-        flight = fly(made, Monitor(made, reentry=reentry), conditions)
-        modes = flight.modes[:, :: made.nodes]
+        flight = fly(grid, Monitor(grid, reentry=reentry), conditions)
+        modes = flight.modes[:, :: grid.nodes]
         returns = (modes[:, :-1] == 0) & (modes[:, 1:] > 0)
-        met.append(flight.margins[:, 1:][returns].min(initial=1.0))
+        margins.append(flight.margins[:, 1:][returns].min(initial=1.0))
         flights[reentry] = np.abs(np.diff(modes)).sum()
         staying = (modes[:, :-1] > 0) & (modes[:, 1:] > 0)
         assert flight.margins[:, 1:][staying].min() < 0.1  # no more is asked of a U that flies
         assert ((flight.why == 2) == ((modes == 0) & (flight.margins >= 0))).all()
         assert reentry or not (flight.why == 2).any()
-    assert met[0] < 0.1 <= met[1] and flights[0.1] < flights[0.0]
+    assert margins[0] < 0.1 <= margins[1] and flights[0.1] < flights[0.0]
 
 
 def test_hand_over_at_any_decision_is_covered():
-    for made in (scene("robot"), scene(period=0.25, latency=0.25)):
-        assert kept(Whimsical(made, reentry=0.0)) > kept(Monitor(made, reentry=0.0))
+    for grid in (scene("robot"), scene(period=0.25, latency=0.25)):
+        assert kept(Whimsical(grid, reentry=0.0)) > kept(Monitor(grid, reentry=0.0))
 
 
 def test_every_reference_of_the_library_keeps_the_promise():
@@ -92,24 +92,24 @@ def test_every_reference_of_the_library_keeps_the_promise():
 
 def test_the_reference_that_is_worth_most_is_flown():
     schedule = choice()
-    made = list(members(schedule))
-    choices = [[one.modes, *((mode,) for mode in one.modes)] for one in made]  # all controllers, or one alone
+    pool = list(members(schedule))
+    choices = [[one.modes, *((mode,) for mode in one.modes)] for one in pool]  # all controllers, or one alone
 
     def worths_of(priced):
-        pairs = zip(made, choices, strict=True)
+        pairs = zip(pool, choices, strict=True)
         return [max(one.objective(priced, modes) for modes in each) for one, each in pairs]
 
-    usual = Monitor.on(DecisionGrid.from_schedule(schedule))
+    default = Monitor.on(DecisionGrid.from_schedule(schedule))
     objectives = worths_of(schedule.objective)
-    assert usual.objective(schedule.objective) == max(objectives) and len(set(np.round(objectives, 6))) > 1
+    assert default.objective(schedule.objective) == max(objectives) and len(set(np.round(objectives, 6))) > 1
     for sign in (1.0, -1.0):  # whatever it is that counts
         priced = replace(schedule, objective=lambda shares, delta_v, switches, sign=sign: sign * delta_v)
         best = Monitor.on(DecisionGrid.from_schedule(priced))
-        spent = worths_of(priced.objective)
-        assert best.objective(priced.objective) == max(spent)
-        own = best.grid.schedule is not priced
-        assert own == any(best.grid.schedule is one for one in schedule.library)
-        assert own == ("a safe reference of its own" in best.claim.reach) == (np.argmax(spent) > 0)
+        costs = worths_of(priced.objective)
+        assert best.objective(priced.objective) == max(costs)
+        in_library = best.grid.schedule is not priced
+        assert in_library == any(best.grid.schedule is one for one in schedule.library)
+        assert in_library == ("a safe reference of its own" in best.claim.reach) == (np.argmax(costs) > 0)
         kept(best)
     alone = Monitor.on(DecisionGrid.from_schedule(corridor()))
     assert alone.grid.schedule is corridor() and not corridor().library
@@ -117,9 +117,9 @@ def test_the_reference_that_is_worth_most_is_flown():
 
 def test_of_several_controllers_one_alone_flies_if_that_is_worth_more():
     schedule = corridor()
-    safety, (own, straight) = schedule.safety, schedule.controllers
+    safety, (s_law, straight) = schedule.safety, schedule.controllers
     anything = AnyThrust("anything", safety.problem.system, safety.reference, safety.tracking)
-    both = replace(schedule, controllers=(own, anything, straight))
+    both = replace(schedule, controllers=(s_law, anything, straight))
     thrifty = replace(both, objective=lambda shares, delta_v, switches: -delta_v)
     best = Monitor.on(DecisionGrid.from_schedule(thrifty))
     assert best.modes == (2,) and "only straight flies" in best.claim.reach

@@ -107,11 +107,11 @@ def test_nothing_that_is_handed_in_ends_the_flight_and_the_log_says_what_it_was(
             continue  # that is how nothing is handed in
         if place == "number" and name == "scalar":
             continue
-        for again in (0, 1):  # the second one is honest
+        for second in (0, 1):  # the second one is honest
             k += 1
-            if place == "asked" and not again:
+            if place == "asked" and not second:
                 flight.resynchronise(value)
-            calls = told("now" if again else place, honest(k)[0] if again else value, k)
+            calls = told("now" if second else place, honest(k)[0] if second else value, k)
             answers.append(flight.step(**calls))
         odd_one = answers[-2]
         if place in ("reference", "asked") and name == "scalar":
@@ -120,8 +120,8 @@ def test_nothing_that_is_handed_in_ends_the_flight_and_the_log_says_what_it_was(
         assert not {"monitor", "log"} & {fault.family for fault in odd_one.faults}, (name, odd_one)
     lines = [json.loads(line, parse_constant=pytest.fail) for line in out.getvalue().splitlines()]
     assert [line["reason"] for line in lines] == [answer.reason for answer in answers]
-    again = replay_log(lines, robot(), FREE)
-    assert [repr(answer) for answer in again] == [repr(answer) for answer in answers]
+    second = replay_log(lines, robot(), FREE)
+    assert [repr(answer) for answer in second] == [repr(answer) for answer in answers]
     assert answers[-1].mode == 1 or place in ("now", "number", "reference", "asked")
 
 
@@ -140,7 +140,7 @@ def test_measurements_in_odd_clothes_are_read_once(clothes):
     plain_one = online()
     for k, answers in enumerate(zip(*flights, strict=True)):
         now, measurement = honest(k)
-        wanted = plain_one.step(now, Measurement(now, measurement.state, np.full(4, 0.005)))
-        assert wanted.mode == 1 and {repr(answer) for answer in answers} == {repr(wanted)}
+        expected = plain_one.step(now, Measurement(now, measurement.state, np.full(4, 0.005)))
+        assert expected.mode == 1 and {repr(answer) for answer in answers} == {repr(expected)}
     records = [json.loads(line) for line in out.getvalue().splitlines()]
     assert [repr(answer) for answer in replay_log(records, robot(), FREE)] == list(map(repr, flights[0]))

@@ -26,11 +26,11 @@ class Pass(CallByCall):
         super().__init__(Robots(), 1.0)
         self.backup = backup
 
-    def _answer(self, got):
-        notes, self.got = [], got
-        backup = self._backed_up(self.backup, got, notes)
-        u = np.where(got.given[:, None], got.u, backup)
-        return RawDecision(u, ~got.given | got.clipped, ~got.given, np.zeros(2, dtype=bool), {}, notes)
+    def _answer(self, call):
+        notes, self.got = [], call
+        backup = self._backed_up(self.backup, call, notes)
+        u = np.where(call.given[:, None], call.u, backup)
+        return RawDecision(u, ~call.given | call.clipped, ~call.given, np.zeros(2, dtype=bool), {}, notes)
 
 
 def test_any_craft_is_filtered():
@@ -39,10 +39,10 @@ def test_any_craft_is_filtered():
     assert isinstance(first, Decision) and first.status == "backup"
     assert first.u.tolist() == [[0.4, 0.05], [-0.4, -0.1]]
     assert first.on_backup.tolist() == [False, True] and "missing or not finite: deputy 1" in first.fallback
-    lost = one.filter(0.5, x[:, :3], np.zeros((2, 2)))
+    malformed = one.filter(0.5, x[:, :3], np.zeros((2, 2)))
     Phi, Gamma = Robots().discretize(0.5)
     np.testing.assert_allclose(one.got.x, x @ Phi.T + first.u @ Gamma.T)  # moved on with what was answered
-    assert "the states are malformed" in lost.fallback and lost.status == "desired"
+    assert "the states are malformed" in malformed.fallback and malformed.status == "desired"
 
 
 @pytest.mark.parametrize(

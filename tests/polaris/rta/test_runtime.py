@@ -52,9 +52,9 @@ class Flight:
         data = {"stamp": k * self.grid.period, "state": self.at(k), **changed}
         return Measurement(**data)
 
-    def step(self, k, measurement="honest", now=None, **told):
+    def step(self, k, measurement="honest", now=None, **options):
         measured = self.honest(k) if measurement == "honest" else measurement
-        return self.online.step(k * self.grid.period if now is None else now, measured, **told)
+        return self.online.step(k * self.grid.period if now is None else now, measured, **options)
 
     def steps(self, first, last):
         return [self.step(k) for k in range(first, last)]
@@ -217,21 +217,21 @@ def test_faults_of_u_mean_s_from_the_next_decision_and_latch():
     command, limit = flight.online.command, flight.grid.system.u_max
     np.testing.assert_array_equal(command(lambda x: 10 * x, limit), limit)  # clipped, as by the thrusters
     flight.step(0)
-    bad = {
+    faulty = {
         "raised ZeroDivisionError": lambda: 1 / 0,
         "malformed": lambda: [0.0],
         "not finite": lambda: limit * np.nan,
     }
-    for k, (text, law) in enumerate(bad.items(), start=1):
+    for k, (text, law) in enumerate(faulty.items(), start=1):
         assert command(law) is None
         answer = flight.step(2 * k - 1)
         assert answer.mode == 0 and answer.reason.startswith("controller: ") and text in answer.reason
         assert flight.step(2 * k).mode == 1
-    usual = flight.online._timer
-    for ticks, kept in (([0.0, 0.0], True), ([0.0, 6.0], False)):
+    timer = flight.online._timer
+    for ticks, accepted in (([0.0, 0.0], True), ([0.0, 6.0], False)):
         flight.online._timer = iter(ticks).__next__
-        assert (command(lambda: limit) is not None) == kept
-    flight.online._timer = usual
+        assert (command(lambda: limit) is not None) == accepted
+    flight.online._timer = timer
     assert flight.step(7).reason == "controller: over its time budget"
     assert {a.mode for a in flight.steps(8, 60)} == {0}
     assert flight.step(60).reason == "rule: latched: 4 faults of U or of the monitor"
@@ -243,13 +243,13 @@ def test_the_monitors_own_exceptions_and_deadline_mean_s(monkeypatch):
     flight.steps(0, 2)
     explained = flight.mon.explained
 
-    def slow(*asked):
+    def slow(*arguments):
         clock[0] += 0.6
-        return explained(*asked)
+        return explained(*arguments)
 
     monkeypatch.setattr(flight.mon, "explained", slow)
     assert flight.step(2).reason == "monitor: deadline missed"
-    monkeypatch.setattr(flight.mon, "explained", lambda *asked: 1 / 0)
+    monkeypatch.setattr(flight.mon, "explained", lambda *arguments: 1 / 0)
     answer = flight.step(3)
     assert (answer.mode, answer.reason) == (0, "monitor: raised ZeroDivisionError")
     monkeypatch.undo()
@@ -320,14 +320,14 @@ def test_replay_gives_the_same_decisions(tmp_path):
     with open(tmp_path / "log.jsonl", "w", encoding="utf-8") as stream:
         _, answers = story(stream)
         stream.write('{"k": 14, "mo')  # cut short by a crash
-    again = replay_log(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(**PATIENT))
-    assert [repr(a) for a in again] == [repr(a) for a in answers]
+    replayed = replay_log(read_log(tmp_path / "log.jsonl"), monitor(), RuntimeOptions(**PATIENT))
+    assert [repr(a) for a in replayed] == [repr(a) for a in answers]
     ticks = iter([0.0, 0.0, 0.0, 9.0, 9.0, 9.0, 9.0, 9.0])
     with DecisionLog(tmp_path / "late.jsonl") as log:
         answers = Flight(log=log, timer=lambda: next(ticks), deadline=1.0).steps(0, 4)
     assert [a.mode for a in answers] == [1, 0, 1, 1], "one missed its deadline"
-    again = replay_log(read_log(tmp_path / "late.jsonl"), monitor(), RuntimeOptions(deadline=1.0))
-    assert [repr(a) for a in again] == [repr(a) for a in answers]
+    replayed = replay_log(read_log(tmp_path / "late.jsonl"), monitor(), RuntimeOptions(deadline=1.0))
+    assert [repr(a) for a in replayed] == [repr(a) for a in answers]
 
 
 def test_a_log_goes_on_in_further_files_and_replays(tmp_path):
@@ -339,8 +339,8 @@ def test_a_log_goes_on_in_further_files_and_replays(tmp_path):
     assert [file.name for file in files[:3]] == ["log.jsonl", "log.jsonl.1", "log.jsonl.2"]
     longest = max(len(line) + 1 for file in files for line in file.read_text().splitlines())
     assert all(file.stat().st_size <= max(1500, longest) for file in files)
-    again = replay_log(read_log(path), monitor(), RuntimeOptions(**PATIENT))
-    assert [repr(a) for a in again] == [repr(a) for a in answers]
+    replayed = replay_log(read_log(path), monitor(), RuntimeOptions(**PATIENT))
+    assert [repr(a) for a in replayed] == [repr(a) for a in answers]
     (tmp_path / "log.jsonl.1").unlink()
     with pytest.raises(ScenarioError, match="some of its files are missing"):
         read_log(path)
@@ -390,7 +390,7 @@ def test_plain_values_survive(value):
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.booleans(), st.booleans())
-def test_the_box_always_contains_the_true_state(seed, n, told, exact):
+def test_the_box_always_contains_the_true_state(seed, n, bounded, exact):
     """Any stable or unstable motion, inputs held for parts of a period, missed and delayed measurements."""
     rng = np.random.default_rng(seed)
     A, B, D = rng.normal(size=(n, n)), rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
@@ -401,10 +401,10 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
     Ad, BDd = discretize(A, np.hstack([B, D]), 0.2 / parts)
     for k in range(20):
         pushes = rng.uniform(-1, 1, (parts, 2)) * system.u_max
-        fresh = box.t >= t - 1e-12  # from now on the box depends on these inputs alone
-        box.note_commands(np.array([pushes.min(axis=0), pushes.max(axis=0)]) if told else None, fresh)
-        seen = rng.random() < 0.8 or k - box.t / 0.2 > 3
-        stamp = int(rng.integers(1, parts + 1)) if seen else 0
+        reset = box.t >= t - 1e-12  # from now on the box depends on these inputs alone
+        box.note_commands(np.array([pushes.min(axis=0), pushes.max(axis=0)]) if bounded else None, reset)
+        measured = rng.random() < 0.8 or k - box.t / 0.2 > 3
+        stamp = int(rng.integers(1, parts + 1)) if measured else 0
         for part in range(parts):
             w = rng.choice([-1, 1]) * system.w_max
             x = Ad @ x + BDd @ [*pushes[part], w]
@@ -415,8 +415,8 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
                 slack = 1e-13 * (1 + np.abs(x))
                 assert (box.low <= x + slack).all() and (x <= box.high + slack).all()
                 assert (box.high <= y + half + slack).all() and (box.low >= y - half - slack).all()
-        moved = box.propagated(t)
-        assert (-moved[n:] <= x).all() and (x <= moved[:n]).all()
+        predicted = box.propagated(t)
+        assert (-predicted[n:] <= x).all() and (x <= predicted[:n]).all()
     fast = Craft(np.eye(1) * 50, np.ones((1, 1)), np.ones((1, 1)), np.ones(1))
     with pytest.raises(ScenarioError, match="memory"):
         BoxMotion(fast, 1.0, 10.0)
@@ -430,19 +430,19 @@ def test_one_error_is_judged_as_many_are(period, latency, trust):
         DecisionGrid.from_schedule(schedule, period=period, latency=latency, half_widths=0.002), trust
     )
     rng, spread = np.random.default_rng(0), mon.grid.tracking.W_inverse.T
-    seen = set()
+    all_modes = set()
     for k in range(0, mon.grid.decisions, 3):
         e = rng.normal(size=(12, 4)) @ spread * rng.choice([0.02, 0.3], (12, 1))
-        flown = rng.integers(0, 2, 12)
-        modes, _ = mon.judge(k, e, flown)
-        for one, before, expected in zip(e, flown.tolist(), modes.tolist(), strict=True):
+        flying = rng.integers(0, 2, 12)
+        modes, _ = mon.judge(k, e, flying)
+        for one, before, expected in zip(e, flying.tolist(), modes.tolist(), strict=True):
             state = one + mon.grid.xi[k * mon.grid.nodes]
             mode, margin, limit = mon.explained(k, state, before)
             share = mon._share(k, one[None], 1, before if latency else 0)[0]
             assert mode == expected and limit
             assert margin == pytest.approx(1 - share, rel=1e-12, abs=1e-12)
-            seen.add(mode)
-    assert 0 in seen and (1 in seen or trust == "thrust_limits")
+            all_modes.add(mode)
+    assert 0 in all_modes and (1 in all_modes or trust == "thrust_limits")
 
 
 def test_the_example_of_the_page_runs(tmp_path, monkeypatch):
@@ -454,5 +454,5 @@ def test_the_example_of_the_page_runs(tmp_path, monkeypatch):
     with contextlib.redirect_stdout(out):
         for block in code:
             exec(compile(block, "online-monitor.md", "exec"), namespace)
-    shown = [part.split("```")[0] for part in page.split("```text\n")[1:]]
-    assert out.getvalue().split() == "".join(shown).split()
+    outputs = [part.split("```")[0] for part in page.split("```text\n")[1:]]
+    assert out.getvalue().split() == "".join(outputs).split()

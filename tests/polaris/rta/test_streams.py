@@ -25,7 +25,7 @@ def flown(latency):
     runs = len(operators)
     # A lie that is a possible flight is found only where the inputs are known.
     flattered = {
-        run for run, mine in enumerate(operators) if any(isinstance(o, streams.Flattering) for o in mine)
+        run for run, chain in enumerate(operators) if any(isinstance(o, streams.Flattering) for o in chain)
     }
     options = {"second_clock": range(0, runs, 2), "applied": flattered.union(range(0, runs, 3))}
     return monitor, operators, *fly_streams(monitor, operators, deciders, 7, **options)
@@ -38,9 +38,9 @@ def test_u_only_flies_where_s_can_still_take_over(latency):
     scene = monitor.grid
     tightening = np.array([recovery_tightening(monitor, node, x) for node, x in enumerate(states)])
     checked = 0
-    for run, mine in enumerate(steps):
+    for run, run_steps in enumerate(steps):
         honoured = True
-        for step in mine:
+        for step in run_steps:
             if step.answer.mode:
                 used = step.delivery.measurement
                 age = step.k * scene.period - used.stamp
@@ -57,19 +57,19 @@ def test_u_only_flies_where_s_can_still_take_over(latency):
 def test_every_answer_has_a_reason_and_every_fault_its_family(latency):
     _, operators, steps, _ = flown(latency)
     explained = Counter()
-    for mine, run in zip(operators, steps, strict=True):
+    for chain, run in zip(operators, steps, strict=True):
         for step in run:
-            answer, wanted = step.answer, set(step.delivery.families)
+            answer, expected = step.answer, set(step.delivery.families)
             assert answer.reason
             assert (answer.mode > 0) <= all(fault.harmless for fault in answer.faults)
             families = {fault.family for fault in answer.faults}
-            if latency and any(isinstance(operator, streams.Jitter) for operator in mine):
-                wanted.discard("clock")  # what the latency allows for is no fault
-            if wanted:
-                wanted = wanted if answer.k >= 0 else {"clock"}  # nothing else can be judged then
-                assert families & wanted, (step.k, [type(o).__name__ for o in mine], answer)
-                explained.update(families & wanted)
-        first, *others = mine
+            if latency and any(isinstance(operator, streams.Jitter) for operator in chain):
+                expected.discard("clock")  # what the latency allows for is no fault
+            if expected:
+                expected = expected if answer.k >= 0 else {"clock"}  # nothing else can be judged then
+                assert families & expected, (step.k, [type(o).__name__ for o in chain], answer)
+                explained.update(families & expected)
+        first, *others = chain
         if others:
             continue
         if isinstance(first, (streams.Drifting, streams.Flattering)):  # lies that grow are found
@@ -102,7 +102,7 @@ def test_without_the_checks_the_same_streams_do_harm():
             return OnlineDecision(self.k, mode, margin, np.inf, "")
 
     operators = plans(0, scene.decisions, scene.system.n, each=8, mixed=0)
-    operators = [mine for mine in operators if isinstance(mine[0], (streams.Flattering, streams.Drifting))]
+    operators = [chain for chain in operators if isinstance(chain[0], (streams.Flattering, streams.Drifting))]
     _, states = fly_streams(monitor, operators, [Unchecked().step for _ in operators], 7)
     tightening = np.array([recovery_tightening(monitor, node, x) for node, x in enumerate(states)])
     assert (tightening > 1).any(axis=0).sum() >= 3
@@ -113,5 +113,5 @@ def test_without_the_checks_the_same_streams_do_harm():
 def test_no_stream_leads_into_an_unsafe_set_and_both_controllers_fly(latency):
     monitor, operators, steps, states = flown(latency)
     assert not inside_unsafe(monitor.grid, states).any() and len(operators) > 50
-    assert {type(operator) for mine in operators for operator in mine} == set(streams.OPERATORS)
+    assert {type(operator) for chain in operators for operator in chain} == set(streams.OPERATORS)
     assert 0.3 < np.mean([step.answer.mode > 0 for run in steps for step in run]) < 0.9

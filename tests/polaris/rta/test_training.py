@@ -103,24 +103,24 @@ def test_every_bundled_scenario_passes_it_or_is_refused(name):
 
 
 def test_they_are_registered_under_names():
-    made = gymnasium.make("polaris.runs.training:polaris/Switching-v0", scenario=sampled())
-    assert made.reset(seed=1)[0] in made.observation_space
-    made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
-    assert made.reset(seed=1)[0].shape == (3, 4)
-    made = VectorShield(gymnasium.make_vec("polaris/Inspection-v0", 2, scenario=inspected()))
-    assert made.reset(seed=1)[0].shape == (2, 9)
-    assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
+    env = gymnasium.make("polaris.runs.training:polaris/Switching-v0", scenario=sampled())
+    assert env.reset(seed=1)[0] in env.observation_space
+    env = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
+    assert env.reset(seed=1)[0].shape == (3, 4)
+    env = VectorShield(gymnasium.make_vec("polaris/Inspection-v0", 2, scenario=inspected()))
+    assert env.reset(seed=1)[0].shape == (2, 9)
+    assert env.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
 
 
 def flown(env, seed, steps):
     """Observations, rewards, ends and interventions of random actions."""
-    rng, out = np.random.default_rng(seed), []
-    seen, _ = env.reset(seed=seed)
+    rng, rows = np.random.default_rng(seed), []
+    observed, _ = env.reset(seed=seed)
     for _ in range(steps):
         actions = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
-        seen, reward, over, ended, info = env.step(actions)
-        out.append(np.c_[seen, reward, over, ended, info["intervened"]])
-    return np.array(out)
+        observed, reward, over, ended, info = env.step(actions)
+        rows.append(np.c_[observed, reward, over, ended, info["intervened"]])
+    return np.array(rows)
 
 
 def test_one_seed_fixes_all_episodes_and_another_gives_others():
@@ -171,27 +171,27 @@ def test_observations_are_what_a_network_reads_in_flight():
     reads, schedule = ("error", "state", "time", "reference_input"), sampled()
     reads += ("relative_position:trolley", "velocity:trolley")
     env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 16.0))
-    seen, _ = env.reset(seed=5)
+    observed, _ = env.reset(seed=5)
     W, problem = np.eye(15)[[0, 2, 5, 8, 9, 10, 11, 14, 12, 13]], schedule.safety.problem
     law, flights, q = schedule.controllers[1], env.many.flights, schedule.safety.clearance.q
     for row in range(0, 10, 2):
         network = Network((Affine(W[row : row + 2], np.zeros(2)),))
         policy = Policy(network, reads, np.arange(1.0, 16.0), np.ones(2))
-        given = problem.system, policy, law.reference, law.own, schedule.safety.tracking, problem.unsafe
+        arguments = problem.system, policy, law.reference, law.own, schedule.safety.tracking, problem.unsafe
         env.reset(seed=5)
         for k in range(30):
             node, (cell, place) = k, divmod(k, q)
-            controller = NeuralController("same", *given)
-            own, later = flights.grid.own_references[1][node], place * schedule.safety.tracking.flow.h
-            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0], later)
+            controller = NeuralController("same", *arguments)
+            reference, later = flights.grid.own_references[1][node], place * schedule.safety.tracking.flow.h
+            command = controller.command(cell, flights.grid.xi[node], reference, flights.x[0], later)
             # What is told of a body that nothing is uncertain of is off by what rounding is booked with.
-            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
+            assert command == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
             env.step(np.zeros(2))
 
 
 def test_reward_pays_for_being_near_and_for_idle_thrusters():
-    def objective(action, **given):
-        env = SwitchingEnv(sampled(), **given)
+    def objective(action, **options):
+        env = SwitchingEnv(sampled(), **options)
         env.reset(seed=0)
         return env.step(np.array(action, dtype=np.float32))
 
@@ -231,10 +231,10 @@ def recoverable(flights):
     return worst
 
 
-def attacked(scene, steps, seed, **given):
+def attacked(scene, steps, seed, **options):
     """Episodes under adversaries, shielded: collisions, interventions, periods, and the least room."""
     runs = 16
-    env = VectorShield(SwitchingVectorEnv(scene, runs, **given))
+    env = VectorShield(SwitchingVectorEnv(scene, runs, **options))
     flights, rng = env.unwrapped.flights, np.random.default_rng(seed)
     env.reset(seed=seed)
     collided = intervened = periods = 0
@@ -249,7 +249,7 @@ def attacked(scene, steps, seed, **given):
         collided += int(over.sum())
         intervened += int(info["intervened"].sum())
         periods += int(info["_intervened"].sum())
-        if "half_widths" not in given:
+        if "half_widths" not in options:
             worst = max(worst, recoverable(flights))
     return collided, intervened, periods, worst
 
@@ -266,11 +266,11 @@ SCENES = {
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "inexact")) for name in SCENES]
 )
 def test_adversaries_do_not_get_through(name):
-    make, given = SCENES[name]
-    collided, intervened, periods, worst = attacked(make(), 2000, 1, **given)
+    make, options = SCENES[name]
+    collided, intervened, periods, worst = attacked(make(), 2000, 1, **options)
     assert collided == 0 and worst <= 1 + 1e-9
     assert 0.05 * periods < intervened < 0.98 * periods
-    env = SwitchingVectorEnv(make(), 16, **given)  # the same bang-bang without the shield
+    env = SwitchingVectorEnv(make(), 16, **options)  # the same bang-bang without the shield
     env.reset(seed=0)
     assert sum(int(env.step(towards(env.flights))[2].sum()) for _ in range(125)) > 3
 
@@ -291,13 +291,13 @@ def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
     base = SwitchingEnv(sampled())
     env = TimeLimit(ClipAction(Shield(ClipAction(base), penalty=2.0)), 40)
     assert env.reset(seed=0)[0] in env.observation_space
-    held = 0
+    count = 0
     for _ in range(40):
         _, reward, over, _, info = env.step(towards(base.many.flights)[0].astype(np.float32))
         assert not over and (reward < -1.9) == info["intervened"]
-        held += info["intervened"]
+        count += info["intervened"]
         assert (info["margin"] >= 0) or info["intervened"]
-    assert 0 < held < 40
+    assert 0 < count < 40
     with pytest.raises(TypeError):
         Shield(base, trust="declared")  # a policy obeys no declared law
 
@@ -305,15 +305,15 @@ def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
 def test_an_input_that_is_no_number_is_none(wrong=np.nan):
     """S flies, and nothing thrusts where there is no S; the limits are those of any that is too large."""
     env = SwitchingVectorEnv(sampled(), num_envs=3)
-    asked = np.ones((3, 2)) * [[wrong, np.inf], [1e300, 1.0], [1.0, 1.0]]
+    actions = np.ones((3, 2)) * [[wrong, np.inf], [1e300, 1.0], [1.0, 1.0]]
     env.reset(seed=0)
-    spent = env.step(asked)[4]["delta_v_m_s"]
-    assert spent[0] == 0.0 and spent[1] == spent[2] > 0
+    delta_v = env.step(actions)[4]["delta_v_m_s"]
+    assert delta_v[0] == 0.0 and delta_v[1] == delta_v[2] > 0
     env = VectorShield(env)
     env.reset(seed=0)
     while env.step(np.zeros((3, 2)))[4]["intervened"].any():
         pass
-    assert env.step(asked)[4]["intervened"].tolist() == [True, False, False]
+    assert env.step(actions)[4]["intervened"].tolist() == [True, False, False]
 
 
 def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
@@ -348,18 +348,18 @@ def test_inspections_flown_together_are_those_flown_alone(proven):
     together = [many.reset(seed=0), *(many.step(action) for action in actions)]
     for run in range(3):
         one = Shield(InspectionEnv(short), proven=proven)
-        seen, over = one.reset(seed=0)[0], False
+        observed, over = one.reset(seed=0)[0], False
         for action, step in zip(actions[:, run], together[1:], strict=True):
             if over:  # a step that only begins anew
-                (seen, _), over = one.reset(), False
+                (observed, _), over = one.reset(), False
                 assert not step[4]["_least"][run] and step[1][run] == 0
             else:
-                seen, reward, failed, over, info = one.step(action)
+                observed, reward, failed, over, info = one.step(action)
                 assert not failed and info["least"] >= 0 and info["proven"] == proven
                 assert (reward, over) == pytest.approx((step[1][run], step[3][run]), abs=1e-12)
                 assert info["status"] == step[4]["status"][run]
                 assert np.isfinite(action).all() or info["intervened"] == 1
-            np.testing.assert_allclose(seen, step[0][run], atol=1e-6)
+            np.testing.assert_allclose(observed, step[0][run], atol=1e-6)
     assert sum(step[3].sum() for step in together[1:]) == 6
     assert speed(many, 1) > 0
 
@@ -369,7 +369,7 @@ def test_a_flight_that_begins_anew_leaves_the_estimates_of_others():
     flights = InspectionVectorEnv(load_scenario("inspection", INSPECTED | {"navigation": errors}), 2).flights
     rng, bound = np.random.default_rng(0), np.repeat([0.05, 0.002], 3)
     flights.restart(np.ones(2, dtype=bool), rng, fresh=True)
-    seen = flights.seen.copy()
-    np.testing.assert_allclose(np.abs(seen - flights.x), np.broadcast_to(bound, seen.shape), rtol=1e-6)
+    before = flights.seen.copy()
+    np.testing.assert_allclose(np.abs(before - flights.x), np.broadcast_to(bound, before.shape), rtol=1e-6)
     flights.restart(np.array([True, False]), rng)
-    assert np.array_equal(flights.seen[1], seen[1]) and not np.array_equal(flights.seen[0], seen[0])
+    assert np.array_equal(flights.seen[1], before[1]) and not np.array_equal(flights.seen[0], before[0])

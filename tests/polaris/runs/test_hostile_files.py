@@ -53,13 +53,13 @@ def bounded(memory=2**30):
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory, before[1]))
-    known = signal.signal(signal.SIGALRM, stop)
+    handler = signal.signal(signal.SIGALRM, stop)
     signal.alarm(120)
     try:
         yield
     finally:
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, known)
+        signal.signal(signal.SIGALRM, handler)
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
@@ -247,14 +247,14 @@ def obeyed(text):
 def test_no_command_survives():
     assert obeyed(NAME) and not obeyed(escape_controls(NAME))
     assert escape_controls("a\n\tb é ∞ 汉") == "a\n\tb é ∞ 汉"
-    shown = [
+    texts = [
         str(ScenarioError(f"agents.{NAME}", NAME, NAME, NAME)),
         str(PolarisError(NAME)),
         json_text({NAME: NAME}),
     ]
-    assert not any(map(obeyed, shown)) and json.loads(shown[-1]) == {NAME: NAME}
-    for given in ("\x1b[31m", printable("\x1b[31m"), escape_controls("\x1b[31m")):  # with one backslash
-        assert str(ScenarioError("name", given, "is taken")) == r"name: got '\u001b[31m'; is taken"
+    assert not any(map(obeyed, texts)) and json.loads(texts[-1]) == {NAME: NAME}
+    for string in ("\x1b[31m", printable("\x1b[31m"), escape_controls("\x1b[31m")):  # with one backslash
+        assert str(ScenarioError("name", string, "is taken")) == r"name: got '\u001b[31m'; is taken"
     with pytest.raises(ScenarioError) as refused:
         BallObstacle("\x1b[31m", [0, 0], 1)
     assert not obeyed(str(refused.value))

@@ -69,20 +69,20 @@ def written(folder, scenario, schedule):
     return write_run(folder / "run", scenario, schedule, compare(schedule, 2, 0)).path
 
 
-def assert_equal(found, made, scenario):
+def assert_equal(actual, expected, scenario):
     """Check that two schedules have the same modes, sets and tubes, to the bit."""
-    assert found.modes.tolist() == made.modes.tolist()
-    assert [law.name for law in found.controllers] == [law.name for law in made.controllers]
-    for one, other in zip(found.steps, made.steps, strict=True):
+    assert actual.modes.tolist() == expected.modes.tolist()
+    assert [law.name for law in actual.controllers] == [law.name for law in expected.controllers]
+    for one, other in zip(actual.steps, expected.steps, strict=True):
         assert np.array_equal(one.tube.nodes.c, other.tube.nodes.c)
         assert np.array_equal(one.tube.nodes.G, other.tube.nodes.G)
         assert np.array_equal(one.tube.intersample, other.tube.intersample)
         assert np.array_equal(one.tube.end.G, other.tube.end.G)
         assert one.margin == other.margin
-    assert np.array_equal(found.safety.reference.chi, made.safety.reference.chi)
-    assert found.safety.start_margin == made.safety.start_margin
-    assert found.arrival == made.arrival and found.delta_v == made.delta_v
-    texts = [json.dumps(certificate(each, scenario.name)) for each in (found, made)]
+    assert np.array_equal(actual.safety.reference.chi, expected.safety.reference.chi)
+    assert actual.safety.start_margin == expected.safety.start_margin
+    assert actual.arrival == expected.arrival and actual.delta_v == expected.delta_v
+    texts = [json.dumps(certificate(each, scenario.name)) for each in (actual, expected)]
     assert texts[0] == texts[1]
 
 
@@ -90,9 +90,9 @@ def check(folder, scenario, schedule):
     """Check that a written schedule is read as it was, without any search; return it as it is read."""
     place = written(folder, scenario, schedule)
     with no_search(*SOLVERS):
-        again = read_schedule(place)
-        assert_equal(again, schedule, scenario)
-    return again
+        restored = read_schedule(place)
+        assert_equal(restored, schedule, scenario)
+    return restored
 
 
 ERRORS = (
@@ -130,19 +130,19 @@ LONG = "powered abort to the goal", "setpoint", "balls"
 def test_every_kind_of_choice_is_read(name, tmp_path):
     scenario = load_scenario(TINY).with_assignments(list(VARIANTS[name]))
     schedule = synthesize(scenario)
-    again = check(tmp_path, scenario, schedule)
+    restored = check(tmp_path, scenario, schedule)
     assert schedule.share() > 0 or name == "balls"
     assert schedule.safety.tracking.level == SHARES[name.startswith("errors")]  # the second of those tried
-    assert again.safety.tracking.level == schedule.safety.tracking.level
+    assert restored.safety.tracking.level == schedule.safety.tracking.level
     if schedule.powered is not None:
-        assert again.powered.to_dict() == schedule.powered.to_dict()
+        assert restored.powered.to_dict() == schedule.powered.to_dict()
     with no_search(*SOLVERS):
-        library = list(again.library)
+        library = list(restored.library)
     for one, other in zip(library, schedule.library, strict=True):
         assert_equal(one, other, scenario)
     if schedule.objective is not None:
         assert library or name == "budget"
-        assert again.objective({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.objective({0: 0.2, 1: 0.8}, 1.5, 3)
+        assert restored.objective({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.objective({0: 0.2, 1: 0.8}, 1.5, 3)
 
 
 @pytest.mark.parametrize("seed", [2, 2001, *(pytest.param(s, marks=pytest.mark.slow) for s in (5003, 5034))])
@@ -169,16 +169,16 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
     scenario = ScheduleScenario.from_dict(box_document())
     sampled = with_boxes(scenario, {"box": hasty()})
     schedule = sampled.schedule if kind == "flies" else sampled.proven
-    again = check(tmp_path, scenario, schedule)
-    assert again.guarantee == ("statistical" if kind == "flies" else "proved")
-    assert again.sampled_bound == schedule.sampled_bound
+    restored = check(tmp_path, scenario, schedule)
+    assert restored.guarantee == ("statistical" if kind == "flies" else "proved")
+    assert restored.sampled_bound == schedule.sampled_bound
     if kind == "flies":
         with pytest.raises(ScenarioError, match="box.*must be given"):
-            simulate(again, 2, 0)
+            simulate(restored, 2, 0)
         with pytest.raises(ScenarioError, match="must be given with `polaris run"):
             load_target(str(tmp_path / "run")).schedule()
-        given = load_target(str(tmp_path / "run")).schedule({"box": hasty()})
-        assert np.array_equal(simulate(given, 2, 0).states, simulate(schedule, 2, 0).states)
+        with_box = load_target(str(tmp_path / "run")).schedule({"box": hasty()})
+        assert np.array_equal(simulate(with_box, 2, 0).states, simulate(schedule, 2, 0).states)
 
 
 @pytest.fixture(scope="module")
@@ -309,11 +309,11 @@ def test_branches_that_were_forged_are_refused(change, message, tmp_path):
 
 def test_a_schedule_that_is_read_can_be_pickled_and_written_again(run, tmp_path):
     first = read_schedule(run)
-    again = pickle.loads(pickle.dumps(first))
+    restored = pickle.loads(pickle.dumps(first))
     scenario = load_scenario(run / "scenario.toml")
-    assert_equal(again, first, scenario)
-    assert len(again.library) == len(first.library) > 0
-    other = written(tmp_path, scenario, again)
+    assert_equal(restored, first, scenario)
+    assert len(restored.library) == len(first.library) > 0
+    other = written(tmp_path, scenario, restored)
     for name in ("certificate.json", "schedule.json", "tubes.npz", "sets.npz", "gains.json"):
         assert (other / name).read_bytes() == (run / name).read_bytes(), name
     assert verify(other).outcome == "VERIFIED"
@@ -341,14 +341,14 @@ def test_no_command_on_a_run_folder_searches(command, copied, tmp_path):
 
 def test_a_schedule_that_is_read_flies_and_is_monitored_like_the_one_that_was_written(run):
     scenario = polaris.load_scenario(run / "scenario.toml")
-    made = synthesize(scenario)
+    original = synthesize(scenario)
     with no_search(*SOLVERS):
         read = read_schedule(run)
-        flown = polaris.simulate(read, n=4, seed=1)
+        runs = polaris.simulate(read, n=4, seed=1)
         aboard = polaris.Monitor.on(polaris.DecisionGrid.from_schedule(read, half_widths=0.001))
-    assert np.array_equal(flown.states, polaris.simulate(made, n=4, seed=1).states)
-    ground = polaris.Monitor.on(polaris.DecisionGrid.from_schedule(made, half_widths=0.001))
-    at = polaris.Measurement(0.0, made.safety.problem.initial_set.c)
+    assert np.array_equal(runs.states, polaris.simulate(original, n=4, seed=1).states)
+    ground = polaris.Monitor.on(polaris.DecisionGrid.from_schedule(original, half_widths=0.001))
+    at = polaris.Measurement(0.0, original.safety.problem.initial_set.c)
     answers = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
     assert answers[0] == answers[1] and np.array_equal(aboard.grid.xi, ground.grid.xi)
     pytest.importorskip("gymnasium")

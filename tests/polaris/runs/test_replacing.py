@@ -41,10 +41,10 @@ def contents(folder):
 
 def write(target, files):
     """A folder of ours with these files."""
-    with replacing.replacing(target) as beside:
+    with replacing.replacing(target) as staging:
         for name, text in files.items():
-            (beside / name).parent.mkdir(parents=True, exist_ok=True)
-            (beside / name).write_bytes(text)
+            (staging / name).parent.mkdir(parents=True, exist_ok=True)
+            (staging / name).write_bytes(text)
     return target
 
 
@@ -58,24 +58,24 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
     target = tmp_path / "run"
     write_run(target, scenario, schedule, flown(), draw=draw_run)
     names = "notes.txt", "figures/mine.png", "archive/2024/scenario.toml", ".git/HEAD"
-    mine = dict.fromkeys(names, b"mine")
-    for name, text in mine.items():
+    user_files = dict.fromkeys(names, b"mine")
+    for name, text in user_files.items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_bytes(text)
     (target / "empty").mkdir()
-    with replacing.adding(target) as beside:
-        (beside / "report.html").write_bytes(b"of the older run")
+    with replacing.adding(target) as staging:
+        (staging / "report.html").write_bytes(b"of the older run")
     other = scenario.with_assignments(["simulation.seed=5"])
     write_run(target, other, schedule, flown())
     files = contents(target)
-    assert mine.items() <= files.items() and (target / "empty").is_dir()
+    assert user_files.items() <= files.items() and (target / "empty").is_dir()
     assert read_run(target).scenario.simulation.seed == 5
     # figures and report of the older run would belong to nothing any more
     assert [name for name in files if name.startswith("figures/")] == ["figures/mine.png"]
     assert "report.html" not in files
     draw_run(read_run(target))
     assert (target / "figures" / "scene.pdf").read_bytes() == b"drawn"
-    assert mine.items() <= contents(target).items()
+    assert user_files.items() <= contents(target).items()
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
@@ -132,8 +132,8 @@ def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, seco
     del files[ownership.MANIFEST]
     assert {name for name, text in files.items() if text == b"second"} == second
     assert b"first" not in files.values()
-    kept = sorted(text for text in files.values() if text != b"second")
-    assert kept == sorted(f"theirs {name}".encode() for name in theirs)
+    survivors = sorted(text for text in files.values() if text != b"second")
+    assert survivors == sorted(f"theirs {name}".encode() for name in theirs)
     assert {name for name in theirs if together({name}, second)} - second <= set(files)
     assert [path.name for path in target.parent.iterdir()] == ["run"]
 
@@ -159,8 +159,8 @@ def test_folders_that_are_none_of_ours_are_refused(tmp_path, files, words):
 
 def line(name, before=""):
     """A line of a list whose link fits."""
-    known = hashlib.sha256(b"mine").hexdigest()
-    return json.dumps([name, known, ownership._link(before, name, known)])
+    checksum = hashlib.sha256(b"mine").hexdigest()
+    return json.dumps([name, checksum, ownership._link(before, name, checksum)])
 
 
 LINES = [
@@ -179,8 +179,8 @@ def test_an_edited_list_is_nobodys(tmp_path, lines):
     (target / ownership.MANIFEST).write_text("\n".join([ownership.HEADER, *lines, ""]), encoding="utf-8")
     before = contents(tmp_path)
     for replace in (replacing.replacing, replacing.adding):
-        with pytest.raises(ScenarioError, match="not as Polaris wrote it"), replace(target) as beside:
-            (beside / "a").write_bytes(b"2")
+        with pytest.raises(ScenarioError, match="not as Polaris wrote it"), replace(target) as staging:
+            (staging / "a").write_bytes(b"2")
     assert contents(tmp_path) == before
 
 
@@ -196,8 +196,8 @@ def test_a_line_that_a_full_disk_cut_off_is_left_out(tmp_path):
     target = write(tmp_path / "run", {"a": b"1", "b": b"2"})
     with (target / ownership.MANIFEST).open("ab") as file:
         file.write(b'["c", "0123')
-    with replacing.adding(target) as beside:
-        (beside / "d").write_bytes(b"4")
+    with replacing.adding(target) as staging:
+        (staging / "d").write_bytes(b"4")
     assert set(ownership.read_list(target)) == {"a", "b", "d"}
 
 
@@ -219,41 +219,41 @@ def test_places_that_cannot_be_written_are_found_by_trying(tmp_path, monkeypatch
 
 def test_what_a_killed_run_left_is_cleared_away(tmp_path):
     target = write(tmp_path / "run", {"a": b"1"})
-    left = left_by_a_dead_process(target)
-    mine = tmp_path / f".run.new-{ownership.host()}-{os.getpid()}-0123abcd"  # at work right now
+    leftover = left_by_a_dead_process(target)
+    running = tmp_path / f".run.new-{ownership.host()}-{os.getpid()}-0123abcd"  # at work right now
     other = tmp_path / ".run.new-elsewhere-1-0123abcd"  # of another machine
-    alike = [
-        left.with_name(f"{left.name[:-8]}{n:08}".replace("new", word))
+    similar = [
+        leftover.with_name(f"{leftover.name[:-8]}{n:08}".replace("new", word))
         for n, word in enumerate(("new", "old"))
     ]
-    for folder in (mine, other, *alike):
+    for folder in (running, other, *similar):
         folder.mkdir()
         (folder / "data").write_bytes(b"of somebody who likes such names")
     write(target, {"a": b"2"})
-    assert not left.exists() and all((folder / "data").exists() for folder in (mine, other, *alike))
+    assert not leftover.exists() and all((folder / "data").exists() for folder in (running, other, *similar))
 
 
 def test_an_old_folder_is_put_back_if_the_run_was_killed_between(tmp_path):
     target = tmp_path / "run"
-    left = left_by_a_dead_process(target, "old")
+    leftover = left_by_a_dead_process(target, "old")
     tidy(tmp_path)
-    assert (target / "half").read_bytes() == b"half" and not left.exists()
-    again = left_by_a_dead_process(target, "old")
-    (again / "notes.txt").write_bytes(b"came at the last moment")
+    assert (target / "half").read_bytes() == b"half" and not leftover.exists()
+    changed = left_by_a_dead_process(target, "old")
+    (changed / "notes.txt").write_bytes(b"came at the last moment")
     tidy(tmp_path)
-    assert not again.exists() and (target / "notes.txt").read_bytes() == b"came at the last moment"
+    assert not changed.exists() and (target / "notes.txt").read_bytes() == b"came at the last moment"
 
 
 def test_an_older_campaign_does_not_come_back_into_a_newer_one(tmp_path):
     target = write(tmp_path / "c", {"manifest.json": b"old"})
-    with replacing.adding(target, "runs") as beside:
-        (beside / "case-0007-batch-00000.parquet").write_bytes(b"old")
-    left = left_by_a_dead_process(target, "old")
-    ownership.remove(left)
-    target.rename(left)
+    with replacing.adding(target, "runs") as staging:
+        (staging / "case-0007-batch-00000.parquet").write_bytes(b"old")
+    leftover = left_by_a_dead_process(target, "old")
+    ownership.remove(leftover)
+    target.rename(leftover)
     write(tmp_path / "n", {"manifest.json": b"new"}).rename(target)
     tidy(tmp_path)
-    assert set(contents(target)) == {"manifest.json", ownership.MANIFEST} and not left.exists()
+    assert set(contents(target)) == {"manifest.json", ownership.MANIFEST} and not leftover.exists()
 
 
 KILLED = """
@@ -303,9 +303,9 @@ def test_killed_at_any_moment_a_folder_is_whole(how, tmp_path):
             write(target, {"a": b"old", "b": b"old"})
             continue
         for word in (b"newer", b"old"):  # the next command replaces them without a complaint
-            with replacing.adding(target) as beside:
+            with replacing.adding(target) as staging:
                 for name in ("a", "b"):
-                    (beside / name).write_bytes(word)
+                    (staging / name).write_bytes(word)
             assert set(contents(target)) == {"a", "b", "notes", ownership.MANIFEST}, step
     assert step > 6
 
@@ -319,8 +319,8 @@ def test_killed_at_any_moment_a_folder_is_whole(how, tmp_path):
     ],
 )
 def test_every_way_a_disk_refuses_is_one_message(tmp_path, error, said):
-    with pytest.raises(CannotWrite) as refusal, replacing.replacing(tmp_path / "out") as beside:  # noqa: SIM117
-        with replacing.replacing(beside / "run"):
+    with pytest.raises(CannotWrite) as refusal, replacing.replacing(tmp_path / "out") as staging:  # noqa: SIM117
+        with replacing.replacing(staging / "run"):
             raise error
     text = str(refusal.value)
     assert str(tmp_path / "out") in text and "nothing was written" in text and "\n" not in text

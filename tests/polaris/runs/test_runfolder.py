@@ -52,11 +52,11 @@ def test_same_seed_same_bytes_times_apart(folder, tmp_path):
     names = {path.name for path in folder.path.iterdir()}
     assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures", ".polaris.jsonl"}
     scenario, schedule = synthesised()
-    again = write_run(tmp_path / "again", scenario, schedule)  # flown anew from the scenario's seed
+    rerun = write_run(tmp_path / "again", scenario, schedule)  # flown anew from the scenario's seed
     for name in (*DATA_FILES, "certificate.json"):  # and figures: see test_figures
-        assert (again.path / name).read_bytes() == (folder.path / name).read_bytes(), name
+        assert (rerun.path / name).read_bytes() == (folder.path / name).read_bytes(), name
     assert (folder.path / "scenario.toml").read_bytes() == TINY.read_bytes()
-    summaries = [dict(each.summary) for each in (folder, again)]
+    summaries = [dict(each.summary) for each in (folder, rerun)]
     for summary in summaries:
         del summary["created"]
         summary["synthesis"] = {**summary["synthesis"], "seconds": {}}
@@ -65,8 +65,8 @@ def test_same_seed_same_bytes_times_apart(folder, tmp_path):
 
 def belong_somewhere(seconds):
     """Return True if all times but the total add up to it, and none is negative but by rounding."""
-    named = [spent for stage, spent in seconds.items() if stage not in ("total", "plan_parts")]
-    return math.isclose(sum(named), seconds["total"], rel_tol=1e-9) and min(named) > -1e-6
+    stages = [duration for stage, duration in seconds.items() if stage not in ("total", "plan_parts")]
+    return math.isclose(sum(stages), seconds["total"], rel_tol=1e-9) and min(stages) > -1e-6
 
 
 def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
@@ -75,20 +75,20 @@ def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
     out = tmp_path / "whole"
     done = CliRunner().invoke(app, ["run", str(TINY), "--set", QUARTER, "--out", str(out), "--no-figures"])
     seconds = load_strict(out / "summary.json")["synthesis"]["seconds"]
-    wanted = {"bounds", "plan", "recoverable", "schedule", "bound", "simulation", "files", "other"}
-    assert belong_somewhere(seconds) and wanted <= set(seconds), done.output
+    expected = {"bounds", "plan", "recoverable", "schedule", "bound", "simulation", "files", "other"}
+    assert belong_somewhere(seconds) and expected <= set(seconds), done.output
     text = " ".join(done.stdout.split())
     total, stages = re.search(r"Computation time: ([\d.]+) s \((.*?)\)\.", text).groups()
-    shown = [float(stage.split()[-1]) for stage in stages.split(", ")]
-    assert sum(shown) == pytest.approx(float(total), abs=0.005 * (len(seconds) + 1))
+    printed = [float(stage.split()[-1]) for stage in stages.split(", ")]
+    assert sum(printed) == pytest.approx(float(total), abs=0.005 * (len(seconds) + 1))
     short = polaris.run("inspection", tmp_path / "short", overrides=["flight.duration_s=5"])
     assert belong_somewhere(short.summary["seconds"])
 
 
 def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_path, capsys):
     """In the console's table, the summary, the files, the page, a comparison, and for the checker."""
-    more = {"kind": "any_thrust", "name": "pilot", "weight": 1.0}
-    tables = [more, *load_scenario(TINY).to_dict()["experimental"]]
+    pilot_law = {"kind": "any_thrust", "name": "pilot", "weight": 1.0}
+    tables = [pilot_law, *load_scenario(TINY).to_dict()["experimental"]]
     scenario = load_scenario(TINY).with_overrides({"experimental": tables, "simulation.runs": 4})
     schedule = polaris.synthesize(scenario)
     run = write_run(tmp_path / "several", scenario, schedule)
@@ -103,14 +103,14 @@ def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_p
     forged = shutil.copytree(run.path, tmp_path / "forged")
     (forged / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     assert verify(forged).outcome == "REJECTED"
-    shown = report_page(run)
+    page = report_page(run)
     compared = compare_methods(schedule, 2, methods=["experimental"])
     assert list(compared.results) == list(alone)
     folder = write_comparison(tmp_path / "compared", scenario, compared)
     for name in alone.values():
         title = f"U alone ({name})"
-        assert title in str({key: text for key, _, text in shown.sections}["numbers"])
-        assert title in [pilot["name"] for pilot in shown.data["pilots"]]
+        assert title in str({key: text for key, _, text in page.sections}["numbers"])
+        assert title in [pilot["name"] for pilot in page.data["pilots"]]
         assert title in [method["name"] for method in folder.summary["methods"]]
     assert {one.metrics.switches.max() for one in compared.results.values()} == {0}
     show_summary(run.summary, "here")
@@ -121,21 +121,21 @@ def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_p
 def test_summary_holds_the_promised_keys(folder):
     summary = load_strict(folder.path / "summary.json")
     keys = {"min_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share", "switches"}
-    for who in ("safety", "experimental", "polaris"):
-        assert keys | {"delta_v_m_s", "collided", "max_thrust_ratio", "runs"} <= set(summary[who])
-        assert set(summary[who]) - {"controller", "drift_horizon_s"} <= set(summary["definitions"])
+    for source in ("safety", "experimental", "polaris"):
+        assert keys | {"delta_v_m_s", "collided", "max_thrust_ratio", "runs"} <= set(summary[source])
+        assert set(summary[source]) - {"controller", "drift_horizon_s"} <= set(summary["definitions"])
     assert {"status", "gap", "solver", "delta_v_m_s", "margin_m"} <= set(summary["synthesis"]["planner"])
     claims = {"kind", "horizon", "until_s", "reason", "assumptions", "goal", "upkeep"}
     assert set(summary["guarantee"]) == claims
     assert summary["guarantee"]["kind"] == "proved" and summary["seed"] == 0
     assert summary["experimental"]["collided"] and summary["experimental"]["min_distance_m"] < 0
-    for who in ("safety", "polaris"):
-        assert not summary[who]["collided"] and summary[who]["min_distance_m"] > 0
+    for source in ("safety", "polaris"):
+        assert not summary[source]["collided"] and summary[source]["min_distance_m"] > 0
     assert summary["safety"]["experimental_share"] == 0 and summary["experimental"]["experimental_share"] == 1
-    for who, other in (("safety", "experimental"), ("experimental", "safety")):
-        assert summary[who][f"max_thrust_ratio_{who}"] == summary[who]["max_thrust_ratio"]
-        assert summary[who][f"max_thrust_ratio_{other}"] is None
-    both = [summary["polaris"][f"max_thrust_ratio_{who}"] for who in ("safety", "experimental")]
+    for source, other in (("safety", "experimental"), ("experimental", "safety")):
+        assert summary[source][f"max_thrust_ratio_{source}"] == summary[source]["max_thrust_ratio"]
+        assert summary[source][f"max_thrust_ratio_{other}"] is None
+    both = [summary["polaris"][f"max_thrust_ratio_{source}"] for source in ("safety", "experimental")]
     assert max(both) == summary["polaris"]["max_thrust_ratio"] and both[0] <= 1
 
 
@@ -221,14 +221,14 @@ def test_tubes_of_the_file_hold_what_displaces_states_and_flights(more):
 def test_metrics_of_batches_join_to_those_of_all(monkeypatch):
     schedule = synthesised()[1]
     monkeypatch.setattr(baselines, "BATCH", 5)
-    for who, item in baselines.compare(schedule, 12, 0).items():
+    for source, item in baselines.compare(schedule, 12, 0).items():
         metrics, flights = item.metrics, item.flights
         assert len(metrics.min_distance) == 12
         assert flights.labels[0] == "nominal" and np.all(np.diff(flights.nearest, axis=0) >= -1e-12)
         closest = flights.states[flights.labels.index("closest")]
         place = closest @ schedule.safety.problem.system.position.T
         gaps = [o.signed_distance(flights.times, place) for o in schedule.safety.problem.unsafe]
-        assert np.min(gaps) == pytest.approx(metrics.min_distance.min(), abs=0.05), who
+        assert np.min(gaps) == pytest.approx(metrics.min_distance.min(), abs=0.05), source
 
 
 def test_closest_approach_is_not_missed_between_nodes(monkeypatch):

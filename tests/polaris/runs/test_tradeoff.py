@@ -66,12 +66,12 @@ def test_points_are_run_folders_of_their_price(folder, tmp_path):
     assert opened["price-0"].scenario.switching_rules().delta_v_price == 0
     assert opened["printed"].scenario.model.recoverable.recourse == "none"
     for row in rows:
-        kept = opened[row["folder"]].summary
-        assert row["share"] == row["weighted_share"] == kept["synthesis"]["experimental_share"]
-        assert row["switches"] == kept["synthesis"]["switches"]
-        assert row["delta_v_m_s"] == kept["polaris"]["delta_v_m_s"] <= row["delta_v_max_m_s"]
+        summary = opened[row["folder"]].summary
+        assert row["share"] == row["weighted_share"] == summary["synthesis"]["experimental_share"]
+        assert row["switches"] == summary["synthesis"]["switches"]
+        assert row["delta_v_m_s"] == summary["polaris"]["delta_v_m_s"] <= row["delta_v_max_m_s"]
         assert row["delta_v_undisturbed_m_s"] == pytest.approx(row["delta_v_m_s"], rel=0.1)
-        bound = kept["guarantee"]["goal"]["delta_v_max_m_s"]
+        bound = summary["guarantee"]["goal"]["delta_v_max_m_s"]
         assert row["delta_v_most_m_s"] == bound > row["delta_v_max_m_s"]
         assert (row["goal_reached"], row["guarantee"], row["until_s"]) == (True, "proved", 20.0)
     free, dear, _ = rows
@@ -101,20 +101,20 @@ GOOD |= {"guarantee": "proved", "until_s": None}
 )
 def test_front(worse):
     assert non_dominated([GOOD, GOOD | worse, GOOD]) == [True, False, True]
-    better = {"delta_v_m_s": 0.9} if "delta_v_m_s" not in worse else {"switches": 1}
-    assert non_dominated([GOOD, GOOD | worse | better]) == [True, True]
+    change = {"delta_v_m_s": 0.9} if "delta_v_m_s" not in worse else {"switches": 1}
+    assert non_dominated([GOOD, GOOD | worse | change]) == [True, True]
 
 
-def again(path, prices=PRICES, overrides=SET, **how):
-    return polaris.tradeoff(TINY, path, prices, overrides=overrides, **how)
+def again(path, prices=PRICES, overrides=SET, **options):
+    return polaris.tradeoff(TINY, path, prices, overrides=overrides, **options)
 
 
 def test_points_that_are_there_are_kept_and_others_computed(folder, copied, computed):
     before = contents(folder.path)
     assert contents(again(copied).path) == before and computed == []
     shutil.rmtree(copied / "price-3")
-    left = left_by_a_dead_process(copied / "price-3")
-    assert contents(again(copied).path) == before and computed == ["price-3"] and not left.exists()
+    leftover = left_by_a_dead_process(copied / "price-3")
+    assert contents(again(copied).path) == before and computed == ["price-3"] and not leftover.exists()
     with pytest.raises(FileNotFoundError):  # a new price is asked for
         again(copied, [0, 3, 7])
     assert computed[1:] == ["price-7"] and contents(copied) == before
@@ -182,17 +182,17 @@ def test_a_value_without_a_schedule_is_a_result_and_the_rest_is_as_run_alone(swe
     alone = polaris.run(TINY, tmp_path / "alone", overrides=[*FEW, f"{KEY}=2"])
     assert contents(alone.path, DATA_FILES) == contents(swept.path / f"{KEY}-2", DATA_FILES)
     assert rows[1]["share"] < 0.2 < rows[2]["share"] and rows[2]["reason"] is None
-    (asked,) = swept.summary["needed"]
-    assert (asked["bound"], asked["last_proven"], asked["next"]) == ("at least", 2, 1)
-    assert 1 < asked["interpolated"] < 2
+    (needed,) = swept.summary["needed"]
+    assert (needed["bound"], needed["last_proven"], needed["next"]) == ("at least", 2, 1)
+    assert 1 < needed["interpolated"] < 2
     assert (swept.path / "figures" / "tradeoff.png").is_file()
 
 
 def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
     copied = Path(shutil.copytree(swept.path, tmp_path / "one"))
     monkeypatch.setattr(module, "run", lambda scenario, place, **_: 1 / 0)
-    again = polaris.tradeoff(TINY, copied, {KEY: [0.05, 1, 2]}, share=0.2, overrides=FEW)
-    assert again.summary["points"] == swept.summary["points"]
+    resumed = polaris.tradeoff(TINY, copied, {KEY: [0.05, 1, 2]}, share=0.2, overrides=FEW)
+    assert resumed.summary["points"] == swept.summary["points"]
     with pytest.raises(ZeroDivisionError):  # another scenario
         polaris.tradeoff(TINY, copied, {KEY: [0.05]}, overrides=["system.disturbance_max=0.01"])
 
@@ -235,23 +235,23 @@ def test_folders_of_others_are_left_alone(folder, copied, tmp_path):
 
 
 def invoke(*args):
-    given = [str(TINY), "--workers", "1", "--set", SET[0], *map(str, args)]
-    return CliRunner().invoke(app, ["tradeoff", *given])
+    arguments = [str(TINY), "--workers", "1", "--set", SET[0], *map(str, args)]
+    return CliRunner().invoke(app, ["tradeoff", *arguments])
 
 
 def test_command(folder, copied, computed):
-    given = ["--out", copied, "--prices", "0,3", *itertools.chain(*(("--set", text) for text in SET[1:]))]
-    done = invoke(*given)
+    arguments = ["--out", copied, "--prices", "0,3", *itertools.chain(*(("--set", text) for text in SET[1:]))]
+    done = invoke(*arguments)
     assert done.exit_code == 0, done.output
     lines = [line.split()[:3] for line in done.stdout.splitlines()]
     assert ["*", "price-0", "83.3%"] in lines and ["*", "price-3", "41.7%"] in lines
     assert ["printed", "41.7%", "2"] in lines
     figures = [path / "figures" / "tradeoff.png" for path in (copied, folder.path)]
     assert figures[0].read_bytes() == figures[1].read_bytes(), "drawn again from the files alone"
-    printed = invoke(*given, "--json", "--no-figures")
+    printed = invoke(*arguments, "--json", "--no-figures")
     assert json.loads(printed.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
     assert not (copied / "figures").exists()
-    assert (invoke(*given, "-q").output, computed) == ("", [])
+    assert (invoke(*arguments, "-q").output, computed) == ("", [])
 
 
 @pytest.mark.parametrize(
@@ -267,12 +267,12 @@ def test_exit_codes(given, code, tmp_path):
 
 def test_sweeps_on_the_command_line(swept, tmp_path):
     copied = Path(shutil.copytree(swept.path, tmp_path / "one"))
-    given = [TINY, "--out", copied, "--no-figures", "--workers", 1, "--share", 0.2, "--set", *FEW]
-    given = ["tradeoff", *map(str, given)]
-    done = CliRunner().invoke(app, [*given, "--sweep", f"{KEY}=0.05,1,2"])
+    arguments = [TINY, "--out", copied, "--no-figures", "--workers", 1, "--share", 0.2, "--set", *FEW]
+    arguments = ["tradeoff", *map(str, arguments)]
+    done = CliRunner().invoke(app, [*arguments, "--sweep", f"{KEY}=0.05,1,2"])
     assert done.exit_code == 0, done.output
     assert f"{KEY}-0.05  infeasible" in done.stdout and f"{KEY}: at least 2 for 20 %" in done.stdout
     for wrong in (f"{KEY}", f"{KEY}=a", f"{KEY}=1:2", f"{KEY}=2:1:3", f"{KEY}=1,1", "system.nothing=1"):
-        done = CliRunner().invoke(app, [*given, "--sweep", wrong])
+        done = CliRunner().invoke(app, [*arguments, "--sweep", wrong])
         assert (done.exit_code, done.stderr[:6]) == (2, "error:"), wrong
     assert read_sweep(f"{KEY}=0.01:1:3") == (KEY, [0.01, 0.1, 1.0])

@@ -141,26 +141,26 @@ def file_in_the_way(target, name):
 def test_what_is_in_the_way_is_named_and_kept(tmp_path, idle, verb, way):
     words, name = VERBS[verb]
     target = tmp_path / "out"
-    named = way(target, name)
+    blocking = way(target, name)
     before = contents(tmp_path)
     done = polaris(*words, "--out", target, "-q")
-    assert done.exit_code == 2 and named in done.stderr, done.output
+    assert done.exit_code == 2 and blocking in done.stderr, done.output
     assert contents(tmp_path) == before
 
 
 def test_a_campaign_keeps_files_of_the_user_fresh_or_resumed(tmp_path):
     out, cases = tmp_path / "k", make_cases([str(TINY)])
     run_campaign(cases, 4, out, batch=2)
-    mine = ["notes.txt", "runs/mine.csv", "failed/why.txt", "failures.csv", "scenario.toml"]
-    mine += ["runs/case-0000-batch-99999.parquet", "runs/case-0000-batch-00002.parquet"]
-    for name in mine:
+    user_files = ["notes.txt", "runs/mine.csv", "failed/why.txt", "failures.csv", "scenario.toml"]
+    user_files += ["runs/case-0000-batch-99999.parquet", "runs/case-0000-batch-00002.parquet"]
+    for name in user_files:
         put(out / name)
     run_campaign(cases, 4, out, batch=2, seed=1, fresh=True)
-    assert all((out / name).read_text() == "mine" for name in mine)
+    assert all((out / name).read_text() == "mine" for name in user_files)
     folder = run_campaign(cases, 6, out, batch=2, seed=1)  # it needs the name of the last one
     assert folder.summary["runs"] == 6
     assert (out / "case-0000-batch-00002.parquet.kept").read_text() == "mine"
-    assert all((out / name).read_text() == "mine" for name in mine[:-1])
+    assert all((out / name).read_text() == "mine" for name in user_files[:-1])
     target = tmp_path / "run"
     make(target)
     before = contents(target)
@@ -207,8 +207,8 @@ def test_figures_are_not_drawn_through_a_link_or_over_a_picture_of_the_user(tmp_
 
 def test_figures_of_the_run_in_a_comparison_are_listed_with_it(tmp_path, monkeypatch):
     monkeypatch.setattr("polaris.report.figures.draw_figures", drawing)
-    with replacing(tmp_path / "c") as beside:
-        make(beside / "run")
+    with replacing(tmp_path / "c") as staging:
+        make(staging / "run")
     draw_run(read_run(tmp_path / "c" / "run"))
     assert [path.parent.name for path in (tmp_path / "c").rglob(MANIFEST)] == ["c"]
     write(tmp_path / "c", {"comparison.json": b"{}"})
@@ -245,8 +245,8 @@ def test_a_file_that_is_there_is_replaced_only_by_force(results, tmp_path, verb)
     before = contents(tmp_path)
     done = polaris(*words, tmp_path / name)
     assert done.exit_code == 2 and name in done.stderr and "--force" in done.stderr, done.output
-    for more in ([], ["--force"]):  # a result would be lost
-        done = polaris(*words, tmp_path / result, *more)
+    for flags in ([], ["--force"]):  # a result would be lost
+        done = polaris(*words, tmp_path / result, *flags)
         assert done.exit_code == 2 and "part of the results" in done.stderr, done.output
     assert contents(tmp_path) == before
     assert polaris(*words, tmp_path / name, "--force").exit_code == 0

@@ -64,34 +64,34 @@ def test_the_disturbance_of_the_eccentric_orbit_covers_400_m(capsys):
 
     from polaris.cli import app as cli
 
-    asked = ["model-error", str(missions.FOLDER / "adras-j.toml"), "--within", "400"]
-    done = CliRunner().invoke(cli.app, asked)
+    arguments = ["model-error", str(missions.FOLDER / "adras-j.toml"), "--within", "400"]
+    done = CliRunner().invoke(cli.app, arguments)
     assert done.exit_code == 0 and "covers it" in done.stdout
 
 
 def test_the_first_leg_of_sroc_costs_what_the_page_says():
     schedule = polaris.synthesize(polaris.load_scenario(missions.FOLDER / "sroc-leg1.toml"))
-    row, spent = cells("sroc-leg1"), simulate(schedule, 20, 0).delta_v
+    row, delta_v = cells("sroc-leg1"), simulate(schedule, 20, 0).delta_v
     assert schedule.guarantee == "proved"
-    assert spent.mean() == pytest.approx(float(row["Ours, mean [m/s]"]), rel=0.03)
-    assert spent.max() <= schedule.arrival.delta_v <= 1.02 * float(row["proven at most"])
+    assert delta_v.mean() == pytest.approx(float(row["Ours, mean [m/s]"]), rel=0.03)
+    assert delta_v.max() <= schedule.arrival.delta_v <= 1.02 * float(row["proven at most"])
     assert 100 * schedule.share() == pytest.approx(numbers(row["U flies"])[0], abs=0.1)
 
 
 def test_docking_keeps_the_limit_of_speed_that_its_primary_controller_breaks():
     """By the published formula; shares and 2-norms are what the page says."""
     schedule = polaris.synthesize(polaris.load_scenario(missions.FOLDER / "afrl-docking.toml"))
-    beyond, spent = {}, {}
+    excess, delta_v = {}, {}
     for mode in (None, 1):
         runs = simulate(schedule, 10, 0, mode=mode, disturbance="mixed")
         far, speed = (np.linalg.norm(part, axis=-1) for part in np.split(runs.states, 2, axis=-1))
-        beyond[mode] = speed - (0.2 + 4 * 0.001027 * far)
+        excess[mode] = speed - (0.2 + 4 * 0.001027 * far)
         assert np.array_equal(runs.metrics().collided, np.full(10, mode == 1))
-        spent[mode] = np.linalg.norm(runs.inputs, axis=-1).sum(axis=1).max() * 5.0 / 12.0
-    assert beyond[None].max() < 0 and (beyond[1].max(axis=1) > 29).all()
+        delta_v[mode] = np.linalg.norm(runs.inputs, axis=-1).sum(axis=1).max() * 5.0 / 12.0
+    assert excess[None].max() < 0 and (excess[1].max(axis=1) > 29).all()
     section = TEXT.split("\n## afrl-docking\n")[1].split("\n## ")[0]
     spoken = re.search(r"Ours in that norm: ([\d.]+) m/s .* and ([\d.]+) m/s for U alone", section, re.DOTALL)
-    assert [spent[None], spent[1]] == pytest.approx([float(x) for x in spoken.groups()], rel=5e-3)
+    assert [delta_v[None], delta_v[1]] == pytest.approx([float(x) for x in spoken.groups()], rel=5e-3)
     ends = np.minimum(50.0 * np.arange(61), 2240.0)
     share = np.diff(ends)[np.asarray(schedule.modes) > 0].sum() / 2240.0
     assert float(re.search(r"Until 2240 s its share is\s+([\d.]+) %", section)[1]) == pytest.approx(
@@ -125,8 +125,8 @@ def test_the_chain_of_sroc_is_verified_within_its_published_cost_and_drifts_clea
 def test_rows_are_what_a_run_gives(name, tmp_path):
     result = missions.run(name, tmp_path)
     parts = [cell.strip() for cell in result.row.strip("|").split("|")]
-    shown = cells(name)
+    printed = cells(name)
     for head, real in zip(missions.HEADS, parts, strict=True):
         if head not in ("Synthesis [CPU-s]", "Mission"):
-            assert numbers(real) == pytest.approx(numbers(shown[head]), rel=0.03, abs=0.06), head
-            assert re.sub(r"[-\d.]+", "", real) == re.sub(r"[-\d.]+", "", shown[head])
+            assert numbers(real) == pytest.approx(numbers(printed[head]), rel=0.03, abs=0.06), head
+            assert re.sub(r"[-\d.]+", "", real) == re.sub(r"[-\d.]+", "", printed[head])

@@ -53,8 +53,8 @@ def mended(folder, data=None, mission=None):
     data = data or tree(folder)[0]
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     legs = [{key: value for key, value in each.items() if key != "digest"} for each in data["legs"]]
-    said = {key: data[key] for key in ("joints", "delta_v_max_m_s", "assumptions")}
-    summary["mission"] |= said | {"legs": legs}
+    claims = {key: data[key] for key in ("joints", "delta_v_max_m_s", "assumptions")}
+    summary["mission"] |= claims | {"legs": legs}
     (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     for name in data["artefacts"]:
         data["artefacts"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
@@ -73,9 +73,9 @@ def refused(folder, data, mission=None):
 def fly(document, folder, legs=None):
     """Run the first legs of a mission; returns the folder, which is verified."""
     document["legs"] = document["legs"][:legs]
-    made = run(written(document, folder), folder / "run").path
-    assert verify(made).outcome == "VERIFIED"
-    return made
+    target = run(written(document, folder), folder / "run").path
+    assert verify(target).outcome == "VERIFIED"
+    return target
 
 
 def tree(folder):
@@ -119,9 +119,9 @@ def test_an_end_set_outside_the_next_start_set_is_refused(forged, tmp_path):
     del narrow["kind"]
     (tmp_path / "narrow.toml").write_text(write_toml(narrow), encoding="utf-8")
     shutil.rmtree(forged / "2-across")
-    own = run(tmp_path / "narrow.toml", forged / "2-across").path
+    leg_folder = run(tmp_path / "narrow.toml", forged / "2-across").path
     mission["legs"][1] = document["legs"][1]
-    data["legs"][1]["digest"] = json.loads((own / CERTIFICATE).read_text(encoding="utf-8"))["digest"]
+    data["legs"][1]["digest"] = json.loads((leg_folder / CERTIFICATE).read_text(encoding="utf-8"))["digest"]
     data["joints"][0] |= {"half_widths": [0.02, 0.3, 0.08, 0.08], "assured": False}
     claim, witness = refused(forged, data, mission)
     assert claim == "joint" and "leg out" in witness
@@ -132,20 +132,20 @@ def test_an_end_set_beyond_the_next_start_set_by_a_billionth_is_refused(flown, m
 
     def with_other_widths(arrival, claimed):
         node, n = claimed.first[0][0], len(claimed.center)
-        known = joints._Check(arrival, claimed)  # private: the exact tightenings of its check
-        along = (known.tightenings.rows * arrival.state(node)).entries()
+        check = joints._Check(arrival, claimed)  # private: the exact tightenings of its check
+        along = (check.tightenings.rows * arrival.state(node)).entries()
         signs = [1] * n + [-1] * n
         over = [a - sign * x for a, sign, x in zip(along, signs, claimed.center * 2, strict=True)]
-        errors = arrival.error_bounds(known.tightenings, node)
+        errors = arrival.error_bounds(check.tightenings, node)
         tightening = [float((a + b).upper()) for a, b in zip(over, errors, strict=True)]
         pairs = list(zip(claimed.center, tightening[:n], tightening[n:], strict=True))
         size = [(a + b) / 2 for _, a, b in pairs]
         for share, shift in ((1 + 2e-9, 1e-9), (1 + 2e-9, -1e-9), (1, 1e-9), (1, -1e-9)):
             widths = [share * half for half in size]
-            here = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
-            here["center"] = [c + (a - b) / 2 + shift * (a + b) / 2 for c, a, b in pairs]
+            fields = {"half_widths": widths, "go": [x / 2 for x in widths], "assured": False, "later": []}
+            fields["center"] = [c + (a - b) / 2 + shift * (a + b) / 2 for c, a, b in pairs]
             try:
-                joints.check_joint(arrival, replace(claimed, first=[[node, node]], **here))
+                joints.check_joint(arrival, replace(claimed, first=[[node, node]], **fields))
                 verdicts.append("in")
             except Rejected as error:
                 verdicts.append(error.claim)
@@ -286,10 +286,10 @@ class Loop:
     def fly(self, x, w, eta):
         """States at all nodes."""
         states = [x]
-        for at, (push, off) in enumerate(zip(w, eta, strict=True)):
+        for at, (push, e) in enumerate(zip(w, eta, strict=True)):
             k = at // self.q
             nu = self.u[k] if k < len(self.u) else 0 * self.u[0]
-            u = np.clip(nu + self.gain(at) @ (self.reference(at) - states[-1] - off), -self.limit, self.limit)
+            u = np.clip(nu + self.gain(at) @ (self.reference(at) - states[-1] - e), -self.limit, self.limit)
             states.append(self.Phi @ states[-1] + self.Gamma @ u + self.pushed @ push)
         return np.array(states)
 
@@ -299,8 +299,8 @@ def later_nodes(loop, joint, rng, most=3):
     end, n = (len(loop.u) - loop.K) * loop.q, loop.mean_motion
     nodes = np.arange(end + 1, end + (400 if n is None else int(4 * np.pi / n / loop.h)))
     phases = nodes if n is None else nodes % (2 * np.pi / n / loop.h)
-    given = [nodes[(a <= phases) & (phases <= b)] for a, b in joint["later"] if n is not None or a == 0]
-    later = np.concatenate([[], *given]).astype(int)
+    windows = [nodes[(a <= phases) & (phases <= b)] for a, b in joint["later"] if n is not None or a == 0]
+    later = np.concatenate([[], *windows]).astype(int)
     return rng.choice(later, min(most, len(later)), replace=False).tolist() if len(later) else []
 
 
@@ -312,7 +312,7 @@ def beside_the_pillar(states):
 def attacked(folder, document, rng, most=6, clear=beside_the_pillar):
     """Least room that worst cases leave in the next leg's start set, as shares of it, at nodes of GO."""
     data, _ = tree(folder)
-    least, x, begun = np.inf, None, 0
+    least, x, count = np.inf, None, 0
     for i, (joint, spec) in enumerate(zip(data["joints"], document["legs"][1:], strict=True)):
         loop = Loop(folder / f"{i + 1}-{document['legs'][i]['name']}")
         box = spec["initial_set"]
@@ -329,9 +329,9 @@ def attacked(folder, document, rng, most=6, clear=beside_the_pillar):
                     clearance = half - np.abs(states[-1] - box["center"])
                     least = min(least, float(np.min(clearance / half)))
                     assert np.all(clear(states)), "S is not safe while it waits for GO"
-        begun += 1
+        count += 1
         x = states[-1]  # the worst state is where the next leg begins: an attack across the joint
-    assert begun == len(data["joints"])
+    assert count == len(data["joints"])
     return least
 
 
@@ -350,10 +350,10 @@ def test_random_missions_hold_under_attack_and_are_verified(seed, tmp_path):
     assert attacked(folder, document, np.random.default_rng(seed)) > 0
     data, _ = tree(folder)
     n = len(PLACES[0])
-    off = 0.02 if "navigation" in document else 0.0
+    e = 0.02 if "navigation" in document else 0.0
     for joint, after in zip(data["joints"], document["legs"][1:], strict=True):
         half = after["initial_set"]["half_widths"]
-        assert np.allclose(joint["half_widths"][: n // 2], np.array(half[: n // 2]) - off)  # what is measured
+        assert np.allclose(joint["half_widths"][: n // 2], np.array(half[: n // 2]) - e)  # what is measured
 
 
 def test_an_ellipse_passes_the_start_box_once_a_turn(tmp_path):
@@ -423,9 +423,9 @@ def test_texts_answer_leg_by_leg_and_claim_nothing_that_is_not_verified(flown, c
     text = "\n".join(line.text for line in dossier.lines())
     assert dossier.proven and "Mission of 3 legs, out, across, home" in text and "NOTHING" not in text
     assert "GO from out to across" in text and "7.7 to 8.3" in text
-    known = {one.address: dossier.answers(one) for clause in CLAUSES for one in clause.evidence}
-    assert len(known["summary.json: mission.joints"]) == 2 and len(known["claim: Goal"]) == 3
-    assert [text.split(":")[0] for text in known["scenario.toml: initial_set"]] == ["out", "across", "home"]
+    entries = {one.address: dossier.answers(one) for clause in CLAUSES for one in clause.evidence}
+    assert len(entries["summary.json: mission.joints"]) == 2 and len(entries["claim: Goal"]) == 3
+    assert [text.split(":")[0] for text in entries["scenario.toml: initial_set"]] == ["out", "across", "home"]
     assert len(dossier.pages()) + dossier.figures <= MOST_PAGES
     show_mission(read_run(flown).summary, "runs/tour")
     printed, page = capsys.readouterr().out, write_report(flown, force=True).read_text(encoding="utf-8")
@@ -436,7 +436,7 @@ def test_texts_answer_leg_by_leg_and_claim_nothing_that_is_not_verified(flown, c
     assert read_run(flown).kind.name == "mission" and verify(flown).outcome == "VERIFIED"
     refused = Dossier.from_run(read_run(flown), lambda path: Verdict("REJECTED", "joint", "no"))
     answers = [refused.answers(one) for clause in CLAUSES for one in clause.evidence]
-    claimed = [one for one in known if one.startswith("claim: ") or "mission." in one]
+    claimed = [one for one in entries if one.startswith("claim: ") or "mission." in one]
     assert answers.count([UNPROVEN]) >= len(claimed) and not refused.proven
     assert write_report(flown, dossier=True).read_bytes().startswith(b"%PDF-")
 
@@ -447,8 +447,8 @@ def test_waiting_costs_and_the_planned_stay_are_in_the_sums(tmp_path):
     document["legs"][0]["stay_s"] = 40.0  # beyond the tail
     folder = run(written(document, tmp_path), tmp_path / "run")
     first = folder.summary["mission"]["legs"][0]
-    own = read_run(folder.path / "1-out").summary["guarantee"]["upkeep"]
+    upkeep = read_run(folder.path / "1-out").summary["guarantee"]["upkeep"]
     assert first["leaves_s"] == 54.0
-    waited = (54.0 - own["settled_s"]) * own["rate_m_s2"]
-    assert first["delta_v_max_m_s"] == pytest.approx(own["until_settled_m_s"] + waited)
+    waited = (54.0 - upkeep["settled_s"]) * upkeep["rate_m_s2"]
+    assert first["delta_v_max_m_s"] == pytest.approx(upkeep["until_settled_m_s"] + waited)
     assert verify(folder.path).outcome == "VERIFIED"

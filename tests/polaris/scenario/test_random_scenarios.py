@@ -61,17 +61,17 @@ def judge(found):
 
 
 def test_random_scenes_are_valid_files(tmp_path):
-    seen, path = Counter(), tmp_path / "scene.toml"
+    counts, path = Counter(), tmp_path / "scene.toml"
     for seed in range(40):
         path.write_text(random_scenario(seed), encoding="utf-8")
         model = load_scenario(path).model
-        seen.update(
+        counts.update(
             [f"system {model.system.kind}", f"start {model.initial_set.kind}", f"goal {model.goal.kind}"]
         )
-        seen.update([f"period {model.feedback.period_s is not None}", model.recoverable.kind])
-        seen.update(f"unsafe {part.kind}" for part in (*model.obstacles, *model.keep_in))
-        seen.update([model.schedule.strategy, *(f"law {part.kind}" for part in model.experimental)])
-    assert len(seen) >= 22, seen
+        counts.update([f"period {model.feedback.period_s is not None}", model.recoverable.kind])
+        counts.update(f"unsafe {part.kind}" for part in (*model.obstacles, *model.keep_in))
+        counts.update([model.schedule.strategy, *(f"law {part.kind}" for part in model.experimental)])
+    assert len(counts) >= 22, counts
 
 
 def cut(data, cells=None):

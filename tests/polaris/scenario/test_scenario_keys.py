@@ -34,8 +34,8 @@ def of_shape(shape):
             every = {key.removesuffix("?"): of_shape(item) for key, item in shape.items()}
             return {"keys": every, "required": sorted(key for key in shape if not key.endswith("?"))}
         case OneOf(tables):
-            named = {kind: {"kind": Text((kind,)), **table} for kind, table in tables.items()}
-            return {"kinds": {kind: of_shape(table) for kind, table in named.items()}}
+            kinds = {kind: {"kind": Text((kind,)), **table} for kind, table in tables.items()}
+            return {"kinds": {kind: of_shape(table) for kind, table in kinds.items()}}
         case Items(item, least, most, _):
             return ["rows", of_shape(item), least, None if most == float("inf") else most]
         case AnyOf(shapes):

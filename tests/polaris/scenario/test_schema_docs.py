@@ -70,9 +70,9 @@ def test_schema_is_valid_and_accepts_the_bundled_scenarios():
     ],
 )
 def test_schemas_refuse_what_the_models_refuse(name, key, value):
-    document, made = load_scenario(name).to_dict(), schema() if name == "static" else inspection_schema()
-    validator = jsonschema.Draft202012Validator(made)
-    validator.check_schema(made)
+    document, spec = load_scenario(name).to_dict(), schema() if name == "static" else inspection_schema()
+    validator = jsonschema.Draft202012Validator(spec)
+    validator.check_schema(spec)
     assert validator.is_valid(document)
     table, _, field = key.rpartition(".")
     (document[table] if table else document)[field] = value
@@ -85,11 +85,11 @@ ITEM = re.compile(r"^- ((?:`\w+`(?:,\s+)?)+)(?: \(|:|$)", re.M)
 
 def test_reference_names_every_field_of_every_table():
     text = reference_text()
-    named = {name for keys in ITEM.findall(text) for name in re.findall(r"\w+", keys)}
-    named |= set(re.findall(r"^#+ `\[+(?:\w+\.)*(\w+)\]+`$", text, re.M)) | {"kind"}
-    named |= set(re.findall(r"`\[+(\w+)\]+`", text))
+    field_names = {name for keys in ITEM.findall(text) for name in re.findall(r"\w+", keys)}
+    field_names |= set(re.findall(r"^#+ `\[+(?:\w+\.)*(\w+)\]+`$", text, re.M)) | {"kind"}
+    field_names |= set(re.findall(r"`\[+(\w+)\]+`", text))
     for table, node in _tables():
-        assert set(node["properties"]) <= named, table
+        assert set(node["properties"]) <= field_names, table
 
 
 def test_an_item_leaves_out_what_its_key_says():
@@ -127,8 +127,8 @@ def test_python_names_are_those_of_the_file_without_units(table):
     if issubclass(table, goal_tables.GoalTable):
         bare -= {"tolerance", "velocity_tolerance"}  # a field of `Problem`
     bare -= {"bound_programs"}  # an argument of `share_bound`
-    taken = set(inspect.signature(table.MAKES).parameters)
-    assert {NAMES.get(name, name) for name in bare} <= taken
+    accepted = set(inspect.signature(table.MAKES).parameters)
+    assert {NAMES.get(name, name) for name in bare} <= accepted
 
 
 SATELLITE = {"name": "o", "state": [0.0] * 6, "state_half_widths": [0.0] * 6, "radius": 1.0}
@@ -157,12 +157,12 @@ ELLIPSE = {"mean_motion": 0.0012, "inner_semi_minor": 40.0, "outer_semi_minor": 
 )
 def test_python_is_held_to_the_rules_of_a_file(table, given, field, bad):
     """One description of a field checks both: what Python refuses a file refuses by the same rule."""
-    made, keys = table.MAKES(**given), keys_of(table.MAKES)
+    instance, keys = table.MAKES(**given), keys_of(table.MAKES)
     with pytest.raises(ScenarioError) as python:
         table.MAKES(**given | {field: bad})
-    held = {name: getattr(made, name) for name in keys} | {field: bad}
-    turned = {name: np.degrees(x) if keys[name].name.endswith("_deg") else x for name, x in held.items()}
-    written = {keys[name].name: x for name, x in turned.items() if x is not None}
+    values = {name: getattr(instance, name) for name in keys} | {field: bad}
+    converted = {name: np.degrees(x) if keys[name].name.endswith("_deg") else x for name, x in values.items()}
+    written = {keys[name].name: x for name, x in converted.items() if x is not None}
     if "kind" in table.model_fields:
         (written["kind"],) = get_args(table.model_fields["kind"].annotation)
     with pytest.raises(ScenarioError) as file:

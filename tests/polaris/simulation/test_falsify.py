@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from polaris.cli.app import app
-from polaris.cli.attacks import _show_falsification
+from polaris.cli.attacks import show_falsification
 from polaris.model.errors import ScenarioError
 from polaris.runs.case import replay, write_case
 from polaris.runs.schedule import digest
@@ -63,13 +63,13 @@ def test_nothing_breaks_a_proven_schedule(name):
 def test_printed_margins_have_units_and_sides_of_boxes_have_axes(capsys):
     box = "navigation={within_m=[900.0, 900.0, 900.0], position_error_m=0.05, velocity_error_m_s=0.001}"
     result = falsify(synthesised("static", *quick("static"), box)[1], 60, seed=1)
-    _show_falsification("static", result)
+    show_falsification("static", result)
     _, head, *rows = capsys.readouterr().out.splitlines()
     at = head.index("unit")
     units = {row[:at].strip(): row[at : at + 4].strip() for row in rows[:-2]}
     assert units["within, side 5 of 6 (-along-track)"] == "m" and units["radial thrust"] == "N"
     assert len(units) == len(result.names) and set(units.values()) == {"m", "N"}
-    _show_falsification("static", replace(result, failure=Failure("unsafe set", "within[4]", 9.0, -1.0, 0.0)))
+    show_falsification("static", replace(result, failure=Failure("unsafe set", "within[4]", 9.0, -1.0, 0.0)))
     assert "VIOLATED: within, side 5 of 6 (-along-track) is entered at t = 9 s" in capsys.readouterr().out
 
 
@@ -94,9 +94,9 @@ def test_disturbances_and_starts_are_admissible():
     first = attacker.worst(40)
     runs = first.fly(flight)
     measured = attained(claims, runs)
-    made = [first, attacker.random(40), attacker.again(runs, measured, 40), attacker.mutate(first, 40)]
+    attacks = [first, attacker.random(40), attacker.again(runs, measured, 40), attacker.mutate(first, 40)]
     system, theta = flight.system, schedule.safety.problem.initial_set
-    for attack in made:
+    for attack in attacks:
         assert np.linalg.norm(attack.w, axis=-1).max() <= system.w_max * (1 + 1e-12)
         assert attack.free is not None and np.all(np.abs(attack.free) <= system.u_max)
         assert theta.contains(attack.x0).all()
@@ -146,8 +146,8 @@ def test_printed_ball_without_thrust_limits_is_caught(tmp_path, monkeypatch):
     assert result.failure is not None and result.failure.kind == "saturation"
     assert result.failure.margin < 0 and result.runs < 3000
     path = write_case(tmp_path / "ball.json", scenario, result)
-    failure, again = replay(path)
-    assert failure == result.failure and again.to_dict() == scenario.to_dict()
+    failure, loaded = replay(path)
+    assert failure == result.failure and loaded.to_dict() == scenario.to_dict()
     done = CliRunner().invoke(app, ["replay", str(path)])
     assert done.exit_code == 5 and f"at t = {result.failure.time_s:g} s" in done.stdout
 
@@ -186,8 +186,8 @@ def test_a_proof_without_unsafe_sets_has_its_thrust_limits_attacked():
 
 
 def test_errors_of_estimates_are_steered_to_their_worst():
-    known = ["feedback.period_s=0.25", "navigation={state_error=[0.01,0.01,0.002,0.002]}"]
-    schedule = synthesize(load_scenario(TINY, known))
+    settings = ["feedback.period_s=0.25", "navigation={state_error=[0.01,0.01,0.002,0.002]}"]
+    schedule = synthesize(load_scenario(TINY, settings))
     flight, rows = flight_of(schedule)[1], np.vstack([np.eye(4), -np.eye(4)])
     x0 = np.repeat(schedule.safety.problem.initial_set.c[None], 8, axis=0)
     w, rng = 1e-3 * adjoint_worst_case(flight, rows, np.full(8, flight.steps))[0], np.random.default_rng(0)
@@ -239,15 +239,15 @@ def test_case_that_was_changed_is_refused(tmp_path):
 
 def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    given = ["falsify", str(TINY), "--runs", "100", "--json"]
-    done = CliRunner().invoke(app, given)
+    arguments = ["falsify", str(TINY), "--runs", "100", "--json"]
+    done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0
     summary = json.loads(done.stdout)
     assert summary["runs"] == 100 and not summary["violated"] and len(summary["limits"]) >= 3
-    more = ["--set", "navigation.state_error=[0.01, 0, 0, 0]"]
-    done = CliRunner().invoke(app, [*given, *more])
+    override = ["--set", "navigation.state_error=[0.01, 0, 0, 0]"]
+    done = CliRunner().invoke(app, [*arguments, *override])
     assert done.exit_code == 0 and json.loads(done.stdout)["limits"] != summary["limits"]
-    refused = CliRunner().invoke(app, ["falsify", str(tmp_path), *more])
+    refused = CliRunner().invoke(app, ["falsify", str(tmp_path), *override])
     assert refused.exit_code == 2 and "--set" in refused.stderr
     take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)

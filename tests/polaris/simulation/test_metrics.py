@@ -48,9 +48,9 @@ def test_distances_and_the_closest_approach_of_every_run():
     np.testing.assert_allclose(best.distance, [1, -0.5])
     np.testing.assert_allclose(best.time, [2, 1])
     np.testing.assert_array_equal(best.obstacle, [1, 0])
-    none, still = closest(signed_distances([], [0.0], p[:, :1]), [0.0]), np.zeros((4, 1, 2))
+    none, zeros = closest(signed_distances([], [0.0], p[:, :1]), [0.0]), np.zeros((4, 1, 2))
     assert np.all(none.distance == np.inf) and np.all(none.obstacle == -1) and np.all(np.isnan(none.time))
-    assert ray_ttc([], [0.0], still, still).shape == (0, 4, 1)
+    assert ray_ttc([], [0.0], zeros, zeros).shape == (0, 4, 1)
     assert drift_ttc([], PLANE, 0.0, np.zeros((4, 4)), 10.0).shape == (0, 4)
 
 
@@ -75,9 +75,9 @@ def test_drift_in_straight_lines_equals_the_ray():
     sat = SatelliteObstacle("sat", [3, -4, 0.2, 0.1], np.zeros(4), 0.7)
     moving = BallObstacle("moving", [-3, 1], 0.5, velocity=[0.3, 0.2])
     poly = PolytopeObstacle("poly", [[1, 1], [-1, 2], [0, -1]], [1, 1, 1])
-    keep = KeepInPolytope("keep", [[1, 0], [0, 1]], [6, 6])
+    keep_in = KeepInPolytope("keep", [[1, 0], [0, 1]], [6, 6])
     cone = KeepInCone("cone", [-20, 0], [1, 0], 0.5)
-    obstacles = [BALL, BOX, moving, sat, poly, keep, cone]
+    obstacles = [BALL, BOX, moving, sat, poly, keep_in, cone]
     x = np.concatenate([rng.normal(size=(2, 40, 2)) * 5, rng.normal(size=(2, 40, 2))], axis=-1)
     t = np.linspace(0, 3, 40)
     ray = ray_ttc(obstacles, t, x[..., :2], x[..., 2:], PLANE)
@@ -203,7 +203,7 @@ def test_shares_are_weighted_by_time_and_switches_counted_inside_the_run_only():
     assert mode_shares([0.0], [1])[1] == 1.0
     np.testing.assert_array_equal(count_switches([[0, 0, 0], [0, 1, 1], [1, 0, 1], [2, 1, 0]]), [0, 1, 2, 2])
     u = UNKNOWN
-    known = [[u, u, u, u], [u, 1, u, 1], [1, u, 0, u], [u, u, 0, 1]]
-    np.testing.assert_array_equal(count_switches(known), [0, 0, 1, 1])
+    modes = [[u, u, u, u], [u, 1, u, 1], [1, u, 0, u], [u, u, 0, 1]]
+    np.testing.assert_array_equal(count_switches(modes), [0, 0, 1, 1])
     assert count_switches([1, 0, 0], [0.0, 0, 1]) == 0, "of two rows stamped t = 0 the first held for no time"
     assert count_switches([1, 0, 0]) == 1 and count_switches([0]) == 0

@@ -50,8 +50,8 @@ def inertial(env, target, x):
     """Place and velocity of both craft in axes that do not turn (those of the frame at this instant)."""
     omega = frame_rates(env, target)[0]
     at = np.array([target[0], 0, 0])
-    own = np.array([target[1], target[0] * omega[2], 0])
-    return at, own, at + x[:3], own + x[3:] + np.cross(omega, x[:3])
+    velocity = np.array([target[1], target[0] * omega[2], 0])
+    return at, velocity, at + x[:3], velocity + x[3:] + np.cross(omega, x[:3])
 
 
 @pytest.mark.parametrize("env", [FULL, BARE, replace(FULL, density=0.0)], ids=["all", "two bodies", "J2"])
@@ -66,17 +66,17 @@ def test_relative_motion_is_that_of_two_craft_in_inertial_space(env):
         return np.concatenate([y[3:6], first, y[9:], second])
 
     y0 = np.concatenate(inertial(env, target, x))
-    flown = solve_ivp(rate, (0, 1800), y0, method="DOP853", rtol=1e-13, atol=1e-9, max_step=20).y[:, -1]
-    p, v, p2, v2 = flown.reshape(4, 3)
+    final = solve_ivp(rate, (0, 1800), y0, method="DOP853", rtol=1e-13, atol=1e-9, max_step=20).y[:, -1]
+    p, v, p2, v2 = final.reshape(4, 3)
     axis = p / np.linalg.norm(p)
     normal = np.cross(p, v) / np.linalg.norm(np.cross(p, v))
     axes = np.array([axis, np.cross(normal, axis), normal])
-    mine = drift_true(env, target[None], x[None], np.array([chaser]), 10.0, 180)[0, -1]
-    assert np.allclose(mine[:3], axes @ (p2 - p), atol=2e-6)
+    relative = drift_true(env, target[None], x[None], np.array([chaser]), 10.0, 180)[0, -1]
+    assert np.allclose(relative[:3], axes @ (p2 - p), atol=2e-6)
     h = np.linalg.norm(np.cross(p, v))
     tilt = env.gravity(p, pole) @ normal * np.linalg.norm(p) / h
     omega = np.array([tilt, 0, h / (p @ p)])
-    assert np.allclose(mine[3:], axes @ (v2 - v) - np.cross(omega, axes @ (p2 - p)), atol=1e-8)
+    assert np.allclose(relative[3:], axes @ (v2 - v) - np.cross(omega, axes @ (p2 - p)), atol=1e-8)
 
 
 def test_without_j2_drag_and_distance_the_linear_model_is_left():
@@ -154,18 +154,18 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
     scenario, schedule = printed(name, *quick(name))
     env, w_max = Environment.from_scenario(scenario), schedule.safety.problem.system.w_max
     region = visited(schedule)
-    flown = fly_true(schedule, env, 40, tail=True, substeps=1)
-    metrics = flown.runs.metrics()
-    assert flown.within.all()
+    flight = fly_true(schedule, env, 40, tail=True, substeps=1)
+    metrics = flight.runs.metrics()
+    assert flight.within.all()
     # The targets flown are nearly circular; of what is declared 405 km up most is for orbits that are not.
-    assert (0.2 if name in SPACECRAFT[:2] else 0.05) * w_max < flown.residual.max() < w_max
+    assert (0.2 if name in SPACECRAFT[:2] else 0.05) * w_max < flight.residual.max() < w_max
     assert not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1
     fine = fly_true(schedule, env, 40, tail=True, substeps=2).runs.states
-    assert np.abs(flown.runs.states - fine)[..., :3].max() < 1e-3, "the integration has converged"
-    assert farthest(schedule, flown, 1e-3) <= 1 + 1e-9, "the tubes contain the nonlinear motion"
+    assert np.abs(flight.runs.states - fine)[..., :3].max() < 1e-3, "the integration has converged"
+    assert farthest(schedule, flight, 1e-3) <= 1 + 1e-9, "the tubes contain the nonlinear motion"
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
-    x = flown.runs.states[:, :-1].reshape(40, -1, q, 6)
+    x = flight.runs.states[:, :-1].reshape(40, -1, q, 6)
     boxes = np.r_[0:K, len(region.start) - (x.shape[1] - K) : len(region.start)]
     assert np.all(x >= region.lower[boxes][None, :, None] - 1e-6)
     assert np.all(x <= region.upper[boxes][None, :, None] + 1e-6)
@@ -179,11 +179,11 @@ ERRORS = (
 )
 
 
-def farthest(schedule, flown, allowance=0.0):
+def farthest(schedule, flight, allowance=0.0):
     """Largest error of any run at a node, as a share of what the tube of that step allows."""
     q, shares = schedule.safety.clearance.q, []
     for k, step in enumerate(schedule.steps):
-        nodes, e = step.tube.nodes, flown.runs.states[:, k * q : (k + 1) * q + 1]
+        nodes, e = step.tube.nodes, flight.runs.states[:, k * q : (k + 1) * q + 1]
         e = e - schedule.safety.clearance.nodes[k]
         shares.append(np.max((np.abs(e - nodes.c) - allowance) / nodes.half_widths))
     return max(shares)
@@ -194,10 +194,10 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     scenario = load_scenario("static", ERRORS)
     env, schedule = Environment.from_scenario(scenario), synthesize(scenario)
     system = schedule.safety.problem.system
-    flown = fly_true(schedule, env, 8, substeps=1)
-    metrics = flown.runs.metrics()
-    assert flown.within.all() and flown.residual.max() < system.w_max and not metrics.collided.any()
-    assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1 and farthest(schedule, flown) <= 1 + 1e-6
+    flight = fly_true(schedule, env, 8, substeps=1)
+    metrics = flight.runs.metrics()
+    assert flight.within.all() and flight.residual.max() < system.w_max and not metrics.collided.any()
+    assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1 and farthest(schedule, flight) <= 1 + 1e-6
     # Where the proof does not know of them, they are more than it allows.
     plain = synthesize(load_scenario("static", ERRORS[:4]))
     for name in ("estimate_error", "thrusters"):

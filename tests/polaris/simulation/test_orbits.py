@@ -110,12 +110,12 @@ def test_targets_stay_on_the_ellipses_that_follow_from_their_elements(seed):
 
 def test_elements_agree_with_sgp4s_own():
     pytest.importorskip("sgp4")
-    made = document({"two_line_elements": LINES})
-    env = Environment.from_scenario(made)
+    scenario = document({"two_line_elements": LINES})
+    env = Environment.from_scenario(scenario)
     per_day = env.mean_motion * 86400 / (2 * np.pi)
     assert per_day == pytest.approx(15.72125391, rel=2e-3)
     assert np.degrees(env.inclination_max) == pytest.approx(51.64, abs=0.4)
-    elements = made.model.orbit.elements
+    elements = scenario.model.orbit.elements
     assert elements.frame == "TEME" and elements.epoch.startswith("2008-09-20T12:25:40.10")
     assert 0.0006703 < env.eccentricity < 0.0006703 + 2.5e-3
 
@@ -147,16 +147,16 @@ def test_bad_orbits_end_in_one_sentence(orbit, system, rule):
 
 
 def test_what_followed_is_noted_and_does_not_follow_again():
-    made = document({"elements": ELEMENTS})
-    assert "propagated with J2" in made.derived[0] and "assumed of the target" in made.derived[1]
-    assert all(line in made.copy_text() for line in made.derived)
-    again = ScheduleScenario.from_dict(made.to_dict())
-    assert again.to_dict() == made.to_dict() and not again.derived
-    assert made.set("planner.gap", 0.1).derived == made.derived
-    own = document({"elements": ELEMENTS, "eccentricity_max": 0.02, **{
+    scenario = document({"elements": ELEMENTS})
+    assert "propagated with J2" in scenario.derived[0] and "assumed of the target" in scenario.derived[1]
+    assert all(line in scenario.copy_text() for line in scenario.derived)
+    reread = ScheduleScenario.from_dict(scenario.to_dict())
+    assert reread.to_dict() == scenario.to_dict() and not reread.derived
+    assert scenario.set("planner.gap", 0.1).derived == scenario.derived
+    declared = document({"elements": ELEMENTS, "eccentricity_max": 0.02, **{
         "radius_deviation_max_m": 1.0, "radial_rate_max_m_s": 1.0, "rate_deviation_max": 1e-3,
     }}, mean_motion_rad_s=0.001086)  # fmt: skip
-    assert not own.derived and own.model.orbit.eccentricity_max == 0.02
+    assert not declared.derived and declared.model.orbit.eccentricity_max == 0.02
 
 
 def written(path, track, epoch="2026-01-31T12:00:00"):
@@ -170,12 +170,12 @@ def test_what_is_written_is_read_and_interpolated(tmp_path):
     times = np.arange(0.0, 7200.1, 60.0)
     states = propagate(env, start, times)
     read = read_oem(written(tmp_path / "a.oem", Track("a", times[::5], states[::5])))
-    again = read.states_at([read.epochs[0] + round(t) * SECOND for t in times])
-    assert np.abs(again - states)[:, :3].max() < 1e-3 and np.abs(again - states)[:, 3:].max() < 1e-6
+    between = read.states_at([read.epochs[0] + round(t) * SECOND for t in times])
+    assert np.abs(between - states)[:, :3].max() < 1e-3 and np.abs(between - states)[:, 3:].max() < 1e-6
     with pytest.raises(ScenarioError, match="covers 2026-01-31T12:00:00"):
         read.states_at([read.epochs[-1] + 1])
-    some = [0, 1, 2, 30, 31]
-    read = read_oem(written(tmp_path / "b.oem", Track("b", times[some], states[some])))
+    indices = [0, 1, 2, 30, 31]
+    read = read_oem(written(tmp_path / "b.oem", Track("b", times[indices], states[indices])))
     with pytest.raises(ScenarioError, match="gap: states about it are 1680 s apart"):
         read.states_at([read.epochs[0] + 900 * SECOND])
     for text in ("2026-01-31T12:00:00.000001", "1999-12-31T23:59:59.999999999"):
@@ -210,9 +210,9 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_bad_ephemerides_end_in_one_sentence(tmp_path, change):
-    pattern, put, rule = CHANGES[change]
+    pattern, new_text, rule = CHANGES[change]
     text = (DATA / "chaser.oem").read_text()
-    changed = re.sub(pattern, put, text)
+    changed = re.sub(pattern, new_text, text)
     assert changed != text
     (tmp_path / "chaser.oem").write_text(changed)
     with pytest.raises(ScenarioError, match=re.escape(rule)) as error:
@@ -260,15 +260,15 @@ def test_start_sets_hold_every_error_within_sigma(frame):
     assert np.allclose(centre, to_hill(target, chaser)) and "2 sigma" in text
     draws = rng.normal(size=(4000, 12))
     draws *= 2.0 / np.linalg.norm(draws, axis=1, keepdims=True)
-    moved = []
+    perturbed = []
     for state, root, part in zip((target, chaser), roots, (draws[:, :6], draws[:, 6:]), strict=True):
         error, (axes, omega) = part @ root.T, hill_axes(state)
         if frame != "EME2000":
             place, speed = error[:, :3], error[:, 3:]
             speed = speed + np.cross(omega, place) if rotating else speed
             error = np.hstack([place @ axes, speed @ axes])
-        moved.append(state + error)
-    inside = np.linalg.solve(spans, (to_hill(*moved) - centre).T)
+        perturbed.append(state + error)
+    inside = np.linalg.solve(spans, (to_hill(*perturbed) - centre).T)
     assert np.abs(inside).max() <= 1 + 1e-4  # of second order in the errors
     assert np.linalg.norm(inside, axis=0).max() > 0.8
 
@@ -306,17 +306,17 @@ def test_the_run_covers_its_model_error_and_verifies(client):
 def test_exports_give_the_run_back_to_a_reader_nobody_here_wrote(client):
     pytest.importorskip("ccsds_ndm")
     target = of_ccsds_ndm(client / "oem" / "target.oem")
-    flown = read_flights(client / "trajectories.npz")
-    tracks = {f"{key}-{label.replace(' ', '-')}": x for key, one in flown.items()
+    flights = read_flights(client / "trajectories.npz")
+    tracks = {f"{key}-{label.replace(' ', '-')}": x for key, one in flights.items()
               for label, x in zip(one.labels, one.states, strict=True)}  # fmt: skip
     for name in ("polaris-nominal", "safety-nominal", "polaris-run-0"):
         file = client / "oem" / f"{name}.oem"
-        read, own = of_ccsds_ndm(file), read_oem(file)
-        assert np.abs(np.array(list(read.values())) - own.states).max() < 1e-6
-        back = to_hill(np.array([target[epoch] for epoch in read]), own.states)
-        assert len(back) == len(tracks[name])
-        off = np.abs(back - tracks[name])
-        assert off[:, :3].max() < 1e-3 and off[:, 3:].max() < 1e-6
+        read, ephemeris = of_ccsds_ndm(file), read_oem(file)
+        assert np.abs(np.array(list(read.values())) - ephemeris.states).max() < 1e-6
+        relative = to_hill(np.array([target[epoch] for epoch in read]), ephemeris.states)
+        assert len(relative) == len(tracks[name])
+        errors = np.abs(relative - tracks[name])
+        assert errors[:, :3].max() < 1e-3 and errors[:, 3:].max() < 1e-6
 
 
 FORGED_ERRORS = {
@@ -346,12 +346,12 @@ def test_the_disturbance_bound_follows_from_a_distance_or_stays_as_given():
     data = load_scenario(DATA / "client.toml").to_dict()
     del data["system"]["disturbance_max_m_s2"], data["system"]["mean_motion_rad_s"]
     data["orbit"] = AIR | source
-    made = ScheduleScenario.from_dict(data, "here")
-    w_max, least = made.system().w_max, float(error_within(made, 420.0).total)
-    assert least <= w_max <= 1.1 * least and "within_m" not in made.to_dict()["orbit"]
-    assert any(f"{w_max:g} m/s^2 covers the model error within 420 m" in line for line in made.derived)
+    scenario = ScheduleScenario.from_dict(data, "here")
+    w_max, least = scenario.system().w_max, float(error_within(scenario, 420.0).total)
+    assert least <= w_max <= 1.1 * least and "within_m" not in scenario.to_dict()["orbit"]
+    assert any(f"{w_max:g} m/s^2 covers the model error within 420 m" in line for line in scenario.derived)
     assert document(source, disturbance_max_m_s2=1e-6).system().w_max == 1e-6
-    alone = made.to_dict()
+    alone = scenario.to_dict()
     del alone["system"]["disturbance_max_m_s2"], alone["orbit"]["elements"]
     alone["orbit"]["within_m"] = 420.0
     assert ScheduleScenario.from_dict(alone, "here").system().w_max == w_max
@@ -377,13 +377,13 @@ def test_exported_targets_move_as_the_model_error_has_them(client):
     source, out = read_oem(DATA / "target.oem"), read_oem(client / "oem" / "target.oem")
     assert out.epochs[0] == source.epochs[0]
     shared = [epoch for epoch in source.epochs if epoch in set(out.epochs)]
-    off = np.abs(out.states_at(shared) - source.states_at(shared))[:, :3]
-    assert len(shared) > 5 and off.max() < 0.1  # the air of the file's maker aside
+    errors = np.abs(out.states_at(shared) - source.states_at(shared))[:, :3]
+    assert len(shared) > 5 and errors.max() < 0.1  # the air of the file's maker aside
     reference = read_oem(client / "oem" / "reference.oem")
     rows = np.loadtxt(client / "reference.csv", delimiter=",", skiprows=1, usecols=range(7), max_rows=60)
     epochs = [reference.epochs[0] + round(t) * SECOND for t in rows[:, 0]]
-    back = to_hill(out.states_at(epochs), reference.states_at(epochs))
-    assert np.abs(back - rows[:, 1:])[:, :3].max() < 1e-3
+    relative = to_hill(out.states_at(epochs), reference.states_at(epochs))
+    assert np.abs(relative - rows[:, 1:])[:, :3].max() < 1e-3
     branches = [read_oem(path) for path in client.glob("oem/branch-*.oem")]
     assert branches
     for branch in branches:

@@ -93,6 +93,6 @@ EMPTY = [
 @pytest.mark.parametrize(("plain", "same"), EMPTY, ids=str)
 def test_a_table_that_declares_nothing_changes_nothing(plain, same):
     first, second = (
-        certificate(synthesize(load_scenario(TINY, [*given])), "tiny") for given in (plain, same)
+        certificate(synthesize(load_scenario(TINY, [*assignments])), "tiny") for assignments in (plain, same)
     )
     assert canonical(first) == canonical(second) and "transients" not in first["system"]

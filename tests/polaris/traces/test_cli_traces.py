@@ -70,8 +70,8 @@ def test_evaluate_as_json_is_strict(path):
     assert debris["distance_m"] == {"min": 4, "mean": 6, "max": 8, "at": 4, "share": 1}
     assert debris["drift_ttc_s"]["min"] == pytest.approx(4, abs=0.1)
     assert data["agents"]["chaser"]["usage"]["untrusted"] == 1
-    away = save(path.parent, trace({"a": agent([[0, 5, 0, 0, 1, 0, 0]])}, s=entry("point", [0, [0, 0, 0]])))
-    printed = json.loads(invoke("evaluate", away, "--json").stdout, parse_constant=strict)
+    file = save(path.parent, trace({"a": agent([[0, 5, 0, 0, 1, 0, 0]])}, s=entry("point", [0, [0, 0, 0]])))
+    printed = json.loads(invoke("evaluate", file, "--json").stdout, parse_constant=strict)
     nothing = dict.fromkeys(("min", "mean", "max", "at")) | {"share": 0}
     assert printed["agents"]["a"]["unsafe"]["s"]["ttc_s"] == nothing
 
@@ -159,16 +159,16 @@ def compared(tmp_path_factory):
 @pytest.mark.parametrize("method", ["experimental", "schedule", "asif_implicit"])
 def test_export_of_a_method_has_its_least_distance(compared, tmp_path, method):
     """The run shown as closest, against the envelope of all runs that comparison.npz keeps."""
-    path, shown = tmp_path / "t.json", compared.plot_data().shown[method]
+    path, flights = tmp_path / "t.json", compared.plot_data().shown[method]
     done = invoke("export", compared.path, path, "--method", method, "--run", "closest")
-    assert done.exit_code == 0 and f"run 'closest' of {method}, {len(shown.times)} samples" in done.stdout
+    assert done.exit_code == 0 and f"run 'closest' of {method}, {len(flights.times)} samples" in done.stdout
     metrics = evaluate_trace(read_trace(path)).agents["chaser"]
     least = min(item.distance.min for item in metrics.unsafe)
-    step = np.abs(np.diff(shown.nearest[0])).max()
-    assert least == pytest.approx(shown.nearest[0].min(), abs=step)
-    flown = np.bincount(shown.modes[0] + 1, minlength=3) / shown.modes.shape[1]
+    step = np.abs(np.diff(flights.nearest[0])).max()
+    assert least == pytest.approx(flights.nearest[0].min(), abs=step)
+    shares = np.bincount(flights.modes[0] + 1, minlength=3) / flights.modes.shape[1]
     usage = [metrics.usage[mode] for mode in ("unknown", "safety", "untrusted")]
-    assert usage == pytest.approx([flown[0], flown[1], flown[2:].sum()])
+    assert usage == pytest.approx([shares[0], shares[1], shares[2:].sum()])
     assert (usage[0] > 0) == (method == "asif_implicit")  # only that one changes inputs
 
 

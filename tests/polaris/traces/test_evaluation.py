@@ -30,8 +30,8 @@ def against(metrics, name="s", of="a"):
     return next(item for item in metrics.agents[of].unsafe if item.name == name)
 
 
-def measured(flown, **sets):
-    return evaluate_trace(Trace(flown.agents, sets))
+def measured(trace, **sets):
+    return evaluate_trace(Trace(trace.agents, sets))
 
 
 def still(kind, *parts):
@@ -60,8 +60,8 @@ SETS = [
 def test_distances_and_straight_times_at_every_kind_of_set(item, p, v, distances, times):
     metrics = against(measured(moving(p, v), s=item))
     if distances is not None:
-        known = (metrics.distance.min, metrics.distance.mean, metrics.distance.max)
-        assert known == pytest.approx(distances, abs=1e-12)
+        actual = (metrics.distance.min, metrics.distance.mean, metrics.distance.max)
+        assert actual == pytest.approx(distances, abs=1e-12)
     assert (metrics.ttc.min, metrics.ttc.mean, metrics.ttc.max) == pytest.approx(times, abs=1e-12)
     assert metrics.ttc.share == (times[0] < INF) and np.isnan(metrics.ttc.at) == (times[0] == INF)
 
@@ -71,13 +71,13 @@ def test_a_point_is_met_head_on_alone_and_means_are_over_time():
         metrics = against(measured(moving(p, [-2, 0], [0.0]), s=still(PointTrace, [0, 0])))
         assert (metrics.distance.min, metrics.ttc.min) == (distance, time)
     states = np.array([[2.0, 0, 0], [2, 0, 0], [4, 0, 0]])
-    flown = Trace({"a": AgentTrace(np.array([0.0, 9.0, 10.0]), states)})
-    metrics = measured(flown, s=SETS[0])
+    trace = Trace({"a": AgentTrace(np.array([0.0, 9.0, 10.0]), states)})
+    metrics = measured(trace, s=SETS[0])
     assert against(metrics).distance.mean == pytest.approx((9 * 1 + 1 * 2) / 10)
     assert metrics.agents["a"].velocity == "differences of positions"
     states = np.array([[11.0, 0, 0, 0, 0, 0], [11.0, 0, 0, -2, 0, 0], [9.0, 0, 0, -2, 0, 0]])
-    flown = Trace({"a": AgentTrace(np.array([0.0, 9.0, 10.0]), states)}, {"s": SETS[0]})
-    assert against(evaluate_trace(flown, velocity=(3, 4, 5))).ttc.share == pytest.approx(0.55)
+    trace = Trace({"a": AgentTrace(np.array([0.0, 9.0, 10.0]), states)}, {"s": SETS[0]})
+    assert against(evaluate_trace(trace, velocity=(3, 4, 5))).ttc.share == pytest.approx(0.55)
 
 
 def test_known_velocities_of_a_ball_are_used_instead_of_differences():
@@ -92,8 +92,8 @@ def test_known_velocities_of_a_ball_are_used_instead_of_differences():
         metrics = evaluate_trace(Trace(a.agents, {"s": ball}), velocity=(3, 4, 5))
         return metrics.agents["a"].unsafe[0].ttc
 
-    known = ttc(rates)
-    assert (known.min, known.max) == pytest.approx((199 / 2, 199 / 2), rel=1e-9)
+    with_rates = ttc(rates)
+    assert (with_rates.min, with_rates.max) == pytest.approx((199 / 2, 199 / 2), rel=1e-9)
     assert ttc().min < 199 / 2 - 0.01
 
 
@@ -112,9 +112,9 @@ def test_sets_move_linearly_between_their_stamps():
 def test_polytope_that_turns_is_what_it_is_at_both_stamps():
     """A bar of 10 m x 2 m along x, at 2 s along y: in between as if along both."""
     H = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
-    turned = np.array([[0.0, 1], [0, -1], [-1, 0], [1, 0]])
+    rotated = np.array([[0.0, 1], [0, -1], [-1, 0], [1, 0]])
     b = np.array([5.0, 5, 1, 1])
-    bar = PolytopeTrace(np.array([0.0, 2.0]), np.array([H, turned]), np.array([b, b]))
+    bar = PolytopeTrace(np.array([0.0, 2.0]), np.array([H, rotated]), np.array([b, b]))
 
     def at(p, t):
         states = np.array([p], dtype=float)
@@ -157,8 +157,8 @@ def test_velocity_entries_can_be_named():
     sets = {"s": still(BallTrace, [0, -1], 1)}
     by_default = evaluate_trace(Trace(a, sets))
     assert against(by_default).ttc.max == 4
-    named = evaluate_trace(Trace(a, sets), velocity=[4, 2])
-    assert against(named).ttc.max == 2 and named.agents["a"].velocity == "states 4, 2"
+    chosen = evaluate_trace(Trace(a, sets), velocity=[4, 2])
+    assert against(chosen).ttc.max == 2 and chosen.agents["a"].velocity == "states 4, 2"
     for wrong in ([1], [1, 5], [1, -1], "guess"):
         with pytest.raises(ScenarioError, match="--velocity"):
             evaluate_trace(Trace(a, sets), velocity=wrong)
@@ -171,12 +171,12 @@ def test_velocity_entries_can_be_named():
         evaluate_trace(moving([1, 0, 0], [0, 0, 0]), dims=2, system=SYSTEM)
     # (x, y, heading, speed) is no velocity by itself: the motion tells, and differences serve.
     t = np.arange(5.0)
-    flown = Trace({"a": AgentTrace(t, np.column_stack([t * 0, 3 * t, np.full(5, np.pi / 2), t * 0 + 3.0]))})
-    headed = measured(flown, s=still(BallTrace, [0, 50], 1))
+    trace = Trace({"a": AgentTrace(t, np.column_stack([t * 0, 3 * t, np.full(5, np.pi / 2), t * 0 + 3.0]))})
+    headed = measured(trace, s=still(BallTrace, [0, 50], 1))
     assert headed.agents["a"].velocity.startswith("differences of positions (states 2, 3 do not change")
     assert against(headed).ttc.min == pytest.approx(37 / 3)
-    named = evaluate_trace(Trace(flown.agents, sets), velocity=[2, 3])  # insisted on: done, and said
-    assert any("does not change as a velocity of states 2, 3" in note for note in named.notes)
+    chosen = evaluate_trace(Trace(trace.agents, sets), velocity=[2, 3])  # insisted on: done, and said
+    assert any("does not change as a velocity of states 2, 3" in note for note in chosen.notes)
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
@@ -204,8 +204,8 @@ def test_headings_at_random(d):
 def test_free_drift_is_that_of_hill():
     """A ball on the closed-form path of an unforced state, reached after 600 s."""
     x = np.array([0.0, 400.0, 0.0, 0.24, 0.0, 0.0])
-    ahead = (free_flight(0.0012, 600.0) @ x)[:3]
-    a = Trace({"a": AgentTrace(np.zeros(1), x[None])}, {"s": still(BallTrace, ahead, 1)})
+    target = (free_flight(0.0012, 600.0) @ x)[:3]
+    a = Trace({"a": AgentTrace(np.zeros(1), x[None])}, {"s": still(BallTrace, target, 1)})
     metrics = against(evaluate_trace(a, system=SYSTEM))
     speed = np.linalg.norm((free_flight(0.0012, 600.0) @ x)[3:])
     assert metrics.drift_ttc.min == pytest.approx(600 - 1 / speed, abs=0.05)
@@ -248,17 +248,17 @@ def stamped():
 
 
 def test_restamping_gives_every_state_its_own_time():
-    flown, still_there = stamped(), BallTrace(np.array([0.0, 4.0]), np.zeros((2, 2)), np.ones(2))
-    restamped = restamp(Trace(flown.agents, {**flown.unsafe, "own": still_there}))
+    trace, still_there = stamped(), BallTrace(np.array([0.0, 4.0]), np.zeros((2, 2)), np.ones(2))
+    restamped = restamp(Trace(trace.agents, {**trace.unsafe, "own": still_there}))
     assert restamped.agents["a"].times.tolist() == [0, 1, 2, 3, 4]
     assert restamped.agents["a"].modes.tolist() == [2, 2, 3, 3]
     assert [restamped.unsafe[name].times.tolist() for name in ("s", "own")] == [[0, 1, 2, 3, 4], [0, 4]]
-    measured = evaluate_trace(flown, restamp=True, dims=2)
+    measured = evaluate_trace(trace, restamp=True, dims=2)
     one = measured.agents["a"]
     assert (one.duration, one.usage["untrusted"], one.usage["safety"], one.switches) == (4, 0.5, 0.5, 1)
     assert one.usage["normal"] == 0 and measured.notes == ()
     assert (against(measured).distance.min, against(measured).distance.max) == (4, 4)
-    as_stamped = evaluate_trace(flown, dims=2)
+    as_stamped = evaluate_trace(trace, dims=2)
     assert any("--restamp" in note for note in as_stamped.notes) and as_stamped.agents["a"].duration == 3
 
 
@@ -284,7 +284,7 @@ def test_axes_are_told_from_the_sets():
 def test_axes_that_cannot_be_told():
     one, sets = AgentTrace(np.zeros(1), np.zeros((1, 3))), {"s": still(PointTrace, [0, 0])}
     cube = PolytopeTrace(np.zeros(1), np.array([CUBE[0]]), np.array([CUBE[1]]), where="unsafe.c")
-    for flown, dims, rule in (
+    for case, dims, rule in (
         (Trace({"a": one, "b": one}), None, "--dims"),
         (Trace({"a": one}, {**sets, "r": still(PointTrace, [0])}), None, "--dims"),
         (Trace({"a": AgentTrace(np.zeros(1), np.zeros((1, 1)))}, sets), None, r"agents\.a"),
@@ -293,7 +293,7 @@ def test_axes_that_cannot_be_told():
         (Trace({"a": one}, {"c": cube}), 2, r"unsafe\.c"),
     ):
         with pytest.raises(ScenarioError, match=rule):
-            evaluate_trace(flown, dims=dims)
+            evaluate_trace(case, dims=dims)
 
 
 def test_empty_polytopes_are_refused_by_row():

@@ -83,12 +83,12 @@ def test_exported_run_agrees_with_the_summary(name, controller, folder, tmp_path
     assert min(item.ttc.min for item in metrics.unsafe) == pytest.approx(ttc, rel=1e-6)
     if name != "dynamic":  # another satellite drifts, a set of a trace keeps its velocity
         steps = len(run.json("schedule.json")["modes"])  # the summary asks at their starts
-        every = (len(agent.times) - 1) // steps
-        starts = AgentTrace(agent.times[::every], agent.states[::every])
-        asked = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
+        stride = (len(agent.times) - 1) // steps
+        starts = AgentTrace(agent.times[::stride], agent.states[::stride])
+        at_starts = evaluate_trace(Trace({"chaser": starts}, exported.unsafe), system=system)
         drift = np.inf if summary["min_ttc_free_drift_s"] is None else summary["min_ttc_free_drift_s"]
-        asked_least = min(item.drift_ttc.min for item in asked.agents["chaser"].unsafe)
-        assert asked_least == pytest.approx(drift, rel=1e-3, abs=0.05)
+        drift_least = min(item.drift_ttc.min for item in at_starts.agents["chaser"].unsafe)
+        assert drift_least == pytest.approx(drift, rel=1e-3, abs=0.05)
         assert min(item.drift_ttc.min for item in metrics.unsafe) <= drift + 0.1
 
 
@@ -185,20 +185,20 @@ def test_a_set_is_exported_with_the_time_in_which_it_holds(tmp_path):
 def test_satellite_is_covered_known_or_nominal():
     visitor = SatelliteObstacle("visitor", elliptical_nmt(0.0012, 150.0, 0.1), [2] * 3 + [0.01] * 3, 20.0)
     truth = visitor.nominal(T, SYSTEM) + [1, 0, 0, 0, 0, 0]
-    given = {"cover": {}, "nominal": {"satellites": {"visitor": None}}}
-    given["known"] = {"satellites": {"visitor": truth}}
-    made = {key: to_trace(T, STATES, MODES, [visitor], SYSTEM, **how) for key, how in given.items()}
-    assert [len(item.notes) for item in made.values()] == [1, 1, 0]
-    measured = {key: evaluate_trace(item.trace).agents["chaser"] for key, item in made.items()}
+    options = {"cover": {}, "nominal": {"satellites": {"visitor": None}}}
+    options["known"] = {"satellites": {"visitor": truth}}
+    exports = {key: to_trace(T, STATES, MODES, [visitor], SYSTEM, **extra) for key, extra in options.items()}
+    assert [len(item.notes) for item in exports.values()] == [1, 1, 0]
+    measured = {key: evaluate_trace(item.trace).agents["chaser"] for key, item in exports.items()}
     least = {key: item.unsafe[0].distance.min for key, item in measured.items()}
     assert least["cover"] < least["nominal"] - 2
-    for key, known in (("known", {"visitor": truth}), ("nominal", None)):
-        true = signed_distances([visitor], T, STATES[:, :3], SYSTEM, known)
+    for key, satellites in (("known", {"visitor": truth}), ("nominal", None)):
+        true = signed_distances([visitor], T, STATES[:, :3], SYSTEM, satellites)
         assert least[key] == pytest.approx(true.min())
     short = to_trace(T[:4], STATES[:4], MODES[:3], [visitor], SYSTEM)
     drifting = evaluate_trace(short.trace, system=SYSTEM).agents["chaser"].unsafe[0].drift_ttc
     assert drifting is not None and drifting.min >= 0
-    item, fine = made["cover"].trace.unsafe["visitor"], np.linspace(0, T[-1], 301)  # between stamps too
+    item, fine = exports["cover"].trace.unsafe["visitor"], np.linspace(0, T[-1], 301)  # between stamps too
     for states in true_states([visitor], SYSTEM, fine, 20, np.random.default_rng(0))["visitor"]:
         for direction in ([20.0, 0, 0], [0, -20.0, 0], [0, 12.0, 16.0]):
             assert place(item, fine, 3).signed_distance(states[:, :3] + direction).max() <= 1e-9
@@ -227,18 +227,18 @@ def test_limits_on_the_state_are_margins_of_the_agent(tmp_path):
     """The true limit counts, null stands for times at which it does not hold; what is no list is refused."""
     late = KeepInStates("late", [[0, 0, 0, 1, 0, 0]], [1.0], begins=100.0)
     limits = [SpeedLimit("fast", 0.5, 1e-3), late, BallObstacle("ball", [0.0, 0.0, 0.0], 2.0)]
-    made = to_trace(T, STATES, MODES, limits, SYSTEM)
-    assert list(made.trace.unsafe) == ["ball"] and "clearance to it" in made.notes[0]
-    path = write_trace(tmp_path / "a.json", made.trace)
+    exported = to_trace(T, STATES, MODES, limits, SYSTEM)
+    assert list(exported.trace.unsafe) == ["ball"] and "clearance to it" in exported.notes[0]
+    path = write_trace(tmp_path / "a.json", exported.trace)
     read = read_trace(path)
-    assert read.same_as(made.trace) and not read.ignored
+    assert read.same_as(exported.trace) and not read.ignored
     measured = {one.name: one for one in evaluate_trace(read).agents["chaser"].unsafe}
     speed, far = np.linalg.norm(STATES[:, 3:], axis=1), np.linalg.norm(STATES[:, :3], axis=1)
     assert measured["fast"].distance.min == pytest.approx(float(np.min(0.5 + 1e-3 * far - speed)) * 100)
     assert measured["late"].kind == "limit on states" and measured["late"].distance.at >= 100
     assert measured["late"].distance.share == pytest.approx(2 / 3, abs=0.05) and measured["late"].ttc is None
     for wrong in (1.0, *({"fast": rows} for rows in (2.0, [1.0], ["x"] * len(T), [float("nan")] * len(T)))):
-        data = trace_data(made.trace)
+        data = trace_data(exported.trace)
         data["agents"]["chaser"]["margin_trace"] = wrong
         with pytest.raises(ScenarioError, match=r"agents\.chaser\.margin_trace"):
             parse_trace(data)

@@ -49,10 +49,10 @@ def test_1_distances_use_the_wrong_entries():
     """A true 8 m from a ball, and from a box, read 0: (y, z, 4th state) is the origin."""
     box = RectangleTrace(np.zeros(1), np.zeros((1, 3)), np.full((1, 3), 4.0))
     right = pytest.approx(8)  # polytopes are
-    for item, shown in ((ball([0, 0, 0], 2), 0), (box, 0), (CUBE_OF_4, right)):
+    for item, printed in ((ball([0, 0, 0], 2), 0), (box, 0), (CUBE_OF_4, right)):
         ours, legacy = both(flown([10, 0, 0], [0, 0, 0], s=item))
         assert ours.unsafe[0].distance.min == right
-        assert legacy["compute_dists"] == (shown, shown, {"s": shown})
+        assert legacy["compute_dists"] == (printed, printed, {"s": printed})
     _, legacy = both(Trace({"a": AgentTrace(T, np.ones((3, 3)))}, {"s": ball([0, 0, 0], 1)}))
     assert legacy["compute_dists"].startswith("raises: fewer states")
 
@@ -85,8 +85,8 @@ def test_3_polytopes_get_a_distance_of_the_set_before():
     _, legacy = both(flown([10, 5, 0], [-2, 0, 0], b=ball([100, 50, 0], 1), s=CUBE_OF_4))
     # The entries read for the last distance are (y, z, 0) = (5, 0, 0); the nearest point is (2, 2, 0).
     times = [(np.hypot(95, 50) - 1) / (2 * (8 - 2 * t) / np.hypot(8 - 2 * t, 3)) for t in T]
-    known = [part["s"] for part in legacy["compute_unsafe_TTC"]]
-    assert known == pytest.approx([min(times), max(times), np.mean(times)])
+    actual = [part["s"] for part in legacy["compute_unsafe_TTC"]]
+    assert actual == pytest.approx([min(times), max(times), np.mean(times)])
     for d, reason in ((2, "a polytope's line"), (1, "polytopes need")):
         item = PolytopeTrace(np.zeros(1), CUBE[:, : 2 * d, :d], np.full((1, 2 * d), 2.0))
         _, legacy = both(flown([10, 0][:d], [-2, 0][:d], b=ball([0, 0][:d], 1), s=item))
@@ -95,7 +95,7 @@ def test_3_polytopes_get_a_distance_of_the_set_before():
 
 def two(p, v, q, w):
     """Agents a and b, at p and q with velocities v and w."""
-    agents = {name: flown(*where).agents["a"] for name, where in (("a", (p, v)), ("b", (q, w)))}
+    agents = {name: flown(*motion).agents["a"] for name, motion in (("a", (p, v)), ("b", (q, w)))}
     return both(Trace(agents), dims=len(p))
 
 
@@ -183,11 +183,11 @@ def test_equal_to_what_rtaeval_printed(name, heading, kind, stated):
     velocity = heading if stated else None
     agents = strict(evaluate_legacy(flight, velocity=velocity))
     printed = json.loads((DATA / f"{name}_rtaeval_results.json").read_text())["ego1"]
-    wanted = {key.split("@")[0]: value for key, value in printed.items() if key.endswith(kind)}
-    assert len(wanted) == 5
-    for method, value in wanted.items():
-        for got, want in zip(agents["ego1"][method], value, strict=True):
-            assert got == pytest.approx(want, rel=1e-13, abs=0), method
+    expected = {key.split("@")[0]: value for key, value in printed.items() if key.endswith(kind)}
+    assert len(expected) == 5
+    for method, value in expected.items():
+        for actual, number in zip(agents["ego1"][method], value, strict=True):
+            assert actual == pytest.approx(number, rel=1e-13, abs=0), method
 
 
 def test_10_stamps_and_modes_lag():

@@ -41,9 +41,9 @@ def agents(draw):
     t = draw(stamps())
     count = len(t) - draw(st.integers(0, 1 if len(t) > 1 else 0))
     modes = draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=count, max_size=count))
-    spent = draw(st.lists(SIZES, max_size=3))
+    run_times = draw(st.lists(SIZES, max_size=3))
     return AgentTrace(
-        t, table(draw, len(t), draw(st.integers(1, 7))), np.array(modes, dtype=np.int64), np.array(spent)
+        t, table(draw, len(t), draw(st.integers(1, 7))), np.array(modes, dtype=np.int64), np.array(run_times)
     )
 
 
@@ -74,11 +74,11 @@ TRACES = st.builds(
 
 @settings(max_examples=30)
 @given(TRACES)
-def test_written_and_read_is_the_same(tmp_path_factory, flown):
-    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", flown, force=True)
+def test_written_and_read_is_the_same(tmp_path_factory, trace):
+    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", trace, force=True)
     back = read_trace(path)
-    assert back.same_as(flown) and flown.same_as(back)
-    assert parse_trace(trace_data(flown)).same_as(flown)
+    assert back.same_as(trace) and trace.same_as(back)
+    assert parse_trace(trace_data(trace)).same_as(trace)
 
 
 def test_same_as_sees_differences():
@@ -94,7 +94,7 @@ def test_same_as_sees_differences():
 def test_form_is_that_of_rtaeval(tmp_path):
     """Flat rows of agents, nested rows of sets, full lengths, modes as numbers."""
     t = np.array([0.0, 1.0])
-    flown = Trace(
+    trace = Trace(
         {"a": AgentTrace(t, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([2, 3]))},
         {
             "p": PointTrace(t[:1], np.array([[1.0, 2.0]])),
@@ -103,7 +103,7 @@ def test_form_is_that_of_rtaeval(tmp_path):
             "h": PolytopeTrace(t, np.array([[[1.0, 0.0]]]), np.array([[5.0], [6.0]])),
         },
     )
-    data = json.loads(write_trace(tmp_path / "t.json", flown).read_text(encoding="utf-8"))
+    data = json.loads(write_trace(tmp_path / "t.json", trace).read_text(encoding="utf-8"))
     assert data == {
         "agents": {"a": {"state_trace": [[0, 1, 2], [1, 3, 4]], "mode_trace": [2, 3]}},
         "unsafe": {
@@ -118,9 +118,9 @@ def test_form_is_that_of_rtaeval(tmp_path):
 def test_old_file_stays_whole_if_writing_fails(tmp_path):
     path = tmp_path / "t.json"
     path.write_text("old", encoding="utf-8")
-    bad = Trace({"\ud800": AgentTrace(np.zeros(1), np.zeros((1, 1)))})
+    invalid = Trace({"\ud800": AgentTrace(np.zeros(1), np.zeros((1, 1)))})
     with pytest.raises(ScenarioError, match="cannot be written"):
-        write_trace(path, bad, force=True)
+        write_trace(path, invalid, force=True)
     assert path.read_text(encoding="utf-8") == "old"
     assert [item.name for item in tmp_path.iterdir()] == ["t.json"]
     for place in (tmp_path, tmp_path / "none" / "t.json"):

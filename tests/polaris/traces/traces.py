@@ -7,9 +7,9 @@ import numpy as np
 from polaris.traces import AgentTrace, Trace
 
 
-def agent(rows, modes=None, **more):
+def agent(rows, modes=None, **options):
     """An agent's entry of a trace, from rows [t, s0, ...]."""
-    return {"state_trace": rows, "mode_trace": [2] * len(rows) if modes is None else modes, **more}
+    return {"state_trace": rows, "mode_trace": [2] * len(rows) if modes is None else modes, **options}
 
 
 def entry(kind, *rows):

@@ -38,8 +38,8 @@ def test_table_has_one_row_per_run_with_everything_that_was_measured(flown):
     seeds = {(row["case"], row["batch"]): (row["seed"], row["seed_truth"]) for row in lines}
     assert len(set(seeds.values())) == len(seeds), "every batch draws its own"
     for margin, mode in ((0.3, "polaris"), (0.4, "experimental")):
-        mine = [row for row in lines if row["planner.extra_margin_m"] == margin and row["mode"] == mode]
-        assert len(mine) == RUNS and {row["scenario"] for row in mine} == {"tiny"}
+        selected = [row for row in lines if row["planner.extra_margin_m"] == margin and row["mode"] == mode]
+        assert len(selected) == RUNS and {row["scenario"] for row in selected} == {"tiny"}
     # a batch is what `simulate` and `evaluate` give for the seeds in its rows
     first = [row for row in lines if (row["case"], row["batch"], row["mode"]) == (1, 2, "polaris")]
     schedule = synthesize(load_scenario(TINY).set("planner.extra_margin_m", 0.4))
@@ -54,20 +54,20 @@ def test_summary_is_that_of_the_table(flown):
     assert summary["flown"] == len(lines) and summary["runs"] == RUNS
     assert summary["disturbance"] == "failing" and "this mixture, not to real" in summary["assumptions"][0]
     for case, mode in product(summary["cases"], MODES):
-        mine = [row for row in lines if row["case"] == case["case"] and row["mode"] == mode]
-        entry, hits = case["modes"][mode], sum(row["collided"] for row in mine)
+        selected = [row for row in lines if row["case"] == case["case"] and row["mode"] == mode]
+        entry, hits = case["modes"][mode], sum(row["collided"] for row in selected)
         assert entry["violations"] == hits == (RUNS if mode == "experimental" else 0)
         chance = entry["violation_probability"]
         assert (chance["low"], chance["high"]) == violation_interval(hits, RUNS)
-        spent = np.array([row["delta_v_m_s"] for row in mine])
-        assert entry["mean"]["delta_v_m_s"]["mean"] == pytest.approx(spent.mean(), rel=1e-12)
-        assert entry["worst"]["delta_v_m_s"] == spent.max()
+        delta_v = np.array([row["delta_v_m_s"] for row in selected])
+        assert entry["mean"]["delta_v_m_s"]["mean"] == pytest.approx(delta_v.mean(), rel=1e-12)
+        assert entry["worst"]["delta_v_m_s"] == delta_v.max()
         for name in ("max_thrust_ratio", "max_thrust_ratio_safety", "switches"):
-            largest = max(row[name] for row in mine)  # of S's thrust where S never flies: no number
+            largest = max(row[name] for row in selected)  # of S's thrust where S never flies: no number
             assert entry["worst"][name] == (None if np.isnan(largest) else largest), name
         for name in ("min_distance_m", "experimental_share"):
-            assert entry["worst"][name] == min(row[name] for row in mine), name
-        nearest = sorted((row["min_distance_m"], row["batch"], row["run"]) for row in mine)[:5]
+            assert entry["worst"][name] == min(row[name] for row in selected), name
+        nearest = sorted((row["min_distance_m"], row["batch"], row["run"]) for row in selected)[:5]
         assert [(row["min_distance_m"], row["batch"], row["run"]) for row in entry["worst_runs"]] == nearest
 
 
@@ -117,9 +117,9 @@ class Lazy(Executor):
 
 def test_finished_parts_are_not_flown_again(flown, copied, seen):
     (copied / "runs" / "case-0001-batch-00002.parquet").unlink()
-    left = left_by_a_dead_process(copied / "runs")
+    remnant = left_by_a_dead_process(copied / "runs")
     fly(copied)
-    assert seen == [(1, 2)] and table(copied) == table(flown.path) and not left.exists()
+    assert seen == [(1, 2)] and table(copied) == table(flown.path) and not remnant.exists()
     fly(copied)
     assert seen == [(1, 2)]
 
@@ -156,14 +156,14 @@ def test_more_runs_extend_a_campaign_and_fewer_are_refused(flown, tmp_path, seen
 
 
 def test_a_pool_that_breaks_is_replaced_and_one_that_only_breaks_given_up(flown, tmp_path):
-    made = []
+    created = []
 
     def pool():
-        made.append(Breaking())
-        return made[-1]
+        created.append(Breaking())
+        return created[-1]
 
     assert table(fly(tmp_path / "b", Workers(pool, lambda: 3)).path) == table(flown.path)
-    assert len(made) == 5
+    assert len(created) == 5
     pools = iter([2, 0, 0, 0, 0, 0])
     with pytest.raises(PolarisError, match="lost 4 times.*10 runs are kept in .*goes on from there"):
         fly(tmp_path / "c", Workers(lambda: Breaking(next(pools)), lambda: 3))
@@ -216,11 +216,11 @@ def test_a_killed_campaign_leaves_whole_parts_and_goes_on(flown, tmp_path, worke
     finally:
         child.send_signal(signal.SIGKILL)
         child.wait()
-    left = {path.name: path.read_bytes() for path in (out / "runs").glob("case-*.parquet")}
-    whole = table(flown.path)
-    assert len(left) > 0 and left.items() <= whole.items(), "parts are whole or absent"
+    parts = {path.name: path.read_bytes() for path in (out / "runs").glob("case-*.parquet")}
+    expected = table(flown.path)
+    assert len(parts) > 0 and parts.items() <= expected.items(), "parts are whole or absent"
     assert child.stdout is not None and child.stdout.read() == b"", "open while any of its processes lives"
-    assert table(fly(out).path) == whole
+    assert table(fly(out).path) == expected
 
 
 class Breaking(Executor):
@@ -258,9 +258,9 @@ def test_interruption_keeps_what_is_finished_and_says_how_to_go_on(flown, tmp_pa
 def test_a_case_without_a_schedule_is_told_and_stops_nothing(tmp_path, seen):
     weak = make_cases([TINY], {"system.input_max": [0.02, 1.0]})
     folder = run(weak, 9, tmp_path / "c", batch=3)
-    bad, good = folder.summary["cases"]
-    assert bad["exit_code"] == 3 and "To make it feasible" in bad["failure"] and "modes" not in bad
-    assert good["modes"]["polaris"]["runs"] == 9
+    failed, proven = folder.summary["cases"]
+    assert failed["exit_code"] == 3 and "To make it feasible" in failed["failure"] and "modes" not in failed
+    assert proven["modes"]["polaris"]["runs"] == 9
     assert {row["case"] for row in rows(folder.path)} == {1}
     seen.clear()
     run(weak, 9, folder.path, batch=3)

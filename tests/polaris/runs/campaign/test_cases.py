@@ -16,14 +16,14 @@ from tests.polaris.runs.campaign.scene import TINY, cases
 def test_every_combination_of_the_grid_is_a_case():
     grid = parse_grid(["planner.extra_margin_m=0.3, 0.4", "system.input_max=1.0,2.0,3.0"])
     assert grid == {"planner.extra_margin_m": [0.3, 0.4], "system.input_max": [1.0, 2.0, 3.0]}
-    made = make_cases([TINY], grid, ["simulation.runs=3"])
-    assert [dict(case.parameters) for case in made] == [
+    all_cases = make_cases([TINY], grid, ["simulation.runs=3"])
+    assert [dict(case.parameters) for case in all_cases] == [
         {"planner.extra_margin_m": margin, "system.input_max": limit}
         for margin in (0.3, 0.4)
         for limit in (1.0, 2.0, 3.0)
     ]
-    assert made[4].label == "tiny, planner.extra_margin_m=0.4, system.input_max=2"
-    assert "input_max = 2.0" in made[4].text and "runs = 3" in made[4].text
+    assert all_cases[4].label == "tiny, planner.extra_margin_m=0.4, system.input_max=2"
+    assert "input_max = 2.0" in all_cases[4].text and "runs = 3" in all_cases[4].text
 
 
 def test_values_of_a_grid_are_those_of_set():

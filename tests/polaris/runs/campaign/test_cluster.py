@@ -53,19 +53,19 @@ def test_a_cluster_without_workers_is_told_and_goes_on_with_some(flown, tmp_path
     monkeypatch.setattr("polaris.runs.campaign.workers.DESERTED", 1.5)
     monkeypatch.setattr("polaris.runs.campaign.workers.TICK", 0.2)
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with distributed.LocalCluster(n_workers=0, **options) as here:
+    with distributed.LocalCluster(n_workers=0, **options) as dask:
         pattern = r"has had no worker for 1\.5 s; 0 runs are kept in .*the same command goes on"
-        with cluster(here.scheduler_address) as crew, pytest.raises(PolarisError, match=pattern):
+        with cluster(dask.scheduler_address) as crew, pytest.raises(PolarisError, match=pattern):
             fly(tmp_path / "c", crew)
         assert table(tmp_path / "c") == {}
-        here.scale(1)
-        with cluster(here.scheduler_address) as crew:
+        dask.scale(1)
+        with cluster(dask.scheduler_address) as crew:
             assert table(fly(tmp_path / "c", crew).path) == table(flown.path)
 
 
 def test_a_scheduler_lost_at_any_time_breaks_the_executor_and_says_nothing_more(capfd):
     options = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with distributed.LocalCluster(n_workers=1, **options) as here, cluster(here.scheduler_address) as crew:
+    with distributed.LocalCluster(n_workers=1, **options) as dask, cluster(dask.scheduler_address) as crew:
         executor = crew.make()
         pending = executor.submit(time.sleep, 1.0)
         executor.client.close()
@@ -86,8 +86,8 @@ def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
         with pytest.raises(ScenarioError, match="no scheduler answers there"), cluster(address):
             pass
-    for bad in ("here", "127.0.0.1:8786", "tcp://127.0.0.1"):
-        with pytest.raises(ScenarioError, match="address like"), cluster(bad):
+    for wrong in ("here", "127.0.0.1:8786", "tcp://127.0.0.1"):
+        with pytest.raises(ScenarioError, match="address like"), cluster(wrong):
             pass
 
 

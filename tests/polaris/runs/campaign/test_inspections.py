@@ -46,10 +46,10 @@ def test_all_studies_fly_the_same_conditions_and_the_picture_is_that_of_the_tabl
     np.testing.assert_array_equal(picture.x, x)
     assert len(np.unique(sun)) == RUNS, "no batch flies another one's conditions"
     for k, name in enumerate(STUDIES):
-        mine = columns["mode"] == name
-        np.testing.assert_array_equal(columns["deputy_1_vy_m_s"][mine], picture.x[:, 1, 4])
-        np.testing.assert_array_equal(columns["sun_rad"][mine], sun)
-        np.testing.assert_array_equal(columns["success"][mine], picture.success[k])
+        of_study = columns["mode"] == name
+        np.testing.assert_array_equal(columns["deputy_1_vy_m_s"][of_study], picture.x[:, 1, 4])
+        np.testing.assert_array_equal(columns["sun_rad"][of_study], sun)
+        np.testing.assert_array_equal(columns["success"][of_study], picture.success[k])
     assert np.isnan(columns["least_phi5"][columns["mode"] == "decentralized-no-h5"]).all()
     assert (flown.summary["runs"], flown.summary["seed"]) == (RUNS, 1)
 
@@ -60,9 +60,9 @@ def test_what_is_there_is_not_flown_again_and_more_runs_extend_it(flown, tmp_pat
     run_monte_carlo(out, scenario())
     assert seen[2:] == [(0, 1), (0, 2)] and table(out) == table(flown.path)
     (out / "runs" / "case-0000-batch-00001.parquet").write_bytes(b"cut short")
-    again = run(scenario(), out, draw=lambda written: (written.path / "figures").mkdir())
+    resumed = run(scenario(), out, draw=lambda written: (written.path / "figures").mkdir())
     assert seen[4:] == [(0, 1)] and table(out) == table(flown.path) and (out / "figures").is_dir()
-    assert read_run(out).summary["studies"] == again.summary["studies"] == flown.summary["studies"]
+    assert read_run(out).summary["studies"] == resumed.summary["studies"] == flown.summary["studies"]
     with pytest.raises(ScenarioError, match="another campaign"):
         run_monte_carlo(out, scenario("campaign.seed=2"))
     assert run_monte_carlo(out, scenario("campaign.seed=2"), fresh=True).plan.seed == 2
@@ -71,15 +71,15 @@ def test_what_is_there_is_not_flown_again_and_more_runs_extend_it(flown, tmp_pat
 
 def test_one_run_is_flown_again_bit_for_bit(flown, monkeypatch):
     folder = read_campaign(flown.path)
-    again = replay_run(folder, 0, 1, 1, "decentralized")
+    replayed = replay_run(folder, 0, 1, 1, "decentralized")
     columns = folder.read(0)
     place = np.flatnonzero((columns["mode"] == "decentralized") & (columns["batch"] == 1))[1]
-    np.testing.assert_equal(again.row, {name: values[place] for name, values in columns.items()})
-    run = again.arrays
+    np.testing.assert_equal(replayed.row, {name: values[place] for name, values in columns.items()})
+    run = replayed.arrays
     assert run["states"].shape == (4, 2, 6) and run["thrust_N"].shape == (3, 2, 3)
-    assert run["states"][0, 1, 2] == again.row["deputy_1_rz_m"]
-    spent = np.abs(run["thrust_N"]).sum(axis=(0, 2)) / scenario().inspection().mass
-    assert [again.row[f"delta_v_{i}_m_s"] for i in (0, 1)] == pytest.approx(spent)
+    assert run["states"][0, 1, 2] == replayed.row["deputy_1_rz_m"]
+    delta_v = np.abs(run["thrust_N"]).sum(axis=(0, 2)) / scenario().inspection().mass
+    assert [replayed.row[f"delta_v_{i}_m_s"] for i in (0, 1)] == pytest.approx(delta_v)
     with pytest.raises(ScenarioError, match="not ranked"):
         find_worst(folder, 1)
     with pytest.raises(ScenarioError, match="must be a mode that was flown"):

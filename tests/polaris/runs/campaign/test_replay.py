@@ -27,19 +27,19 @@ def invoke(*arguments):
 def test_replay_gives_the_numbers_of_the_table(flown, mode):
     folder, mass = read_campaign(flown.path), load_scenario(TINY).problem().system.mass
     for case, batch, run in ((0, 0, 0), (1, 2, 3), (1, 4, 1)):
-        again = replay_run(folder, case, batch, run, mode)
+        replayed = replay_run(folder, case, batch, run, mode)
         (row,) = [
             row
             for row in rows(flown.path)
             if (row["case"], row["batch"], row["run"], row["mode"]) == (case, batch, run, mode)
         ]
-        np.testing.assert_equal(again.row, row)
+        np.testing.assert_equal(replayed.row, row)
         # the trajectory is that of these numbers, up to the refinement between the nodes
-        distances, times = again.arrays["distances_m"], again.arrays["times_s"]
+        distances, times = replayed.arrays["distances_m"], replayed.arrays["times_s"]
         assert distances.min() == pytest.approx(row["min_distance_m"], abs=5e-3)
         assert distances.min() >= row["min_distance_m"]
-        held = np.abs(again.arrays["inputs"]).sum() * times[1] / mass
-        assert held == pytest.approx(row["delta_v_m_s"], rel=0.05)
+        delta_v = np.abs(replayed.arrays["inputs"]).sum() * times[1] / mass
+        assert delta_v == pytest.approx(row["delta_v_m_s"], rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -57,13 +57,13 @@ def test_a_fault_befalls_every_second_run_and_is_flown_again(kind, late, seen, t
         assert not row["collided"] and row["max_thrust_ratio_safety"] <= 1
         same = row["min_distance_m"] == pytest.approx(other["min_distance_m"], rel=1e-9)
         assert same and row["fault_ends_s"] != row["fault_ends_s"] if i % 2 == 0 else "fault" not in other
-        again = replay_run(folder, 0, row["batch"], row["run"])
-        np.testing.assert_equal(again.row, row)
-        modes, times = again.arrays["modes"], again.arrays["times_s"][:-1]
+        replayed = replay_run(folder, 0, row["batch"], row["run"])
+        np.testing.assert_equal(replayed.row, row)
+        modes, times = replayed.arrays["modes"], replayed.arrays["times_s"][:-1]
         assert (1 in modes) or i % 2
         assert not np.any(modes[times >= row["fault_ends_s"]])
-    moved = [a["delta_v_m_s"] - b["delta_v_m_s"] for a, b in zip(lines, rows(calm.path), strict=True)]
-    assert np.all(np.abs(moved[1::2]) > 1e-6)
+    changes = [a["delta_v_m_s"] - b["delta_v_m_s"] for a, b in zip(lines, rows(calm.path), strict=True)]
+    assert np.all(np.abs(changes[1::2]) > 1e-6)
 
 
 def test_the_worst_runs_are_found_in_their_order(flown):
@@ -133,9 +133,9 @@ def test_missing_parts_and_other_numbers_are_told(flown, tmp_path, monkeypatch):
     real = schedules.ScheduleRuns.fly
 
     def another(self, task, mode, run=None):
-        made = real(self, task, mode, run)
-        made.columns["delta_v_m_s"] = np.nextafter(made.columns["delta_v_m_s"], np.inf)
-        return made
+        outcome = real(self, task, mode, run)
+        outcome.columns["delta_v_m_s"] = np.nextafter(outcome.columns["delta_v_m_s"], np.inf)
+        return outcome
 
     monkeypatch.setattr(schedules.ScheduleRuns, "fly", another)
     with pytest.raises(PolarisError, match="differs on this machine: delta_v_m_s"):
@@ -158,17 +158,17 @@ def test_commands_fly_print_and_replay(tmp_path, monkeypatch):
     summary = json.loads(printed.stdout)
     assert [("failure" in case) for case in summary["cases"]] == [False, True]
     worst = summary["cases"][0]["modes"]["polaris"]["worst_runs"][1]
-    shown = invoke(
+    replayed = invoke(
         "campaign-replay", "runs/tiny-campaign", "--worst", 2, "--mode", "polaris", "--json", "--out", "w.csv"
     )
-    assert shown.exit_code == 0, shown.output
-    row = json.loads(shown.stdout)
+    assert replayed.exit_code == 0, replayed.output
+    row = json.loads(replayed.stdout)
     assert (row["batch"], row["run"], row["min_distance_m"]) == tuple(worst.values())
     with open("w.csv", encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
     place = ("--case", 0, "--batch", row["batch"], "--run", row["run"], "--mode", "polaris")
-    shown = invoke("campaign-replay", "runs/tiny-campaign", *place, "--out", "w.npz")
-    assert shown.exit_code == 0 and f"{row['delta_v_m_s']}" in shown.stdout
+    replayed = invoke("campaign-replay", "runs/tiny-campaign", *place, "--out", "w.npz")
+    assert replayed.exit_code == 0 and f"{row['delta_v_m_s']}" in replayed.stdout
     with np.load("w.npz") as arrays:
         np.testing.assert_array_equal([float(line["t_s"]) for line in lines], arrays["times_s"])
         assert float(lines[7]["distance_pillar_m"]) == arrays["distances_m"][0, 7]

@@ -99,10 +99,10 @@ def test_so_many_flights_are_enough_and_no_fewer_are(probability, doubt):
 
 def test_the_bound_is_wrong_no_more_often_than_it_says():
     for probability in (0.001, 0.01, 0.1, 0.5, 0.9):
-        for flights, doubt in ((40, 0.05), (300, 0.01)):
+        for flights, error_rate in ((40, 0.05), (300, 0.01)):
             counts = np.arange(flights + 1)
-            wrong = np.array([at_most(int(k), flights, doubt) < probability for k in counts])
-            assert binom.pmf(counts, flights, probability) @ wrong <= doubt
+            wrong = np.array([at_most(int(k), flights, error_rate) < probability for k in counts])
+            assert binom.pmf(counts, flights, probability) @ wrong <= error_rate
 
 
 @pytest.mark.parametrize(("errors", "size"), [("all", 1.0), ("all", 0.01), ("carried", 0.01)])
@@ -116,16 +116,16 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors, siz
     Ad, Bd = discretize(system.A, system.B, PERIOD / parts)
     Dd = discretize(system.A, system.D, PERIOD / parts)[1]
     rows = np.vstack([np.eye(4), -np.eye(4), rng.normal(size=(40, 4))])
-    way = np.eye(2)[rng.integers(0, 2, len(x))] * rng.choice([-1.0, 1.0], (len(x), 1))  # all along one axis
-    side = np.where(way == 0, 1.0, way)
+    axis = np.eye(2)[rng.integers(0, 2, len(x))] * rng.choice([-1.0, 1.0], (len(x), 1))  # all along one axis
+    side = np.where(axis == 0, 1.0, axis)
     support = tube.nodes.support(rows)
     for i in range(q):
-        asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
+        command = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
         K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
         fitted = (x - xi[i * parts]) @ K.T + c
-        u = np.clip(np.clip(asked, -system.u_max, system.u_max), fitted - r, fitted + r)
+        u = np.clip(np.clip(command, -system.u_max, system.u_max), fitted - r, fitted + r)
         u[::2] = (fitted + side * r)[::2]  # at the edge of the bands
-        w, u = system.w_max * way, u + side * system.thrusters.error(u)
+        w, u = system.w_max * axis, u + side * system.thrusters.error(u)
         drift = rng.choice([-1.0, 1.0], (len(x), system.impulse_rates.shape[1])) @ system.impulse_rates.T
         drift = drift @ discretize(system.A, np.eye(system.n), PERIOD / parts)[1].T
         for part in range(1, parts + 1):
@@ -162,9 +162,9 @@ def faulty(width):
     return ask
 
 
-def sampled(ask, errors="exact", **asked):
+def sampled(ask, errors="exact", **options):
     scenario = ScheduleScenario.from_dict(document() | ERRORS[errors])
-    return synthesize_sampled(scenario, safety(errors), [box(ask, safety(errors))], attacks=200, **asked)
+    return synthesize_sampled(scenario, safety(errors), [box(ask, safety(errors))], attacks=200, **options)
 
 
 def leaving(schedule, n=4000, seed=10**8):
@@ -183,9 +183,9 @@ def started(schedule, x):
 def test_a_rare_fault_is_within_what_is_said_and_not_found():
     """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
     result = sampled(faulty(5e-5), probability=0.02)
-    schedule, said = result.schedule, result.schedule.sampled_bound
-    assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
-    assert 0.001 <= said.probability <= 0.02
+    schedule, bound = result.schedule, result.schedule.sampled_bound
+    assert schedule.modes[0] == 1 and schedule.share() > 0.8 and bound.outside <= SPARE
+    assert 0.001 <= bound.probability <= 0.02
     assert result.worst.failure is None and result.adverse < 0.05
     assert np.all(started(schedule, 0.02) > 1)
     assert np.mean(started(schedule, 0.03) > 1) < 0.1
@@ -198,8 +198,8 @@ def test_no_attempt_counts_flights_of_another(monkeypatch):
         drawn.append(range(seed, seed + n))
         return np.full(n, np.nan)  # what cannot be worked out has left its bands
 
-    made = polaris.synthesize(ScheduleScenario.from_dict(document()), safety(), [box()])
-    monkeypatch.setattr("polaris.simulation.sampled.synthesize", lambda *_, **__: made)
+    synthesized = polaris.synthesize(ScheduleScenario.from_dict(document()), safety(), [box()])
+    monkeypatch.setattr("polaris.simulation.sampled.synthesize", lambda *_, **__: synthesized)
     monkeypatch.setattr("polaris.simulation.sampled.simulate", flown)
     monkeypatch.setattr("polaris.simulation.sampled.outside", lambda runs: runs)
     result = synthesize_sampled(None, safety(), [box()], probability=1e-5)
@@ -230,10 +230,10 @@ RARE = (
 def test_a_frequent_fault_is_seen_and_a_rare_one_need_not_be(share, outside, flights, bound, true, by):
     """A frequent one is seen: the sets of the first step hold it, or the box does not fly that step."""
     result = sampled(faulty(share * 0.05), probability=0.02)
-    said, schedule = result.schedule.sampled_bound, result.schedule
-    near = leaving(schedule, 5000)
-    row = said.outside, said.flights, round(100 * said.probability, 2), round(100 * near, 2)
-    assert row == (outside, flights, bound, true) and near <= said.probability <= 0.02
+    claim, schedule = result.schedule.sampled_bound, result.schedule
+    leaving_rate = leaving(schedule, 5000)
+    row = claim.outside, claim.flights, round(100 * claim.probability, 2), round(100 * leaving_rate, 2)
+    assert row == (outside, flights, bound, true) and leaving_rate <= claim.probability <= 0.02
     assert by == ("box", "S")[int(schedule.modes[0] == 0)] and result.worst.failure is None
     assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
 
@@ -287,13 +287,13 @@ def test_a_trade_off_proves_nothing_of_boxes_and_asks_them_anew(tmp_path, monkey
     row = {"field": "f", "value": 1.0, "share": 0.9, "guarantee": "statistical"}
     assert needed([row], "f", 0.5)["last_proven"] is None
     scenario, boxes = ScheduleScenario.from_dict(document()), {"box": follower}
-    given = scenario, tmp_path / "front", {"system.disturbance_max": [0.02]}
+    arguments = scenario, tmp_path / "front", {"system.disturbance_max": [0.02]}
     with pytest.raises(ScenarioError, match="executor"):
-        polaris.tradeoff(*given, black_boxes=boxes, executor=local(1))
+        polaris.tradeoff(*arguments, black_boxes=boxes, executor=local(1))
     monkeypatch.setattr(tradeoff_module, "_is_complete", lambda *_: True)  # nothing tells whose box it was
     monkeypatch.setattr(tradeoff_module, "run", lambda *_, **more: 1 / (more["black_boxes"] != boxes))
     with pytest.raises(ZeroDivisionError):
-        polaris.tradeoff(*given, black_boxes=boxes)
+        polaris.tradeoff(*arguments, black_boxes=boxes)
 
 
 def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
@@ -302,27 +302,27 @@ def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
     scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
     schedule = polaris.synthesize(scenario, part, [box(part=part)])
     runs, system = simulate(schedule, flights, 1), part.problem.system
-    bit, left, stands = system.timing.carried_impulse, np.zeros((flights, system.m)), runs.states.copy()
-    held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
+    bit, remainder, model = system.timing.carried_impulse, np.zeros((flights, system.m)), runs.states.copy()
+    impulse_map = discretize(system.A, system.B, PERIOD)[1] / PERIOD
     for node in range(runs.inputs.shape[1]):
-        due = runs.inputs[:, node] * PERIOD + left
-        left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
-        stands[:, node + 1] += left @ held.T
-    arcs, far = part.reference.fine(4), outside(runs)
+        due = runs.inputs[:, node] * PERIOD + remainder
+        remainder = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
+        model[:, node + 1] += remainder @ impulse_map.T
+    arcs, run_excess = part.reference.fine(4), outside(runs)
     assert schedule.sampled_steps
     for step in (step for step in schedule.steps if step.mode):
         at = slice(4 * step.k, 4 * step.k + 4)
-        off = step.tube.outside(stands[:, at] - arcs[step.k, :-1], runs.inputs[:, at], np.zeros(system.n))
-        assert np.all(off <= far * (1 + 1e-9))
+        excess = step.tube.outside(model[:, at] - arcs[step.k, :-1], runs.inputs[:, at], np.zeros(system.n))
+        assert np.all(excess <= run_excess * (1 + 1e-9))
 
 
 def drifting():
     """Return a box that drifts from flight to flight, too little to show in the samples."""
-    flown = [0]
+    flight_count = [0]
 
     def ask(t, x, xi):
-        flown[0] += len(x) * (t == 0)
-        return follower(t, x, xi) + 0.02 * np.sin(40 * (x - xi)[:, :2]) + 1e-6 * flown[0]
+        flight_count[0] += len(x) * (t == 0)
+        return follower(t, x, xi) + 0.02 * np.sin(40 * (x - xi)[:, :2]) + 1e-6 * flight_count[0]
 
     return ask
 
@@ -344,22 +344,22 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     pytest.importorskip("pyarrow")
     plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document(**LIKELY))]), 4, batch=2)
     plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
-    boxes, more = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}, replace(plan, runs=6)
+    boxes, extended = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}, replace(plan, runs=6)
     folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
     modes = folder.summary["cases"][0]["modes"]
     assert [modes[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
     with pytest.raises(PolarisError, match="different schedules"):
-        run_campaign(more.asking({"box": follower}), folder.path)
+        run_campaign(extended.asking({"box": follower}), folder.path)
     with pytest.raises(ScenarioError, match="boxes"):
-        run_campaign(more, folder.path)
+        run_campaign(extended, folder.path)
     with pytest.raises(PolarisError, match="this process"):
-        run_campaign(more.asking(boxes), folder.path, executor=local(2))
-    assert run_campaign(more.asking(boxes), folder.path).summary["flown"] == 18
+        run_campaign(extended.asking(boxes), folder.path, executor=local(2))
+    assert run_campaign(extended.asking(boxes), folder.path).summary["flown"] == 18
     read = read_campaign(folder.path)
     with pytest.raises(ScenarioError, match="must be given with `polaris run"):
         replay_run(read, 0, 0, 1)
-    again = replace(read, plan=read.plan.asking(boxes))
-    assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
+    campaign = replace(read, plan=read.plan.asking(boxes))
+    assert replay_run(campaign, 0, 0, 1).row["guarantee"] == "statistical"
 
 
 def test_a_box_that_is_never_followed_leaves_the_proven_schedule():
@@ -426,11 +426,11 @@ LESS_SURE = {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 1
 
 @pytest.mark.parametrize("other", [LESS_SURE, {"seed": 3}], ids=["less sure", "another seed"])
 def test_a_statement_is_what_the_scenario_asks_for(other, made):
-    said = read_run(made).summary["guarantee"]["sampled_bound"]
-    check_statements(said, document())
-    assert check_statement(said | other)
+    statement = read_run(made).summary["guarantee"]["sampled_bound"]
+    check_statements(statement, document())
+    assert check_statement(statement | other)
     with pytest.raises(Rejected, match="asked for|seed"):
-        check_statements(said | other, document())
+        check_statements(statement | other, document())
 
 
 GOOD = """
@@ -468,19 +468,19 @@ def test_a_program_that_does_not_answer_is_one_error(name):
     text, rule = BAD[name]
     states = np.zeros((40_000 if name == "never reads" else 2, 4))  # more than a pipe holds
     seconds = 0.3 if rule == "within" else 20.0
-    with python(text, seconds) as asked, pytest.raises(NoAnswer, match=rule) as error:
+    with python(text, seconds) as controller, pytest.raises(NoAnswer, match=rule) as error:
         for t in range(9):
-            asked(t % 3.0, states, np.zeros(4))
+            controller(t % 3.0, states, np.zeros(4))
     assert "\n" not in str(error.value)
 
 
 def test_what_a_program_has_started_ends_with_it():
     """Else whoever waits for its output would wait for the other."""
-    begun = time.monotonic()
+    start = time.monotonic()
     box = shlex.join([sys.executable, "-c", f"input(); {ANSWER}"])
-    with black_box_program(["sh", "-c", f"sleep 60 & {box}"]) as asked:
-        assert asked(0.0, np.zeros((2, 4)), np.zeros(4)) == [[0, 0], [0, 0]]
-    assert time.monotonic() - begun < 30
+    with black_box_program(["sh", "-c", f"sleep 60 & {box}"]) as controller:
+        assert controller(0.0, np.zeros((2, 4)), np.zeros(4)) == [[0, 0], [0, 0]]
+    assert time.monotonic() - start < 30
 
 
 ANSWERS = [[[np.nan, 0.0]], [[np.inf, 0.0]], [[0.0]], [0.0, 0.0], [[]], {}, "fast", None, [[0.0], [1.0, 2.0]]]
@@ -530,14 +530,14 @@ def test_a_callable_changes_nothing_but_its_own():
 
 def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path):
     (tmp_path / "scene.toml").write_text(write_toml(document(**LIKELY)), encoding="utf-8")
-    place = ["run", str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
-    alone = CliRunner().invoke(app, place)
+    command = ["run", str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
+    alone = CliRunner().invoke(app, command)
     assert alone.exit_code == 2 and "--black-box" in alone.output and not (tmp_path / "run").exists()
     box = shlex.join([sys.executable, "-c", GOOD])
-    given = CliRunner().invoke(app, [*place, "--black-box", f"box={box}"])
-    assert given.exit_code == 0, given.output
-    assert "proven for any thrust within the limits" in " ".join(given.output.split())
-    wrong = CliRunner().invoke(app, [*place, "--black-box", "box='open"])
+    with_box = CliRunner().invoke(app, [*command, "--black-box", f"box={box}"])
+    assert with_box.exit_code == 0, with_box.output
+    assert "proven for any thrust within the limits" in " ".join(with_box.output.split())
+    wrong = CliRunner().invoke(app, [*command, "--black-box", "box='open"])
     assert wrong.exit_code == 2 and "has an unreadable command" in " ".join(wrong.output.split())
 
 
@@ -547,15 +547,15 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     scenario = ScheduleScenario.from_dict(document() | soft)
     part = polaris.get_safety(scenario)
     system, gain, loop, h = part.problem.system, part.tracking.gain, part.tracking.loop, part.tracking.flow.h
-    (known,) = system.transients
+    (transient,) = system.transients
     for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
-        fault = replace(known, lasts=lasts * h)
-        more = wrong_thrust(system, replace(fault, boxes=True), gain, loop)
-        none = wrong_thrust(system, replace(fault, gains=0 * gain, boxes=False), 0 * gain, loop)
+        fault = replace(transient, lasts=lasts * h)
+        answer = wrong_thrust(system, replace(fault, boxes=True), gain, loop)
+        silent = wrong_thrust(system, replace(fault, gains=0 * gain, boxes=False), 0 * gain, loop)
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
-        assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
-    asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
-    result = synthesize_sampled(scenario, part, [box(part=part)], **asked)
+        assert np.all(answer - silent >= least - 1e-12) and np.all(answer - silent <= 1.5 * least + 1e-12)
+    settings = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
+    result = synthesize_sampled(scenario, part, [box(part=part)], **settings)
     assert result.schedule.sampled_steps and result.worst.failure is None
     verdict = verify_document(certificate(result.schedule, "scene"))
     assert verdict.outcome == "STATISTICAL", verdict.text()

@@ -80,11 +80,11 @@ def random_controller(seed, errors=False):
     scale = rng.uniform(0.2, 1.5, count) * rng.choice([-1, 1], count)
     network = random_network(rng, count, system.m, int(rng.integers(1, 4)))
     policy = Policy(network, reads, scale, rng.uniform(0.3, 3.0, system.m))
-    own = safety.reference
+    path = safety.reference
     if seed % 2:
-        moved = own.chi[0] + rng.normal(size=4) * 0.3
-        own = Reference.propagate(system, own.delta, moved, own.nu + 0.05 * rng.normal(size=own.nu.shape))
-    return NeuralController("net", system, policy, safety.reference, own, safety.tracking), rng
+        start = path.chi[0] + rng.normal(size=4) * 0.3
+        path = Reference.propagate(system, path.delta, start, path.nu + 0.05 * rng.normal(size=path.nu.shape))
+    return NeuralController("net", system, policy, safety.reference, path, safety.tracking), rng
 
 
 @pytest.mark.parametrize(
@@ -102,20 +102,20 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
     signs = np.concatenate([rng.choice([-1.0, 1.0], (300, 6)), rng.uniform(-1, 1, (100, 6))])
     e = start.c + signs @ start.G.T
     Ad, Bd = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
-    safe, own = controller.reference.fine(q * parts)[k], controller.own.fine(q * parts)[k]
+    safe, targets = controller.reference.fine(q * parts)[k], controller.own.fine(q * parts)[k]
     support, zeta = tube.nodes.support(rows), controller.offset[k]
     middle, spread = controller.commanded(tube.nodes - zeta[: len(tube.nodes.c)], tube.intersample, k)
     # Disturbances at their worst: constant, turning, or with the state.
-    way = rng.normal(size=(len(e), system.D.shape[1]))
+    direction = rng.normal(size=(len(e), system.D.shape[1]))
     for i in range(q * parts):
         x = safe[i] + e
         if i % parts == 0:
-            seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
-            u = np.clip(controller.command(k, safe[i], own[i], seen), -system.u_max, system.u_max)
+            estimate = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
+            u = np.clip(controller.command(k, safe[i], targets[i], estimate), -system.u_max, system.u_max)
             assert np.all(np.abs(u - middle[i // parts]) <= spread[i // parts] + ROUNDING)
             u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
-            way = rng.normal(size=way.shape) if seed % 3 == 0 else way
-        w = system.w_max * way / np.linalg.norm(way, axis=1, keepdims=True)
+            direction = rng.normal(size=direction.shape) if seed % 3 == 0 else direction
+        w = system.w_max * direction / np.linalg.norm(direction, axis=1, keepdims=True)
         x = x @ Ad.T + np.hstack([u, w]) @ Bd.T
         e = x - safe[i + 1]
         node, inside = divmod(i + 1, parts)
@@ -181,35 +181,35 @@ def test_the_checker_encloses_what_a_network_commands(error):
         controller, rng = random_controller(seed)
         controller = in_precision(controller, "real")
         policy, limit = controller.policy, controller.system.u_max
-        checked, known = checked_policy(controller), policy.stack(PARTS)
+        checked, inputs = checked_policy(controller), policy.stack(PARTS)
         G = 0.1 * rng.normal(size=(4, 5))
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
-        seen = checked.reads * diagonal([error] * 4)
-        enclosed = checked.command(d, matrix([[x] for x in known]), seen)
+        read_errors = checked.reads * diagonal([error] * 4)
+        enclosed = checked.command(d, matrix([[x] for x in inputs]), read_errors)
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
             read = e + rng.choice([-error, error], 4)
-            reads = known + policy.stack(
+            reads = inputs + policy.stack(
                 {"error": -read, "state": read, "time": np.zeros(1), "reference_input": np.zeros(2)}
             )
             u = np.clip(policy.network(reads) * policy.output_scale, -limit, limit)
-            left = enclosed.K * matrix([[x] for x in e]) + enclosed.c
+            affine_part = enclosed.K * matrix([[x] for x in e]) + enclosed.c
             for i in range(2):
                 clearance = sum((abs(v) for v in enclosed.V.tolist()[i]), arb(0))
-                assert abs(u[i] - left[i, 0]) <= clearance + 1e-12
+                assert abs(u[i] - affine_part[i, 0]) <= clearance + 1e-12
                 assert abs(u[i]) <= enclosed.size[i] + 1e-12
 
 
 def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
-    left = 0
+    deviations = 0
     for seed in range(12):
         rounded = in_precision(random_controller(seed)[0], "float32")
         policy, limit = rounded.policy, rounded.system.u_max
-        known, d = policy.stack(PARTS), CheckedZonotope(arb_mat(4, 1), arb_mat(4, 0))
-        given = d, matrix([[x] for x in known]), arb_mat(len(known), 0)
-        checked = checked_policy(rounded).command(*given)
+        inputs, d = policy.stack(PARTS), CheckedZonotope(arb_mat(4, 1), arb_mat(4, 0))
+        arguments = d, matrix([[x] for x in inputs]), arb_mat(len(inputs), 0)
+        checked = checked_policy(rounded).command(*arguments)
         point = Zonotope.point(np.zeros(4))
-        hull = rounded.loop.command(point, known)
+        hull = rounded.loop.command(point, inputs)
         clearance = [float(sum((abs(v) for v in row), arb(0)).mid()) for row in checked.V.tolist()]
         middle = np.array([float(x.mid()) for x in checked.c.entries()])
         assert np.all(np.array(clearance) <= hull.half_widths) and np.abs(middle - hull.c).max() < 1e-12
@@ -218,20 +218,20 @@ def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
             out = evaluated(policy.network, read, np.float32, order, policy.input_scale)
             u = np.clip((out.astype(np.float32) * policy.output_scale.astype(np.float32)), -limit, limit)
             assert np.all(np.abs(u - middle) <= clearance)
-            left += np.any(np.abs(u - middle) > 1e-12)
-    assert left > 40
+            deviations += np.any(np.abs(u - middle) > 1e-12)
+    assert deviations > 40
 
 
 @pytest.mark.parametrize("x", [[2.0**126, 1.0, 1.0], [1.0, 2.0**126, 1.0], [1.0, 1.0, 2.0**126]])
 def test_the_checker_refuses_numbers_that_round_to_infinity(x):
-    own, (read, weight, bent) = Rounding.from_precision("float32"), [[arb(size)] for size in x]
+    model, (read, weight, output) = Rounding.from_precision("float32"), [[arb(size)] for size in x]
 
-    def book(read, weight, bent):
-        own.read(read), own.summed([arb(1)], weight, [arb(1)], 1), own.bent(Layer("relu"), bent)
+    def book(read, weight, output):
+        model.read(read), model.summed([arb(1)], weight, [arb(1)], 1), model.bent(Layer("relu"), output)
 
-    book(read, weight, bent)
+    book(read, weight, output)
     with pytest.raises(Rejected, match="overflow"):
-        book(*([2 * size[0]] for size in (read, weight, bent)))
+        book(*([2 * size[0]] for size in (read, weight, output)))
 
 
 def scene(folder, file=HASTY, feedback=None, errors=None, **more):
@@ -263,8 +263,8 @@ def test_a_run_of_a_network_verifies_and_stands_alone(made, tmp_path):
     assert folder.summary["polaris"]["collided"] is False
     (controller,) = folder.scenario.controllers(get_safety(folder.scenario.problem()))
     assert isinstance(controller, NeuralController)
-    known = folder.summary["guarantee"]["assumptions"]
-    assert arithmetic(known) == arithmetic(verdict.trusted) == [f"network net: {ARITHMETIC['real']}"]
+    assumptions = folder.summary["guarantee"]["assumptions"]
+    assert arithmetic(assumptions) == arithmetic(verdict.trusted) == [f"network net: {ARITHMETIC['real']}"]
 
 
 def arithmetic(lines):
@@ -331,9 +331,9 @@ def test_a_network_in_another_folder_is_copied_and_found_from_anywhere(tmp_path,
     assert scenario.text_elsewhere() != before
 
 
-def forged(made, folder, change, files=()):
+def forged(run_folder, folder, change, files=()):
     """Verdict on a copy whose certificate was changed, hashes and digest made to fit."""
-    shutil.copytree(made, folder)
+    shutil.copytree(run_folder, folder)
     for name, contents in files:
         (folder / name).write_bytes(contents)
     data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
@@ -435,14 +435,14 @@ def test_a_network_too_wide_to_follow_is_not_decided(made):
 
 def test_simulation_flies_it_and_the_monitor_trusts_its_thrust_limits_only(made):
     schedule = read_schedule(read_run(made))
-    flown, q = simulate(schedule, n=6, seed=1), schedule.safety.tracking.feedback.nodes_per_cell
+    runs, q = simulate(schedule, n=6, seed=1), schedule.safety.tracking.feedback.nodes_per_cell
     law, k = schedule.controllers[1], schedule.modes.tolist().index(1)
     rows, limit = np.vstack([np.eye(4), -np.eye(4)]), law.system.u_max
-    x, safe = flown.states[:, k * q], schedule.safety.reference.fine(q)[:, 0]
+    x, safe = runs.states[:, k * q], schedule.safety.reference.fine(q)[:, 0]
     u = np.clip(law.command(k, safe[k], law.own.fine(q)[k, 0], x), -limit, limit)
-    assert flown.inputs[:, k * q] == pytest.approx(u, abs=1e-12)
+    assert runs.inputs[:, k * q] == pytest.approx(u, abs=1e-12)
     for step in schedule.steps:
-        e = flown.states[:, step.k * q] - safe[step.k]
+        e = runs.states[:, step.k * q] - safe[step.k]
         assert np.all(e @ rows.T <= step.tube.nodes.support(rows)[0] + ROUNDING)
     monitor = Monitor(DecisionGrid.from_schedule(schedule), trust="declared")
     assert {mode for mode, _ in monitor.prospects} == {0}

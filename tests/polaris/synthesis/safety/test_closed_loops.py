@@ -89,10 +89,10 @@ def test_the_integrator_agrees_with_the_packages(seed):
     schedule = made(seed)
     loop = Loop(schedule)
     n, m, p = loop.system.n, loop.system.m, loop.system.p
-    seen, w, free = (np.zeros((loop.N, 1, size)) for size in (n, p, m))
+    noise, w, free = (np.zeros((loop.N, 1, size)) for size in (n, p, m))
     start = schedule.safety.problem.initial_set.c[None]
-    flown = loop.fly(Attack(start, w, free, seen), loop.scheduled(np.array([loop.N])))
-    ours = flown.states[: loop.K * loop.per + 1 : loop.parts, 0]
+    flight = loop.fly(Attack(start, w, free, noise), loop.scheduled(np.array([loop.N])))
+    ours = flight.states[: loop.K * loop.per + 1 : loop.parts, 0]
     theirs = simulate(schedule, 1, initial="center", disturbance="none").states[0]
     assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max(axis=0))
 
@@ -135,8 +135,8 @@ def test_round_off_is_booked_where_a_law_runs_away():
     safety = made(5050).safety
     system, safe, K = safety.problem.system, safety.reference, safety.problem.K
     assert system.w_max == 0 and not safety.start.G.any()
-    own = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
-    law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, own, safety.tracking, True)
+    path = Reference(system, safe.delta, safe.chi[: K + 1], safe.nu[:K])
+    law = AffineController("runaway", system, -3 * safety.tracking.gain, safe, path, safety.tracking, True)
     schedule = synthesize(safety, experimental=[law])
     judge(5050, attack(schedule, 20, 0))
     assert schedule.share() > 0.5 and schedule.margins.min() < 1 - 1e-3

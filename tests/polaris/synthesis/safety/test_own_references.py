@@ -91,19 +91,19 @@ def test_plans_of_random_plants(seed):
     rng = np.random.default_rng(seed)
     system, delta, x, u = random_system(rng)
     K = np.zeros((system.m, system.n))
-    made = Reference.propagate(
+    path = Reference.propagate(
         system, delta, rng.normal(size=system.n) * x, rng.uniform(-0.9, 0.9, (STEPS, system.m)) * u
     )
-    assert judged(system, delta, K, "unaware", made.chi, made.nu) == "holds"
-    assert judged(system, delta, K, "unaware", made.chi, made.nu, missed=True) == "Rejected"
+    assert judged(system, delta, K, "unaware", path.chi, path.nu) == "holds"
+    assert judged(system, delta, K, "unaware", path.chi, path.nu, missed=True) == "Rejected"
     k, i = 1, int(rng.integers(system.n))
-    moved = made.chi.copy()
-    moved[k, i] += 1e-4 * np.abs(made.chi[k]).max()
-    assert judged(system, delta, K, "unaware", moved, made.nu) != "holds"
-    pushed = made.nu.copy()
-    pushed[k, int(rng.integers(system.m))] *= 1.5
-    assert judged(system, delta, K, "unaware", made.chi, pushed) != "holds"
-    assert judged(system, delta, K, "unaware", made.chi[1:], made.nu[1:]) == "Rejected"
+    states = path.chi.copy()
+    states[k, i] += 1e-4 * np.abs(path.chi[k]).max()
+    assert judged(system, delta, K, "unaware", states, path.nu) != "holds"
+    inputs = path.nu.copy()
+    inputs[k, int(rng.integers(system.m))] *= 1.5
+    assert judged(system, delta, K, "unaware", path.chi, inputs) != "holds"
+    assert judged(system, delta, K, "unaware", path.chi[1:], path.nu[1:]) == "Rejected"
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -112,13 +112,13 @@ def test_setpoints_of_random_plants(seed):
     system, delta, x, u = random_system(rng)
     K = rng.normal(size=(system.m, system.n)) * u[:, None] / x
     state = rng.normal(size=system.n) * x
-    made = at_rest(system, K, state, STEPS, delta, "reference")
-    assert judged(system, delta, K, "setpoint", made.chi, made.nu, state=state.tolist()) == "holds"
+    path = at_rest(system, K, state, STEPS, delta, "reference")
+    assert judged(system, delta, K, "setpoint", path.chi, path.nu, state=state.tolist()) == "holds"
     other = state.copy()
     other[int(rng.integers(system.n))] *= 1.01
-    assert judged(system, delta, K, "setpoint", made.chi, made.nu, state=other.tolist()) == "Rejected"
-    drifting = made.chi + rng.normal(size=system.n) * x
-    balanced = made.nu + (made.chi - drifting)[:-1] @ K.T  # the same command, from a state that does not stay
+    assert judged(system, delta, K, "setpoint", path.chi, path.nu, state=other.tolist()) == "Rejected"
+    drifting = path.chi + rng.normal(size=system.n) * x
+    balanced = path.nu + (path.chi - drifting)[:-1] @ K.T  # the same command, from a state that does not stay
     assert judged(system, delta, K, "setpoint", drifting, balanced, state=state.tolist()) == "Rejected"
 
 
@@ -130,11 +130,11 @@ def test_natural_motions(seed):
     names = "semi_minor_m", "phase_rad", "cross_track_m", "cross_phase_rad"
     b, psi, c, zeta = rng.uniform([0, -9, 0, -9], [500, 9, 50, 9]) * [1, 1, seed % 2, 1]
     spec = dict(zip(names, map(float, (b, psi, c, zeta)), strict=True))
-    start, still = elliptical_nmt(eta, b, psi, c, zeta), np.zeros((STEPS, 3))
+    start, inputs = elliptical_nmt(eta, b, psi, c, zeta), np.zeros((STEPS, 3))
 
     def check(moved=0.0, push=0.0, **other):
-        made = Reference.propagate(system, delta, start + moved * np.eye(6)[4], still + push)
-        return judged(system, delta, np.zeros((3, 6)), "nmt", made.chi, made.nu, **(spec | other))
+        path = Reference.propagate(system, delta, start + moved * np.eye(6)[4], inputs + push)
+        return judged(system, delta, np.zeros((3, 6)), "nmt", path.chi, path.nu, **(spec | other))
 
     assert check() == "holds"
     wrong = {"semi_minor_m": b * 1.001}, {"phase_rad": psi + 1e-3}, {"cross_track_m": c + 0.01}

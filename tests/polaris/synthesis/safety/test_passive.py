@@ -127,9 +127,9 @@ def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
 
 
 def test_what_is_required_is_kept_or_refused_with_the_witness():
-    kept = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
-    assert kept.passive.clear.all() and kept.passive.witness() is None
-    text = drift_text(kept.passive.to_dict())
+    schedule = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
+    assert schedule.passive.clear.all() and schedule.passive.witness() is None
+    text = drift_text(schedule.passive.to_dict())
     assert "any time in 0 to 12 s" in text and text.endswith("covers the whole flight.")
     with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
         drifting(load_scenario(TINY), 10 / 12, "abort.required=true")
@@ -208,15 +208,15 @@ def test_s_spends_no_more_than_its_upkeep_for_ever():
     loop, K = safety.tracking, safety.tracking.gain
     rng, h = np.random.default_rng(0), 0.05
     A, D = held(safety.problem.system.A - safety.problem.system.B @ K, safety.problem.system.D, h)
-    e, w, spent, largest = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
+    e, w, delta_v, largest = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
     for step in range(4000):
         w = rng.normal(size=(200, 2)) if step % 40 == 0 else w
         w[:50] = np.sign(e[:50, 2:]) + 1e-9  # pushes on where it goes
         e = e @ A.T + loop.system.w_max * (w / np.linalg.norm(w, axis=1, keepdims=True)) @ D.T
-        spent = spent + np.abs(e @ K.T).sum(axis=1) * h
+        delta_v = delta_v + np.abs(e @ K.T).sum(axis=1) * h
         largest = max(largest, float(np.abs(e @ K.T).sum(axis=1).max()))
-    assert (spent / (4000 * h)).max() <= upkeep.rate and largest <= upkeep.rate * (1 + 1e-9)
-    assert (spent / (4000 * h)).max() > 0.3 * upkeep.rate
+    assert (delta_v / (4000 * h)).max() <= upkeep.rate and largest <= upkeep.rate * (1 + 1e-9)
+    assert (delta_v / (4000 * h)).max() > 0.3 * upkeep.rate
 
 
 def test_the_tank_lasts_as_long_as_the_bounds_say():

@@ -61,12 +61,12 @@ READS = (
 def bodies():
     """One that keeps its velocity, one that is uncertain and thrusts, and a wall that moves."""
     wall = PolytopeObstacle("wall", [[1.0, 0.0]], [-9.0], velocity=[0.02, 0.0], unbounded=True)
-    given = {
+    fields = {
         key: value
         for key, value in VISITOR.items()
         if key not in ("kind", "thrust_accel_max_m_s2", "radius_m")
     }
-    visitor = SatelliteObstacle(**given, radius=0.4, thrust_accel_max=0.004)
+    visitor = SatelliteObstacle(**fields, radius=0.4, thrust_accel_max=0.004)
     return BallObstacle("trolley", [7.0, 1.0], 0.5, velocity=[-0.05, 0.1]), visitor, wall
 
 
@@ -78,8 +78,8 @@ def random_controller(seed, errors=False):
     network = random_network(rng, count, system.m, int(rng.integers(1, 4)))
     scale = rng.uniform(0.05, 0.4, count) * rng.choice([-1, 1], count)
     policy = Policy(network, reads, scale, rng.uniform(0.3, 3.0, system.m))
-    given = system, policy, safety.reference, safety.reference, safety.tracking, bodies()
-    return NeuralController("net", *given), rng
+    arguments = system, policy, safety.reference, safety.reference, safety.tracking, bodies()
+    return NeuralController("net", *arguments), rng
 
 
 def test_boxes_hold_where_a_satellite_may_be_and_no_more():
@@ -90,9 +90,9 @@ def test_boxes_hold_where_a_satellite_may_be_and_no_more():
     drawn = true_states([visitor], system, times, 400, np.random.default_rng(0))["visitor"]
     assert np.all(np.abs(drawn - middle) <= half)
     # Both inputs act on the acceleration: at worst both along an axis, from a corner.
-    push, off = system.w_max + 0.004, np.asarray(VISITOR["state_half_widths"])
-    reach[:, :2] = off[:2] + times[:, None] * off[2:] + push * times[:, None] ** 2 / 2
-    reach[:, 2:] = off[2:] + push * times[:, None]
+    push, widths = system.w_max + 0.004, np.asarray(VISITOR["state_half_widths"])
+    reach[:, :2] = widths[:2] + times[:, None] * widths[2:] + push * times[:, None] ** 2 / 2
+    reach[:, 2:] = widths[2:] + push * times[:, None]
     assert half == pytest.approx(reach, rel=1e-6)
 
 
@@ -114,8 +114,8 @@ def test_the_checker_finds_the_same_places(seed):
     middle, half = law.obstacle_motion
     for k, i in ((0, 0), (3, 2), (11, 4)):
         for j, body in enumerate(law.senses.bodies):
-            at, off = checked._box(body.name, k * document.q + i)
-            for a, b, c, r in zip(at, off, middle[k, i, 4 * j :], half[k, i, 4 * j :], strict=False):
+            centre, radii = checked._box(body.name, k * document.q + i)
+            for a, b, c, r in zip(centre, radii, middle[k, i, 4 * j :], half[k, i, 4 * j :], strict=False):
                 assert a + b <= c + r and a - b >= c - r
                 assert float(b.mid()) >= 0.98 * r - 1e-7
 
@@ -140,8 +140,8 @@ def test_tube_holds_what_flies_whatever_it_is_told(seed, errors):
             + rng.choice([-1.0, 1.0], (400, law.sight.shape[1])) * law.obstacle_motion[1][k, i]
         )
         x = safe[i] + e
-        seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
-        u = np.clip(law.command(k, safe[i], safe[i], seen, i * h, readings), -system.u_max, system.u_max)
+        estimate = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
+        u = np.clip(law.command(k, safe[i], safe[i], estimate, i * h, readings), -system.u_max, system.u_max)
         assert np.all(np.abs(u - middle[i]) <= spread[i] + ROUNDING)
         u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
         w = rng.normal(size=u.shape)
@@ -214,8 +214,8 @@ def test_attacks_steer_what_is_read_by_the_gradient(schedule):
 
 def test_run_time_methods_fly_a_network_that_reads_bodies(schedule):
     grid = DecisionGrid.from_schedule(schedule, 0.5, 0.0, None)
-    flown = fly(grid, METHODS["experimental"].on(grid), Conditions.draw(grid, 6, 0))
-    assert np.ptp(flown.inputs[:, 0], axis=0).max() > 0, "told different things at once"
+    runs = fly(grid, METHODS["experimental"].on(grid), Conditions.draw(grid, 6, 0))
+    assert np.ptp(runs.inputs[:, 0], axis=0).max() > 0, "told different things at once"
 
 
 def test_flights_read_the_truth_and_are_judged_by_it(schedule):
@@ -227,8 +227,8 @@ def test_flights_read_the_truth_and_are_judged_by_it(schedule):
         readings = law.senses.body_motion(k + i * h, {"visitor": truth[:, k * q + i]}, 8)
         assert readings[:, :4] == pytest.approx(truth[:, k * q + i])
         assert np.all(np.abs(readings - law.obstacle_motion[0][k, i]) <= law.obstacle_motion[1][k, i])
-        own, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]
-        u = np.clip(law.command(k, own, own, x, i * h, readings), -law.system.u_max, law.system.u_max)
+        target, x = law.own.fine(q)[k, i], runs.states[:, k * q + i]
+        u = np.clip(law.command(k, target, target, x, i * h, readings), -law.system.u_max, law.system.u_max)
         assert runs.inputs[:, k * q + i] == pytest.approx(u, abs=1e-12)
     far = replace(runs, bodies={"visitor": truth + [100.0, 0.0, 0.0, 0.0]})
     assert np.all(evaluate(far).closest_set != 2)

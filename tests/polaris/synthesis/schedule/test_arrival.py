@@ -95,12 +95,12 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         C = np.eye(6)[:3] if eta else np.eye(n)[rng.permutation(n)[: int(rng.integers(1, min(n, 3) + 1))]]
         system = LinearSystem(A, np.ones((n, 1)), np.ones((n, 1)), [1.0], C=C)
         document = SimpleNamespace(mean_motion=eta, A=A.tolist(), C=C.tolist())
-        spec["kind"], goal, own = kind, goal.for_system(system), None
+        spec["kind"], goal, velocity_tolerance = kind, goal.for_system(system), None
         if rng.random() < 0.4:
-            own = spec["velocity_tolerance_m_s"] = rng.uniform(1e-3, 1)
+            velocity_tolerance = spec["velocity_tolerance_m_s"] = rng.uniform(1e-3, 1)
             spec["tolerance_m"] = rng.uniform(0.1, 10)
             try:
-                require_velocities(system, goal, "goal", own)
+                require_velocities(system, goal, "goal", velocity_tolerance)
             except ScenarioError:
                 with pytest.raises(Rejected):
                     goal_rows.WeightedRows.from_goal(spec, arb(SOON) * steps * delta, document)
@@ -109,7 +109,7 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         conditions = goal.conditions
         assert rows.scale == pytest.approx(conditions.scale, rel=1e-15)
         problem = SimpleNamespace(system=system, K=steps, delta=delta, goal=goal)
-        problem.goal_velocity_tolerance, problem.goal_tolerance = own, spec.get("tolerance_m")
+        problem.goal_velocity_tolerance, problem.goal_tolerance = velocity_tolerance, spec.get("tolerance_m")
         ours, sides = sided(conditions)
         weight = _weights(problem, ours)
         seconds = velocity_times(problem, ours * weight[:, None]).max(initial=0.0)
@@ -132,16 +132,16 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     late, q = safety.tracking.settling + 5, safety.clearance.q
     dear = SimpleNamespace(law=None, commands=None, thrust=np.full((q, 1), 1e9))
     tail.spells.extend([dear] * (late + 20))
-    spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
-    assert spent[0] == 0 and spent[1] > 0
+    delta_v = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
+    assert delta_v[0] == 0 and delta_v[1] > 0
     system = safety.problem.system
     bound = commanded(tail.commands, tail.starts, tail.T, tail.T + 1)[:, 0]
     ends = system.spending(np.minimum(bound, system.u_max)).sum(axis=1)
     once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
     assert ends[0] > ends[1] * 1.001
-    assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
-    assert spent[2] > spent[1]
+    assert delta_v[2] - delta_v[1] == pytest.approx(delta_v[3] - delta_v[2], rel=1e-9)
+    assert delta_v[2] > delta_v[1]
 
 
 def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
@@ -164,29 +164,29 @@ def derived(forger):
     document = read(forger.run / CERTIFICATE)
     argument = Argument(document, Record())
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.merge_rows))
+    sets, tubes = argument.tubes(path, Merging(80, argument.n, argument.craft.merge_rows))
     tracker = Tracker.from_sets(document, argument.craft, [], sets)
-    taken = spent(flown, document.steps * document.q, document.weights[: document.steps]) / document.mass
+    delta_v = spent(tubes, document.steps * document.q, document.weights[: document.steps]) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     nodes = [k * document.q for k in (last, document.steps)]
-    held = tuple(checked.HandOver(sets[node // document.q], node, node) for node in nodes)
+    hand_overs = tuple(checked.HandOver(sets[node // document.q], node, node) for node in nodes)
     arrival = checked.Arrival(
         Continuation(document, path, tracker),
-        held,
-        taken,
+        hand_overs,
+        delta_v,
         argument.controllers[0],
         Merging(80, argument.n, argument.craft.merge_rows),
-        flown,
+        tubes,
     )
     return arrival, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 
 @pytest.fixture(scope="module")
 def judged(forgers):
-    kept = cache(lambda kind: derived(forgers(kind)))
+    cached = cache(lambda kind: derived(forgers(kind)))
 
     def judge(kind):
-        arrival, goal, spec = kept(kind)
+        arrival, goal, spec = cached(kind)
         return arrival, dict(goal), dict(spec)
 
     return judge

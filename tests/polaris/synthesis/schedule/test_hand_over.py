@@ -50,8 +50,8 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
     B = np.vstack([0 * eye, eye])
     P = solve_continuous_are(A, B, np.diag([1.0, 1, 2, 2]), 2 * eye)
     errors = Thrusters(0.1, 0.05, 0.004) if proportional else Thrusters()
-    known = None if observer else np.array([0.01, 0.02, 0.004, 0.003])
-    system = Craft(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
+    estimate_error = None if observer else np.array([0.01, 0.02, 0.004, 0.003])
+    system = Craft(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=estimate_error, thrusters=errors)
     if observer:
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
     timing = Timing(
@@ -86,19 +86,19 @@ class Flight:
             noise = np.zeros((self.count, self.seen))
             noise[pushes : pushes + self.seen] = np.eye(self.seen) * (i == self.k)
             states += [x] * (i == 0)
-            known, at, observer = x, max(now - self.lag, 0), s.system.observer
+            predicted, measured_at, observer = x, max(now - self.lag, 0), s.system.observer
             if observer is None:
-                known = states[at] + noise
+                predicted = states[measured_at] + noise
             else:
                 estimate = 0 * x if estimate is None else estimate
-                for j in range(last, at):
+                for j in range(last, measured_at):
                     estimate = estimate @ Ad.T + commands[j // PARTS] @ Gd[:, p : p + m].T
-                y = states[at] @ observer.measures.T + noise
+                y = states[measured_at] @ observer.measures.T + noise
                 estimate = estimate + (y - estimate @ observer.measures.T) @ observer.gain.T
-                known, last = estimate, at
-            for j in range(at, now):
-                known = known @ Ad.T + commands[j // PARTS] @ Gd[:, p : p + m].T
-            u = -known @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
+                predicted, last = estimate, measured_at
+            for j in range(measured_at, now):
+                predicted = predicted @ Ad.T + commands[j // PARTS] @ Gd[:, p : p + m].T
+            u = -predicted @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
             commands.append(u)
             v = u + (c[0] - c[1]) / H
             for j in range(now, now + PARTS):
@@ -121,14 +121,14 @@ def worst(s):
         x, u = flight.fly()
         e = x[0].copy()
         e[-m:] += shift.T * (k == BEFORE)
-        own, place = np.empty_like(x), hold(system.A, system.B, H)
+        nominal, maps = np.empty_like(x), hold(system.A, system.B, H)
         for i in range(AFTER + 1):
             for j in range(PARTS if i < AFTER else 1):
-                free, pushed = hold(system.A, system.B, j * H / PARTS)
-                own[i * PARTS + j] = e @ (free - pushed @ s.gain).T
+                free, forced = hold(system.A, system.B, j * H / PARTS)
+                nominal[i * PARTS + j] = e @ (free - forced @ s.gain).T
             if i < AFTER:
                 u[i] += e @ s.gain.T
-            e = e @ (place[0] - place[1] @ s.gain).T
+            e = e @ (maps[0] - maps[1] @ s.gain).T
         before = system.u_max if k < BEFORE else limits[k - BEFORE]
         thrust = system.thrusters.error(before)
         if system.observer is not None:
@@ -140,20 +140,20 @@ def worst(s):
             noise = system.estimate_bound(system.u_max if lag < 0 else limits[lag])
         else:
             noise = np.array(system.timing.measured_error) + system.state_offset - system.carry_offset
-        for moved, total in ((x - own, states), (u, commands)):
-            pushes = moved[:, : PARTS * (p + 2 * m)].reshape(len(moved), PARTS, p + 2 * m, -1)
+        for responses, total in ((x - nominal, states), (u, commands)):
+            pushes = responses[:, : PARTS * (p + 2 * m)].reshape(len(responses), PARTS, p + 2 * m, -1)
             total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
-            wrong = np.concatenate([thrust, system.shifted])
-            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), wrong)
-            rest = np.concatenate([noise, np.full(m, system.timing.carried_impulse)])
-            total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + 2 * m) :]), rest)
+            errors = np.concatenate([thrust, system.shifted])
+            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), errors)
+            sampled = np.concatenate([noise, np.full(m, system.timing.carried_impulse)])
+            total += np.einsum("tri,r->ti", np.abs(responses[:, PARTS * (p + 2 * m) :]), sampled)
     return states, commands
 
 
 def stated(s):
     """Return what a certificate would state of the system, as the checker reads it."""
     system, timing, m = s.system, s.system.timing, s.system.m
-    seen, estimate, on_time = system.observer, system.navigation.tolist(), timing.on_time
+    observer, estimate, on_time = system.observer, system.navigation.tolist(), timing.on_time
     claims = {name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")}
     claims |= {"C": system.position.tolist(), "w_max": system.w_max, "bias": [], "delta": H, "q": 1}
     claims |= {
@@ -177,8 +177,8 @@ def stated(s):
         "intersample_offset": list(timing.intersample_offset) or [0.0] * system.n,
     }
     claims |= {"at_nodes": system.state_offset_at_nodes.tolist()}
-    if seen is not None:
-        claims["observer"] = {key: getattr(seen, key).tolist() for key in ("gain", "measures", "noise")}
+    if observer is not None:
+        claims["observer"] = {key: getattr(observer, key).tolist() for key in ("gain", "measures", "noise")}
     if s.feedback_bound is not None:
         claims["feedback_bound"] = s.feedback_bound.tolist()
     return SimpleNamespace(**claims)
@@ -199,8 +199,8 @@ def checked(s, rows):
     noise = tightenings.craft.noise(tightenings.craft.lag_error(tightenings.craft.plant.u_max))
     box = column([*carry_offset(tightenings.craft.plant), *tightenings.craft.box])
     nodes = [(magnitude(rows) * box).entries() for rows in tightenings.carried[: AFTER + 1]]
-    handed = [nodes, [tightenings.boxed(box, lag) for lag in range(AFTER + 1)]]
-    parts = zip((tightenings.at_nodes, tightenings.disturbed), handed, strict=True)
+    set_terms = [nodes, [tightenings.boxed(box, lag) for lag in range(AFTER + 1)]]
+    parts = zip((tightenings.at_nodes, tightenings.disturbed), set_terms, strict=True)
     total = [[sums(*pair) for pair in zip(a[: AFTER + 1], b, strict=True)] for a, b in parts]
     each = (np.array([[float(x) for x in tightening] for tightening in some]) for some in total)
     return *each, np.array([float(x) for x in noise])
@@ -248,14 +248,14 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
     by_tracking = s.responses(rows, s.feedback_bound)[ages] + handed(s, rows)[ages], needed(s, rows, ages)
     by_checker = checked(s, rows)
     demand = (s.responses(K, s.feedback_bound)[:-1] + handed(s, K))[:AFTER] + s.noise
-    asked = demand, checked(s, None)[0][:AFTER] + by_checker[2]
+    command_bounds = demand, checked(s, None)[0][:AFTER] + by_checker[2]
     within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
     for nodes, disturbance in (by_tracking, by_checker[:2]):
         share = states[::PARTS] / np.maximum(nodes, 1e-12)
         assert share.max() <= 1 + 1e-6 and share[-2].min() > 0.85
         chords = [(1 - within) * a + within * b for a, b in zip(disturbance, disturbance[1:], strict=False)]
         assert np.all(states[:-1] <= np.concatenate(chords) * (1 + 1e-6))
-    for tightening in asked:
+    for tightening in command_bounds:
         share = commands / tightening
         assert share.max() <= 1 + 1e-6 and share[-1].min() > 0.9
 
@@ -287,8 +287,8 @@ def test_what_is_older_than_the_horizon_counts(case):
 def along(s, nu, planned, by_step=(), between=True):
     """Return needs along states at nodes, and commands that they are bounded for, on both sides."""
     cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
-    own = Feedforward(s, SimpleNamespace(nu=nu, cells=cells), planned)
-    tightenings, commanded = own.response(rows, between), [own.commanded]
+    effect = Feedforward(s, SimpleNamespace(nu=nu, cells=cells), planned)
+    tightenings, commanded = effect.response(rows, between), [effect.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
     document.errors_in = lambda k: document.estimate
     if len(by_step):
@@ -357,11 +357,11 @@ def test_errors_that_feed_on_themselves_are_bounded_or_exhaust_the_thrusters(rou
     s, nu = tracking(proportional=True), np.full((30, 2), 0.2)
     for across in (0.05, 0.25, 0.75):
         system = replace(s.system, thrusters=replace(s.system.thrusters, across=across))
-        own = feedforward.Feedforward(replace(s, system=system), SimpleNamespace(nu=nu, cells=30), 30)
-        caused = own.response(own.tracking.commands[:2], between=False).max(axis=1)
-        kept = np.all(own.commanded >= nu + caused) and np.all(own.commanded <= system.u_max)
-        assert kept or np.any(own.commanded > system.u_max), across
-        assert kept == (rounds > 2 and across < 0.5), across
+        effect = feedforward.Feedforward(replace(s, system=system), SimpleNamespace(nu=nu, cells=30), 30)
+        caused = effect.response(effect.tracking.commands[:2], between=False).max(axis=1)
+        bounded = np.all(effect.commanded >= nu + caused) and np.all(effect.commanded <= system.u_max)
+        assert bounded or np.any(effect.commanded > system.u_max), across
+        assert bounded == (rounds > 2 and across < 0.5), across
 
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():
@@ -382,9 +382,9 @@ def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_sc
     s, caused = tracking(), Tightening.response
     s = replace(s, system=replace(s.system, error_by_step=by_step))
 
-    def more(*given):
-        older, bent = caused(*given)
-        return [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
+    def more(*arguments):
+        older, intersample = caused(*arguments)
+        return [x + 1e-3 for x in older], [x + 2e-3 for x in intersample]
 
     monkeypatch.setattr(Tightening, "response", more)
     assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)

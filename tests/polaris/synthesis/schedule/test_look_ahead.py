@@ -60,13 +60,13 @@ class Scene:
 
     def greedy(self, dwell, cap):
         """Algorithm 2 in other words: a controller is taken if it is proven for all of its dwell."""
-        modes, error, held, switches = [], 0.0, 0, 0
+        modes, error, mode_age, switches = [], 0.0, 0, 0
         while len(modes) < self.K:
             k, last = len(modes), modes[-1] if modes else None
             for mode in (*range(1, len(self.weights) + 1), 0):
-                steps, spent = 1, switches + (last is not None and mode != last)
+                steps, count = 1, switches + (last is not None and mode != last)
                 if mode and mode != last:
-                    if (last is not None and held < dwell) or (cap is not None and spent + 1 > cap):
+                    if (last is not None and mode_age < dwell) or (cap is not None and count + 1 > cap):
                         continue
                     steps = min(dwell, self.K - k)
                 path = [error]
@@ -74,14 +74,14 @@ class Scene:
                     path.append(None if path[-1] is None else self.prove(path[-1], k + j, mode))
                 if path[-1] is not None:
                     break
-            held = steps + (held if mode == last else 0)
-            modes, error, switches = modes + [mode] * steps, path[-1], spent
+            mode_age = steps + (mode_age if mode == last else 0)
+            modes, error, switches = modes + [mode] * steps, path[-1], count
         return self.objective(modes)
 
     def best_of_all(self, dwell, cap):
         """Of every schedule that is proven and keeps the rules."""
 
-        def go(k, error, mode, held, switches):
+        def go(k, error, mode, mode_age, switches):
             if k == self.K:
                 return 0.0
             best = -1.0
@@ -89,12 +89,12 @@ class Scene:
                 stays = k > 0 and following == mode
                 count = switches + (k > 0 and not stays)
                 barred = following > 0 and cap is not None and count + 1 > cap
-                if not stays and (barred or (k > 0 and held < dwell)):
+                if not stays and (barred or (k > 0 and mode_age < dwell)):
                     continue
                 after = self.prove(error, k, following)
                 if after is None:
                     continue
-                rest = go(k + 1, after, following, held + 1 if stays else 1, count)
+                rest = go(k + 1, after, following, mode_age + 1 if stays else 1, count)
                 if rest >= 0:
                     best = max(best, rest + (0.0, *self.weights)[following])
             return best
@@ -151,6 +151,6 @@ def test_looser_rules_are_never_worse_in_real_scenes():
         return np.array([[each.share() for each in row] for row in schedules])
 
     for (_, schedule), *grid in ((tiny(), (1, 3), (1, 2, 4)), (bundled("dynamic"), (4, 6), (3, 4))):
-        ahead = shares(schedule, "look_ahead", *grid)
-        assert np.all(ahead >= shares(schedule, "greedy", *grid)) and ahead.max() > 0
-        assert np.all(np.diff(ahead, axis=0) <= 0) and np.all(np.diff(ahead, axis=1) >= 0)
+        look_ahead = shares(schedule, "look_ahead", *grid)
+        assert np.all(look_ahead >= shares(schedule, "greedy", *grid)) and look_ahead.max() > 0
+        assert np.all(np.diff(look_ahead, axis=0) <= 0) and np.all(np.diff(look_ahead, axis=1) >= 0)

@@ -57,15 +57,15 @@ def attacked(schedule, runs, seed, steps):
     """Attack aborted flights by two integrators; the largest share of the claimed velocity change spent."""
     tight = 0.0
     for k in steps:
-        way, flown = schedule.powered.ways[k], schedule.aborted(k)
-        _, _, tried = aborted(schedule, k, runs, np.random.default_rng(seed))
-        failure, _ = exceeded(schedule, k, tried)
+        way, abort = schedule.powered.ways[k], schedule.aborted(k)
+        _, _, flights = aborted(schedule, k, runs, np.random.default_rng(seed))
+        failure, _ = exceeded(schedule, k, flights)
         assert failure.margin >= -1e-6, (seed, k, failure.limit)
-        q, problem = flown.safety.clearance.q, flown.safety.problem
-        spent = np.abs(tried.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
-        tight = max(tight, spent / problem.system.mass / way.delta_v)
-        if min(flown.margins[flown.modes > 0], default=0) >= 0:  # else other branches serve the steps before
-            worst = attack(flown, runs, seed)
+        q, problem = abort.safety.clearance.q, abort.safety.problem
+        impulse = np.abs(flights.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
+        tight = max(tight, impulse / problem.system.mass / way.delta_v)
+        if min(abort.margins[abort.modes > 0], default=0) >= 0:  # else other branches serve the steps before
+            worst = attack(abort, runs, seed)
             assert worst.left.min() >= -1e-3 and worst.over <= 1e-6, (seed, k)
     return tight
 
@@ -115,12 +115,12 @@ def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
 
 def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
     scale = tiny.safety.tracking.flow.h / tiny.safety.problem.system.mass
-    spent = np.cumsum([0.0, *(spell.thrust.sum() for spell in tiny._spells)]) * scale
-    spent = spent[np.arange(12) + (tiny.modes > 0)]
-    tank = float(np.median(spent + [way.delta_v for way in tiny.powered.ways]) * 1.02)
+    delta_v = np.cumsum([0.0, *(spell.thrust.sum() for spell in tiny._spells)]) * scale
+    delta_v = delta_v[np.arange(12) + (tiny.modes > 0)]
+    tank = float(np.median(delta_v + [way.delta_v for way in tiny.powered.ways]) * 1.02)
     schedule = synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER, f"tank.delta_v_m_s={tank!r}"]))
-    left = [tank - spent[k] - schedule.powered.ways[k].delta_v for k in proven(schedule)]
-    assert 0 < len(left) < 12 and min(left) >= 0 and np.array_equal(schedule.modes, tiny.modes)
+    slack = [tank - delta_v[k] - schedule.powered.ways[k].delta_v for k in proven(schedule)]
+    assert 0 < len(slack) < 12 and min(slack) >= 0 and np.array_equal(schedule.modes, tiny.modes)
     assert any("the tank holds" in way.why for way in schedule.powered.ways)
     document = Document(json.loads(json.dumps(certificate(schedule, "tiny"))))
     aborts = [way.delta_v for way in schedule.powered.ways]
@@ -136,25 +136,25 @@ def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2), tracking=one)
     sets = Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1)))
     tube = SimpleNamespace(states=sets, intersample=np.zeros((2, 1)), end=start)
-    taken = Takeover.for_steps(
+    takeovers = Takeover.for_steps(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )
-    assert [each.cost for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
-    assert [each.start[1:] for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
+    assert [each.cost for each in takeovers] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
+    assert [each.start[1:] for each in takeovers] == [(0, 0), (2, 4), (4, 4), (6, 8)]
 
 
 def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
-    given = [LATE, "feedback.period_s=0.25"]
-    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
+    assignments = [LATE, "feedback.period_s=0.25"]
+    safety = get_safety(load_scenario(TINY).with_assignments(assignments).problem())
     tracking, reference = safety.tracking, safety.reference
     branch = AbortBranch(0, safety, Corrections(tracking))
     rows, sides = branch.goal.rows
     one = Zonotope(safety.start.c[None], safety.start.G[None])
-    off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
+    reached = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
     states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.transient_tightening(rows)[-1]
     least = distance(safety.problem.goal.conditions, states + tracking.settled_tightening(rows)).min()
     without = states - tracking.transient_tightening(rows)[-1]
-    assert off >= least > distance(safety.problem.goal.conditions, without).min()
+    assert reached >= least > distance(safety.problem.goal.conditions, without).min()
 
 
 @pytest.fixture(scope="module")
@@ -215,8 +215,8 @@ LATER = "[{from_s=4.0,state_error=[0.004,0.002,0.0,0.0]},{from_s=11.0,state_erro
 
 
 def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all_later_ones():
-    given = [COARSE, "tracking.R=[60,60]", f"navigation.phases={LATER}", OWN]
-    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    assignments = [COARSE, "tracking.R=[60,60]", f"navigation.phases={LATER}", OWN]
+    schedule = synthesize(load_scenario(TINY).with_assignments(assignments))
     data = certificate(schedule, "tiny")
     assert proven(schedule) and verify_document(data).outcome == "VERIFIED"
     assert falsify(schedule, 300, 0).failure is None
@@ -224,12 +224,12 @@ def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all
     sooner = 0
     for branch, along in zip(schedule.powered.branches, document.powered.branches, strict=True):
         doc, clearance = branched(document, along), branch.safety.clearance
-        known = [doc.errors_in(k) for k in range(doc.cells)]
-        booked = command_errors(clearance.tracking.system, gain, doc.cells, doc.steps)
-        assert booked == pytest.approx(np.array(known) @ np.abs(gain).T) and doc.calmest == document.calmest
-        assert known[: doc.steps] == [document.errors_in(k) for k in range(doc.steps)]
-        assert known[-1] == document.errors_in(12) and doc.cells > doc.steps
-        sooner += document.errors_in(doc.steps) != known[-1]
+        errors = [doc.errors_in(k) for k in range(doc.cells)]
+        bounds = command_errors(clearance.tracking.system, gain, doc.cells, doc.steps)
+        assert bounds == pytest.approx(np.array(errors) @ np.abs(gain).T) and doc.calmest == document.calmest
+        assert errors[: doc.steps] == [document.errors_in(k) for k in range(doc.steps)]
+        assert errors[-1] == document.errors_in(12) and doc.cells > doc.steps
+        sooner += document.errors_in(doc.steps) != errors[-1]
     assert sooner
 
 
@@ -279,10 +279,10 @@ def verified(scenario, schedule):
     """The checker derives every abort that is claimed of a scene, its arrival and its velocity change."""
     table = tomllib.loads(scenario.text_elsewhere())
     orbit, document = table["abort"]["orbit"], Document(certificate(schedule, "random"))
-    known = FileClaims(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
+    claims = FileClaims(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
     before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
     try:
-        Argument(document, record, known).run()
+        Argument(document, record, claims).run()
     finally:
         flint.ctx.prec = before
     return "powered_abort" in dict(record.checked)

@@ -61,21 +61,21 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
     unsafe = safety.clearance.unsafe
     hand_overs = HandOvers(tracking, unsafe, K)
     sets = reached_sets([schedule.controllers[1]] * K, safety.start, safety.controller)
-    for handed in (sets[0], sets[K // 2]):
-        for body, tightenings in zip(unsafe, hand_overs.since(handed), strict=True):
+    for error_set in (sets[0], sets[K // 2]):
+        for body, tightenings in zip(unsafe, hand_overs.since(error_set), strict=True):
             rows = -body.normals @ safety.problem.system.position
-            exact = error_tube(tracking, handed, rows).over_cells(K, q)
+            exact = error_tube(tracking, error_set, rows).over_cells(K, q)
             assert np.all(tightenings <= exact + 1e-6) and np.all(
                 tightenings >= exact - 0.2 * np.abs(exact).max()
             )
     along = hand_overs.tighten(safety.reference, {k: sets[k] for k in range(K)})
-    for i, (body, (tightening, lack)) in enumerate(zip(unsafe, along, strict=True)):
+    for i, (body, (tightening, shortfall)) in enumerate(zip(unsafe, along, strict=True)):
         tables = (hand_overs.since(sets[k])[i][: K - k] for k in range(K))
         later = [np.vstack([np.full((k, len(body.normals)), -np.inf), each]) for k, each in enumerate(tables)]
         at = np.maximum(np.max(later, axis=0), 0.0)
-        assert np.allclose(tightening, at) and lack.shape == (K, 1) and np.all(lack >= 0)
+        assert np.allclose(tightening, at) and shortfall.shape == (K, 1) and np.all(shortfall >= 0)
         clearance = facet_clearance(tracking, safety.reference, body).min(axis=1)[:K]
-        assert np.array_equal(lack[:, 0] > 0, np.all(tightening > clearance, axis=1))
+        assert np.array_equal(shortfall[:, 0] > 0, np.all(tightening > clearance, axis=1))
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_a_goal_that_is_not_reached_is_planned_again_further_inside(tmp_path):
 
 @pytest.mark.slow
 def test_with_u_in_view_nothing_is_lost_in_many_scenes(tmp_path):
-    kept = changed = proven = 0
+    no_worse = changed = proven = 0
     seeds = range(fewer(150, 30))
     for seed in seeds:
         try:
@@ -105,11 +105,11 @@ def test_with_u_in_view_nothing_is_lost_in_many_scenes(tmp_path):
         if before.guarantee != "proved":
             continue
         proven += 1
-        kept += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
+        no_worse += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
         changed += not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
         assert schedule.safety.end.until >= before.safety.end.until
     assert changed >= fewer(12, 0.02 * len(seeds)) and proven >= fewer(80, 0.4 * len(seeds))
-    assert kept >= 0.7 * proven
+    assert no_worse >= 0.7 * proven
 
 
 def check_claims(schedule):
@@ -122,9 +122,9 @@ def check_claims(schedule):
     runs = simulate(schedule, 60, 3, tail=schedule.safety.reference.cells > problem.K)
     node = round(arrival.by / schedule.safety.tracking.flow.h)
     rows, sides = sided(problem.goal.conditions)
-    off = distance(problem.goal.conditions, (runs.states[:, node] @ rows.T - sides) * _weights(problem, rows))
+    gap = distance(problem.goal.conditions, (runs.states[:, node] @ rows.T - sides) * _weights(problem, rows))
     integrated = 1e-8 * np.abs(runs.states).max()
-    assert off.max() <= arrival.distance + integrated and arrival.distance <= arrival.tolerance
+    assert gap.max() <= arrival.distance + integrated and arrival.distance <= arrival.tolerance
     return True
 
 

@@ -71,22 +71,22 @@ def test_a_plain_system_counts_as_one_without_errors():
     safety, law = small_safety(), small_controllers()["coasting"]
     craft = safety.problem.system
     plain = LinearSystem(*(getattr(craft, part.name) for part in fields(LinearSystem)))
-    again = replace(law, system=plain, own=replace(law.own, system=plain))
-    assert proof(again).modes.tolist() == proof(law).modes.tolist()
+    plain_law = replace(law, system=plain, own=replace(law.own, system=plain))
+    assert proof(plain_law).modes.tolist() == proof(law).modes.tolist()
     wrong = replace(craft, thrusters=Thrusters(along=0.1))
     with pytest.raises(ScenarioError, match=r"system\.thrusters\.along: got 0\.0; must be"):
-        check_controller(again, replace(safety, problem=replace(safety.problem, system=wrong)))
+        check_controller(plain_law, replace(safety, problem=replace(safety.problem, system=wrong)))
 
 
 def grids():
     law = small_controllers()["coasting"]
-    own, tracking = law.own, law.tracking
+    path, tracking = law.own, law.tracking
     yield "period", replace(law, tracking=Tracking(law.system, tracking.gain, Feedback(3), 30.0))
     yield "tracking copied", replace(law, tracking=replace(tracking))
     yield "reference copied", replace(law, reference=replace(law.reference), own=law.reference)
-    yield "too short", replace(law, own=Reference(own.system, 30.0, own.chi[:31], own.nu[:30]))
-    yield "not finite", replace(law, own=replace(own, nu=np.full_like(own.nu, np.nan)))
-    yield "inputs missing", replace(law, own=replace(own, chi=own.chi[:-1]))
+    yield "too short", replace(law, own=Reference(path.system, 30.0, path.chi[:31], path.nu[:30]))
+    yield "not finite", replace(law, own=replace(path, nu=np.full_like(path.nu, np.nan)))
+    yield "inputs missing", replace(law, own=replace(path, chi=path.chi[:-1]))
 
 
 @pytest.mark.parametrize("law", [pytest.param(law, id=name) for name, law in grids()])
@@ -99,11 +99,11 @@ def altered():
     safety, problem = small_safety(), small_problem()
     wider = Zonotope.box(problem.initial_set.c, [4, 4, 4, 0.01, 0.01, 0.01])
     debris = BoxObstacle("more", [0.0, 300.0, 0.0], [5.0] * 3)
-    moved = BoxObstacle("debris", [125.0, 235.0, 0.0], [25.0] * 3)
+    displaced = BoxObstacle("debris", [125.0, 235.0, 0.0], [25.0] * 3)
     changes = {"K": 50, "delta": 15.0, "period": 2.0, "initial_set": wider}
     for key, value in (changes | {"system": replace(problem.system, w_max=1e-4)}).items():
         yield key, replace(safety, problem=replace(problem, **{key: value}))
-    for name, unsafe in (("one more", (*problem.unsafe, debris)), ("moved", (moved,))):
+    for name, unsafe in (("one more", (*problem.unsafe, debris)), ("moved", (displaced,))):
         yield name, replace(safety, problem=replace(problem, unsafe=unsafe))
     yield "S clips", replace(safety, controller=replace(safety.controller, clips=True))
     yield "another gain", replace(safety, controller=replace(safety.controller, gain=problem.gains[0]))
@@ -125,11 +125,11 @@ def altered():
     yield "a jump", assembled(safety, replace(safety.reference, chi=chi + shift))
     yield "other inputs", assembled(safety, replace(safety.reference, nu=0.999 * nu))
     yield "no tail", assembled(safety, replace(safety.reference, chi=chi[: K + 1], nu=nu[:K]))
-    still, ahead = np.zeros_like(nu), np.zeros_like(nu)
-    ahead[:3] = -2 * problem.system.u_max
-    for name, inputs in (("through the obstacle", still), ("more thrust than there is", ahead)):
-        own = Reference.propagate(problem.system, problem.delta, chi[0], inputs)
-        yield name, assembled(safety, own)
+    zero_input, excessive = np.zeros_like(nu), np.zeros_like(nu)
+    excessive[:3] = -2 * problem.system.u_max
+    for name, inputs in (("through the obstacle", zero_input), ("more thrust than there is", excessive)):
+        reference = Reference.propagate(problem.system, problem.delta, chi[0], inputs)
+        yield name, assembled(safety, reference)
 
 
 def assembled(safety, reference):
@@ -153,16 +153,16 @@ def test_a_safety_changed_afterwards_is_refused(safety):
 
 def test_a_safety_assembled_from_its_own_parts_is_taken():
     safety = small_safety()
-    again = assembled(safety, replace(safety.reference))
-    assert synthesize(again, experimental=[], rules=SwitchingRules()).guarantee == "proved"
+    rebuilt = assembled(safety, replace(safety.reference))
+    assert synthesize(rebuilt, experimental=[], rules=SwitchingRules()).guarantee == "proved"
     balls = replace(safety, recoverable=get_recover("ball", safety.clearance, safety.bounds))
     assert proof(small_controllers()["coasting"], safety=balls).guarantee == "proved"
 
 
 def test_safety_of_another_scenario_is_refused_and_that_of_the_same_is_not():
     scenario, schedule = synthesised()
-    again = synthesize(scenario, schedule.safety)
-    assert again.modes.tolist() == schedule.modes.tolist()
+    second = synthesize(scenario, schedule.safety)
+    assert second.modes.tolist() == schedule.modes.tolist()
     relaxed = scenario.with_assignments(["schedule.min_dwell_steps=2"])
     assert synthesize(relaxed, schedule.safety).guarantee == "proved"
     with pytest.raises(ScenarioError, match="must be"):

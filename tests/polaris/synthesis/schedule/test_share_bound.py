@@ -26,13 +26,13 @@ def printed(*more):
     return scenario, synthesize(scenario)
 
 
-def flights_of(problem, law, held, count, seed):
+def flights_of(problem, law, modes, count, seed):
     """Undisturbed flights at the ends of the steps, shape (count, K, n): random thrust where it is free."""
     rng = np.random.default_rng(seed)
     system, K, m = problem.system, problem.K, problem.system.m
     parts = law.feedback.nodes_per_cell
     A, B = discretize(system.A, system.B, problem.delta / parts)
-    own = law.own.fine(parts)
+    path = law.own.fine(parts)
     x = np.repeat(np.asarray(problem.initial_set.c)[None], count, axis=0)
     states = np.zeros((count, K, system.n))
     one = rng.uniform(-1.5, 1.5, (count, 1, m)).clip(-1, 1)
@@ -41,11 +41,11 @@ def flights_of(problem, law, held, count, seed):
     changes, at = rng.random((count, K)) < 0.3, rng.random((count, K))
     for k in range(K):
         for j in range(parts):
-            if held[k] == FREE:
+            if modes[k] == FREE:
                 sign = np.where(changes[:, k] & (at[:, k] * parts < j), -1.0, 1.0)
                 u = thrust[:, k] * system.u_max * sign[:, None]
             else:
-                u = np.clip(law.own.nu[k] + (own[k, j] - x) @ law.gain.T, -system.u_max, system.u_max)
+                u = np.clip(law.own.nu[k] + (path[k, j] - x) @ law.gain.T, -system.u_max, system.u_max)
             x = x @ A.T + u @ B.T
         states[:, k] = x
     return states
@@ -59,15 +59,15 @@ def test_every_flight_lies_in_what_is_enclosed(more, times):
     law = replace(law, gain=times * law.gain)
     flights, rng, clipped = UndisturbedFlights(schedule.safety, [law]), np.random.default_rng(5), 0
     for seed in range(6):
-        held = tuple(np.where(rng.random(problem.K) < 0.35, FREE, 1).tolist())
-        c, G, _ = flights.propagate(held)
-        states = flights_of(problem, law, held, 200, seed)
+        modes = tuple(np.where(rng.random(problem.K) < 0.35, FREE, 1).tolist())
+        c, G, _ = flights.propagate(modes)
+        states = flights_of(problem, law, modes, 200, seed)
         rows = rng.normal(size=(40, problem.system.n))
         clearance = c @ rows.T + np.abs(rows @ G).sum(axis=2)
         assert np.all(states[:, : len(c)] @ rows.T <= clearance + 1e-9)
         assert times > 1 or len(c) == problem.K
-        ahead = np.abs((states - law.own.chi[1:]) @ law.gain.T).max(axis=(0, 2))
-        clipped += int(np.sum(ahead[:-1][np.array(held[1:]) == 1] > problem.system.u_max.max()))
+        corrections = np.abs((states - law.own.chi[1:]) @ law.gain.T).max(axis=(0, 2))
+        clipped += int(np.sum(corrections[:-1][np.array(modes[1:]) == 1] > problem.system.u_max.max()))
     assert clipped > 10, "the clip has something to do"
 
 
@@ -78,7 +78,7 @@ def test_the_word_of_a_solver_is_not_enough(monkeypatch):
     assert not flights.impossible(free)
     monkeypatch.setattr(GrowingLP, "solve", lambda self, seconds: None)
     for weights in (np.zeros, np.ones, lambda count: -np.ones(count)):
-        monkeypatch.setattr(GrowingLP, "ray", lambda self, made=weights: made(self.rows))
+        monkeypatch.setattr(GrowingLP, "ray", lambda self, ray=weights: ray(self.rows))
         assert not flights.impossible(free)
 
 
@@ -90,9 +90,9 @@ def test_nothing_that_can_be_flown_is_called_impossible():
     sets = [free for count in range(3) for free in combinations(steps, count)]
     sets += [np.flatnonzero(rng.random(problem.K) < 0.4).tolist() for _ in range(20)]
     for i, free in enumerate(sets):
-        held = tuple(FREE if k in free else 1 for k in steps)
-        impossible, clearance = flights.impossible(held), np.inf
-        states = flights_of(problem, law, held, 250, i)
+        modes = tuple(FREE if k in free else 1 for k in steps)
+        impossible, clearance = flights.impossible(modes), np.inf
+        states = flights_of(problem, law, modes, 250, i)
         for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
             clearance = np.minimum(clearance, (states @ rows.T - offsets).max(axis=2).min(axis=1))
         if clearance.max() > 0.02:
@@ -100,9 +100,9 @@ def test_nothing_that_can_be_flown_is_called_impossible():
             fewest = min(fewest, len(free))
         refuted += impossible
         if impossible:
-            wide = flights.widened(held)
+            wide = flights.widened(modes)
             assert flights.impossible(wide), "still, and demands no less"
-            assert all(mode in (FREE, held[k]) for k, mode in enumerate(wide))
+            assert all(mode in (FREE, modes[k]) for k, mode in enumerate(wide))
     bound = share_bound(schedule, scenario.switching_rules(), 400)
     assert refuted > 5 and bound.ended == "reached" and bound.share == 1 - fewest / problem.K
 
@@ -200,7 +200,7 @@ def test_a_law_without_a_path_of_its_own_bounds_nothing():
 def test_the_unsafe_sets_are_those_that_the_proof_keeps_clear_of():
     scenario, schedule = printed()
     safety, rules = schedule.safety, scenario.switching_rules()
-    gone = tuple(replace(unsafe, offsets=unsafe.offsets - 100.0) for unsafe in safety.clearance.unsafe)
-    clear = replace(safety, clearance=replace(safety.clearance, unsafe=gone))
+    shifted = tuple(replace(unsafe, offsets=unsafe.offsets - 100.0) for unsafe in safety.clearance.unsafe)
+    clear = replace(safety, clearance=replace(safety.clearance, unsafe=shifted))
     assert share_bound(schedule, rules, 400).share < 1
     assert share_bound(replace(schedule, safety=clear), rules, 400).share == 1

@@ -34,10 +34,10 @@ def tiny(*more):
 def test_the_worst_flights_spend_most_of_what_is_proven(errors):
     schedule = tiny(*errors)
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(1))
-    spent = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
+    delta_v = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
     by_chance = float(attacker.random(20).fly(attacker.flight).delta_v.max())
-    assert by_chance < spent <= schedule.delta_v[1] * (1 + 1e-9)
-    assert spent > 0.6 * schedule.delta_v[1]
+    assert by_chance < delta_v <= schedule.delta_v[1] * (1 + 1e-9)
+    assert delta_v > 0.6 * schedule.delta_v[1]
 
 
 def test_periods_cannot_all_be_the_worst():
@@ -96,8 +96,8 @@ def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
     assert all(1 <= ratio <= limit for ratio, limit in zip(sums.ratios, (1.7, 2.5), strict=True)), sums
     page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN_SUMS)[1]
     row = next(row for row in page.splitlines() if row.startswith(f"| {scene} |"))
-    known = [float(cell) for cell in row.split("|")[2:-1]]
-    assert [*sums.until_goal, *sums.per_orbit] == pytest.approx(known, abs=0.02)
+    page_values = [float(cell) for cell in row.split("|")[2:-1]]
+    assert [*sums.until_goal, *sums.per_orbit] == pytest.approx(page_values, abs=0.02)
 
 
 @pytest.mark.slow
@@ -106,17 +106,17 @@ def test_the_parts_of_what_is_booked_are_those_of_the_page():
     from benchmarks import booked
 
     page = booked.PLACE.read_text(encoding="utf-8").split(booked.BEGIN)[1].split(booked.END)[0]
-    known, made = (
+    printed, table = (
         [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows]
         for rows in (page.splitlines(), booked.table(booked.SCENES))
     )
-    assert [cells[0] for cells in made] == [cells[0] for cells in known] and made[:2] == known[:2]
-    *sizes, whole = np.array([[float(cell) for cell in cells[1::2]] for cells in made[2:]])
-    stated = np.array([[float(cell) for cell in cells[1::2]] for cells in known[2:]])
-    assert np.vstack([*sizes, whole]) == pytest.approx(stated, abs=0.05)
+    assert [cells[0] for cells in table] == [cells[0] for cells in printed] and table[:2] == printed[:2]
+    *sizes, whole = np.array([[float(cell) for cell in cells[1::2]] for cells in table[2:]])
+    page_values = np.array([[float(cell) for cell in cells[1::2]] for cells in printed[2:]])
+    assert np.vstack([*sizes, whole]) == pytest.approx(page_values, abs=0.05)
     assert np.sum(sizes, axis=0) == pytest.approx(whole, abs=0.1)
-    flown = np.array([float(cell) for cell in made[-1][2::2]])
-    assert made[-1][0] == "all" and np.all((0.55 * whole <= flown) & (flown <= whole))
+    attained = np.array([float(cell) for cell in table[-1][2::2]])
+    assert table[-1][0] == "all" and np.all((0.55 * whole <= attained) & (attained <= whole))
 
 
 def under(scenario, budget):
@@ -131,16 +131,16 @@ def under(scenario, budget):
 
 def judge(scenario, free):
     """Outcomes of a scene under budgets just above and below what it is proven to keep without one."""
-    kept = free.spent * (1 + CHECKED)
-    same, _ = under(scenario, kept * (1 + 1e-9))
+    budget = free.spent * (1 + CHECKED)
+    same, _ = under(scenario, budget * (1 + 1e-9))
     assert same is not None and same.modes.tolist() == free.modes.tolist()
     none, least = under(scenario, 1e-6 * free.spent)
-    assert none is None and 1e-6 * free.spent < least <= kept * (1 + 1e-3)
-    cheaper, spent = under(scenario, 0.97 * free.spent)
+    assert none is None and 1e-6 * free.spent < least <= budget * (1 + 1e-3)
+    cheaper, delta_v = under(scenario, 0.97 * free.spent)
     if cheaper is None:
-        assert spent > 0.97 * free.spent
+        assert delta_v > 0.97 * free.spent
     else:
-        assert spent <= 0.97 * free.spent and cheaper.guarantee == free.guarantee
+        assert delta_v <= 0.97 * free.spent and cheaper.guarantee == free.guarantee
 
 
 @pytest.mark.parametrize("recourse", ["none", pytest.param("replan", marks=pytest.mark.slow)])

@@ -43,16 +43,16 @@ def attack(name, n, seed, *more):
     scenario, schedule = synthesised(name, *more)
     safety = schedule.safety
     assert schedule.guarantee == "proved"
-    flown = {}
+    runs_by_mode = {}
     for mode, count in ((0, n // 5), (None, n)):
-        runs = flown[mode] = simulate(schedule, count, seed, mode=mode, tail=safety.end.proven)
+        runs = runs_by_mode[mode] = simulate(schedule, count, seed, mode=mode, tail=safety.end.proven)
         assert distances(schedule, runs, scenario) > 0
         assert facet_slack(schedule, runs) > 0
         under_s = runs.flown[0] == 0
         assert runs.demanded[:, under_s].max() <= 1 + 1e-6, "S never saturates"
     q, K = safety.clearance.q, safety.problem.K
     nodes = safety.clearance.nodes[:K, :-1].reshape(K * q, -1)
-    errors = flown[None].states[:, : K * q] - nodes
+    errors = runs_by_mode[None].states[:, : K * q] - nodes
     for k in np.flatnonzero(schedule.modes > 0):
         for node in (k * q, k * q + q // 2, (k + 1) * q - 1):
             assert safety.recoverable.contains(node, errors[:, node]).all()
@@ -133,9 +133,9 @@ def test_cells_flown_at_once_are_the_cells_flown_step_by_step(name, monkeypatch)
     schedule = synthesize(None, small_safety(), [small_controllers()[name]], SwitchingRules())
     at_once = simulate(schedule, 12, 3, mode=1)
     monkeypatch.setattr(Integrator, "_unclipped", lambda self, *cell: None)
-    apart = simulate(schedule, 12, 3, mode=1)
+    stepwise = simulate(schedule, 12, 3, mode=1)
     for field in ("states", "inputs", "demanded", "delta_v"):
-        one, other = getattr(at_once, field), getattr(apart, field)
+        one, other = getattr(at_once, field), getattr(stepwise, field)
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
 

@@ -19,22 +19,22 @@ START = Zonotope.box(np.zeros(6), [2, 2, 2, 0.01, 0.01, 0.01])
 
 def fly(safety, law, k, e0, rng, parts=8):
     """Errors in one step of a law from an error, independently of the tubes; eight parts of every period."""
-    system, q, own = safety.problem.system, safety.tracking.feedback.nodes_per_cell, safety.reference
+    system, q, reference = safety.problem.system, safety.tracking.feedback.nodes_per_cell, safety.reference
     linear = isinstance(law, AffineController)
-    own = law.own if linear else own
+    reference = law.own if linear else reference
     dt = safety.tracking.flow.h / parts
     (Ad, Bd), Dd = discretize(system.A, system.B, dt), discretize(system.A, system.D, dt)[1]
-    xi, at, errors = safety.reference.chi[k], own.chi[k], [e0]
+    xi, at, errors = safety.reference.chi[k], reference.chi[k], [e0]
     x, w, push = xi + e0, rng.normal(size=3), rng.choice([-1.0, 1.0], size=3) * system.u_max
     for step in range(q * parts):
         w = rng.normal(size=3) if rng.random() < 0.3 else w
         push = rng.choice([-1.0, 1.0], size=3) * system.u_max if rng.random() < 0.1 else push
         if not linear:
-            held = push
+            command = push
         elif step % parts == 0:
-            held = np.clip(own.nu[k] + law.gain @ (at - x), -system.u_max, system.u_max)
-        x = Ad @ x + Bd @ held + Dd @ (w / np.linalg.norm(w) * system.w_max)
-        xi, at = Ad @ xi + Bd @ safety.reference.nu[k], Ad @ at + Bd @ own.nu[k]
+            command = np.clip(reference.nu[k] + law.gain @ (at - x), -system.u_max, system.u_max)
+        x = Ad @ x + Bd @ command + Dd @ (w / np.linalg.norm(w) * system.w_max)
+        xi, at = Ad @ xi + Bd @ safety.reference.nu[k], Ad @ at + Bd @ reference.nu[k]
         errors.append(x - xi)
     return np.array(errors)
 
@@ -50,7 +50,7 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
             assert k > 0, "every law can fly the first step"
             continue
         nodes = flight.nodes.support(D)
-        booked = flight.intersample @ np.abs(D).T
+        intersample = flight.intersample @ np.abs(D).T
         for _ in range(4):
             e0 = START.sample(rng, 1)[0] if rng.random() < 0.5 else START.support_vector(rng.normal(size=6))
             errors = fly(safety, law, k, e0, rng)
@@ -58,7 +58,7 @@ def test_tube_holds_the_flight_at_and_between_nodes(name, period):
             scale = 1e-6 * (1 + np.abs(nodes).max(axis=0))
             for i in range(len(flight.intersample)):
                 inside = reached[8 * i : 8 * i + 9]
-                limit = np.maximum(nodes[i], nodes[i + 1]) + booked[i]
+                limit = np.maximum(nodes[i], nodes[i + 1]) + intersample[i]
                 assert np.all(inside <= limit + scale)
             assert np.all(reached[-1] <= flight.end.support(D) + scale)
 
@@ -76,10 +76,10 @@ def test_clipped_tube_differs_from_the_affine_one_only_where_it_clips():
 def test_a_disturbance_that_fades_within_a_period_exceeds_the_chord_of_the_nodes(kind):
     system = LinearSystem([[0.0, 0.0], [0.0, -0.5]], [[1.0], [0.0]], np.eye(2), [1.0], 0.1)
     tracking = Tracking(system, np.array([[1.0, 0.0]]), Feedback(2), 1.0)
-    still = Reference.propagate(system, 1.0, np.zeros(2), np.zeros((1, 1)))
-    law = AnyThrust("any", system, still, tracking)
+    reference = Reference.propagate(system, 1.0, np.zeros(2), np.zeros((1, 1)))
+    law = AnyThrust("any", system, reference, tracking)
     if kind == "affine":
-        law = AffineController("affine", system, tracking.gain, still, still, tracking)
+        law = AffineController("affine", system, tracking.gain, reference, reference, tracking)
     flight, row = law.propagate(Zonotope.point(np.zeros(2)), 0), np.array([[0.0, 1.0]])
     nodes, intersample, excess = flight.nodes.support(row)[:, 0], flight.intersample @ row[0], []
     for i in range(len(intersample)):
@@ -121,9 +121,9 @@ def reached(law, start, rows):
     carried = rows @ powers(flow.phi, q)
     flat, rest = carried[:-1].reshape(-1, system.n), Zonotope.point(np.zeros(system.n))
     tube = support_tube(reach.LinearSystem(flow.A_x, system.D, ball), rest, flow.h, flat, step=flow.h / 16)
-    pushed = np.cumsum(tube.attained[-1].reshape(q, -1), axis=0)
+    forced = np.cumsum(tube.attained[-1].reshape(q, -1), axis=0)
     first = np.array([start.support(images) for images in carried])
-    nodes = first + np.vstack([np.zeros((1, len(rows))), pushed])
+    nodes = first + np.vstack([np.zeros((1, len(rows))), forced])
     return nodes, nodes[:-1, None]
 
 

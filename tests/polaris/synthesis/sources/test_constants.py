@@ -61,8 +61,8 @@ def test_rows_of_s_need_what_the_worst_constant_makes_and_no_more(scene):
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta)
     rows = np.vstack([np.eye(problem.system.n), problem.gain])
     tightening = tracking.responses(rows, None)
-    flown = np.abs(rows @ responses(problem, 3 * len(tightening))).sum(axis=-1)
-    worst = np.maximum.accumulate(flown)
+    attained = np.abs(rows @ responses(problem, 3 * len(tightening))).sum(axis=-1)
+    worst = np.maximum.accumulate(attained)
     assert np.all(worst[: len(tightening) - 1] <= tightening[:-1]) and np.all(worst[-1] <= tightening[-1])
     assert np.allclose(worst[: len(tightening) - 1], tightening[:-1], rtol=1e-6, atol=1e-15)
     assert np.all(tightening[-1] <= 1.002 * worst[-1])
@@ -78,15 +78,15 @@ def test_an_outage_beside_a_constant_error_covers_the_flight_of_that_error(share
     """An oscillator with a slow observer: an estimate that is not corrected may turn, the error does not."""
     A, B, h, count = np.array([[0.0, 1.0], [-1.79, -0.05]]), np.array([[0.0], [1.0]]), 0.98, 12
     gain, L, M = np.array([[-0.484, 0.464]]), np.array([[1.904e-3], [-5.03e-5]]), np.array([[1.0, 0.0]])
-    seen = Observer(M, np.ones(1), L, constant=np.array([share]) if share else None)
-    system = observing(Craft(A, B, B, np.array([1e3]), 0.0, M), seen, h)
+    observer = Observer(M, np.ones(1), L, constant=np.array([share]) if share else None)
+    system = observing(Craft(A, B, B, np.array([1e3]), 0.0, M), observer, h)
     tracking, n = Tracking(system, gain, Feedback(1), h), 2
     rows = tracking.pad(np.eye(2))
     claimed = tracking.tightening.from_rest(rows)[-1]
     claimed = claimed + tracking.difference_tightening(rows, [tracking._unmade(count)]).max(axis=(0, 2))
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * h)
-    step, held = whole[:2, :2], whole[:2, 2:]
-    F = np.block([[step - held @ gain, -held @ gain], [np.zeros((n, n)), (np.eye(n) - L @ M) @ step]])
+    step, push_map = whole[:2, :2], whole[:2, 2:]
+    F = np.block([[step - push_map @ gain, -push_map @ gain], [np.zeros((n, n)), (np.eye(n) - L @ M) @ step]])
     blind, E = np.vstack([F[:n], np.hstack([np.zeros((n, n)), step])]), np.vstack([np.zeros((n, 1)), L])
     z, worst = np.linalg.solve(np.eye(2 * n) - F, E), np.zeros(n)  # long under one constant error
     for _ in range(count):
@@ -100,8 +100,8 @@ def test_an_outage_beside_a_constant_error_covers_the_flight_of_that_error(share
 @pytest.mark.parametrize("seed", [5016, 5003])
 def test_proofs_under_constants_hold_at_their_worst(seed, tmp_path):
     """In 5003 entries of the storage of upkeep differ by 1e7."""
-    given = [*biased(exact(seed), seed), "recoverable.recourse=none", "simulation.runs=1"]
-    scenario = exact(seed).with_assignments(given)
+    assignments = [*biased(exact(seed), seed), "recoverable.recourse=none", "simulation.runs=1"]
+    scenario = exact(seed).with_assignments(assignments)
     schedule = synthesize(scenario)
     if seed == 5016:
         worst = attack(schedule, 40, seed)
@@ -214,15 +214,15 @@ def worst_spent(schedule, rounds=4, seed=0):
     system, theta = schedule.safety.problem.system, schedule.safety.problem.initial_set
     M, rng = corners(system, seed=seed), np.random.default_rng(seed)
     nodes = len(schedule.modes) * schedule.safety.tracking.feedback.nodes_per_cell
-    spent = 0.0
+    delta_v = 0.0
     for number in range(rounds):
         start = theta.c + rng.choice([-1.0, 1.0], (len(M), theta.G.shape[1])) @ theta.G.T
         hold = int(np.exp(rng.uniform(0, np.log(nodes / 2))))
         push = rng.normal(size=(-(-nodes // hold), len(M), system.p))
         push *= system.w_max / np.linalg.norm(push, axis=2, keepdims=True)
         push = np.repeat(push, hold, axis=0)[:nodes] * (number > 0)
-        spent = max(spent, float(spent_in(schedule, M, start, push).max()))
-    return spent
+        delta_v = max(delta_v, float(spent_in(schedule, M, start, push).max()))
+    return delta_v
 
 
 def bound(schedule, constant):
@@ -248,20 +248,20 @@ def test_matrices_are_those_of_their_bounds():
 
 def test_constants_are_drawn_at_their_bounds_and_once_a_flight():
     quick = "recoverable.recourse=none", "schedule.bound_programs=0"
-    given = *ALONE[TINY], *WRONG[:2], "thrusters.impulse_bit_N_s=0.002", NEVER, *quick
-    schedule, (start, runs) = tiny(*given), (np.zeros((40, 4)), 40)
+    assignments = *ALONE[TINY], *WRONG[:2], "thrusters.impulse_bit_N_s=0.002", NEVER, *quick
+    schedule, (start, runs) = tiny(*assignments), (np.zeros((40, 4)), 40)
     flight = flies(schedule.safety.problem.system)(schedule, schedule.modes, 1)
     w, _ = disturbances(flight, runs, np.random.default_rng(0), "mixed")
     shares = slice(flight.columns[2].start + 2, flight.columns[2].stop)
     assert np.all(np.abs(w[0, :, flight.constant]).max(axis=0) == [0.02, 0.01])
     assert shares.stop - shares.start == 4 and np.all(np.ptp(w[0, :, shares], axis=0) > 1)
-    flown = flight.run(start, w).states
+    states = flight.run(start, w).states
     for part in (flight.constant, shares):
         later, other = w.copy(), w.copy()
         later[1:, :, part] *= -1
         other[:, :, part] *= -1
-        assert np.array_equal(flight.run(start, later).states, flown)
-        assert not np.array_equal(flight.run(start, other).states, flown)
+        assert np.array_equal(flight.run(start, later).states, states)
+        assert not np.array_equal(flight.run(start, other).states, states)
 
 
 STAND_IN = [("thrusters.directions=[[1,0],[-1,0],[0,1],[0,-1]]", "thrusters.thrust_max_N=1.0")]
@@ -280,8 +280,8 @@ def test_constants_spend_less_than_errors_that_vary(extra):
     proven = schedule.delta_v[1]
     assert worst_spent(schedule) <= proven < bound(schedule, False)
     attacker = Attacker.from_schedule(schedule, False, np.random.default_rng(1))
-    flown = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
-    assert 0.6 * proven < flown <= proven * (1 + 1e-9)
+    delta_v = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
+    assert 0.6 * proven < delta_v <= proven * (1 + 1e-9)
 
 
 @pytest.mark.slow
@@ -289,11 +289,11 @@ def test_random_scenes_spend_no_more_than_is_proven_under_any_constant(tmp_path)
     saved = []
     for seed in range(5000, fewer(5060, 5020)):
         scenario = exact(seed)
-        turned = scenario.system().mean_motion is not None and scenario.system().m == 3
-        given = [*WRONG[:2], NEVER, "recoverable.recourse=none", "planner.time_limit_s=1e6"]
-        given += [*CARRIED] * (seed % 2) + ["thrusters.misalignment_deg=2"] * turned
+        is_orbital = scenario.system().mean_motion is not None and scenario.system().m == 3
+        assignments = [*WRONG[:2], NEVER, "recoverable.recourse=none", "planner.time_limit_s=1e6"]
+        assignments += [*CARRIED] * (seed % 2) + ["thrusters.misalignment_deg=2"] * is_orbital
         try:
-            scenario = scenario.with_assignments(given)
+            scenario = scenario.with_assignments(assignments)
             schedule = synthesize(scenario)
         except PolarisError:
             continue
@@ -331,8 +331,8 @@ def test_synthesis_and_checker_store_alike(more, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def thruster_forger(tmp_path_factory):
     folder = tmp_path_factory.mktemp("constant_thrusters")
-    given = QUARTER, "thrusters.magnitude_error=0.05", "tracking.R=[20,20]", NEVER
-    return Forger(make(given, folder), folder)
+    assignments = QUARTER, "thrusters.magnitude_error=0.05", "tracking.R=[20,20]", NEVER
+    return Forger(make(assignments, folder), folder)
 
 
 def test_forged_constants_of_thrusters_are_refused(thruster_forger):

@@ -59,17 +59,17 @@ def tables(scenario, seed, scale=0.1):
     error = widths * rng.uniform(0, scale, len(widths))
     size = f"chaser.radius_m={widths.max() * rng.uniform(0, scale):.6g}"
     if scenario.system().mean_motion is None:
-        given = [f"navigation.state_error={error.tolist()}"]
+        navigation = [f"navigation.state_error={error.tolist()}"]
     else:
         parts = ("position_error_m", error[:d].tolist()), ("velocity_error_m_s", error[d:].tolist())
-        given = [f"navigation.{name}={part}" for name, part in parts]
+        navigation = [f"navigation.{name}={part}" for name, part in parts]
     thrusters = [f"thrusters.{key}={rng.uniform(0, 0.06):.3g}" for key in ("magnitude_error", "mass_error")]
     if scenario.problem().period is not None:
         impulse = scenario.problem().period * scenario.system().u_max.min()
         thrusters.append(f"thrusters.impulse_bit_N_s={float(impulse * rng.uniform(0, 0.03))}")
     if scenario.system().mean_motion is not None:
         thrusters.append(f"thrusters.misalignment_deg={rng.uniform(0, 2):.3g}")
-    return [*given, size, *thrusters, f"tracking.thrust_share={rng.uniform(0.5, 1):.3g}"]
+    return [*navigation, size, *thrusters, f"tracking.thrust_share={rng.uniform(0.5, 1):.3g}"]
 
 
 @cache
@@ -158,9 +158,9 @@ def test_errors_of_thrusters_cover_every_way_to_make_them():
         rounded = np.round(u * period / bit) * bit / period
         way = np.cross(rounded, rng.normal(size=3))
         aside = np.sin(bounds[1]) * np.linalg.norm(rounded) * way / np.linalg.norm(way)
-        turned = np.cos(bounds[1]) * rounded + aside
+        tilted = np.cos(bounds[1]) * rounded + aside
         size, mass = 1 + bounds[0] * rng.choice([-1, 1], 3), 1 + bounds[2] * rng.choice([-1, 1])
-        share = np.abs(size * turned / mass - u) / errors.error(u)
+        share = np.abs(size * tilted / mass - u) / errors.error(u)
         assert np.all(share <= 1)
         largest = max(largest, share.max())
     assert largest > 0.9
@@ -173,17 +173,17 @@ def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
     for bounds in ([-command, command], None):
         box = BoxFilter(BoxMotion(system, 0.5, 2.0), np.zeros(4), np.zeros(4))
         box.note_commands(None if bounds is None else np.array(bounds), True)
-        ahead, u = box.propagated(2.0), rng.choice([-1, 1], (200, 2)) * (command if bounds else system.u_max)
+        reach, u = box.propagated(2.0), rng.choice([-1, 1], (200, 2)) * (command if bounds else system.u_max)
         x = (u + np.sign(u) * system.thrusters.error(u)) @ Bd.T
-        assert np.all(x <= ahead[:4]) and np.all(-x <= ahead[4:]) and np.any(x > np.abs(u) @ Bd.T)
+        assert np.all(x <= reach[:4]) and np.all(-x <= reach[4:]) and np.any(x > np.abs(u) @ Bd.T)
 
 
 @cache
 def printed(seed, errors=True):
     """Schedule of a random scene, with errors or without, that leaves a monitor something to do."""
     scenario = exact(seed)
-    given = [PRINTED, *(tables(scenario, seed) if errors else [])]
-    return kept(f"errors-printed-{seed}-{errors}", lambda: synthesize(scenario.with_assignments(given)))
+    assignments = [PRINTED, *(tables(scenario, seed) if errors else [])]
+    return kept(f"errors-printed-{seed}-{errors}", lambda: synthesize(scenario.with_assignments(assignments)))
 
 
 def test_a_monitor_holds_with_errors_at_their_worst():
@@ -195,11 +195,11 @@ def test_a_monitor_holds_with_errors_at_their_worst():
 
 
 def test_errors_that_a_monitor_does_not_know_of_break_it():
-    monitor, known = monitored(5001, printed(5001, False)), printed(5001).safety.problem.system
+    monitor, true_system = monitored(5001, printed(5001, False)), printed(5001).safety.problem.system
     system = monitor.grid.system
     ours = system.estimate_error, system.thrusters
-    object.__setattr__(system, "estimate_error", known.navigation)
-    object.__setattr__(system, "thrusters", known.thrusters)
+    object.__setattr__(system, "estimate_error", true_system.navigation)
+    object.__setattr__(system, "thrusters", true_system.thrusters)
     worst, _ = attack_monitor(monitor, 80, 5001)
     object.__setattr__(system, "estimate_error", ours[0])
     object.__setattr__(system, "thrusters", ours[1])
@@ -243,11 +243,11 @@ def test_a_grown_set_holds_every_place_within_the_radius():
 
 def test_the_docs_say_where_every_error_enters():
     text = source_docs.PAGE.read_text(encoding="utf-8")
-    made = source_docs.table()
-    assert made in text, "run: python -m docs.generate.source_docs"
+    table = source_docs.table()
+    assert table in text, "run: python -m docs.generate.source_docs"
     assert all(pydoc.locate(place) is not None for place in source_docs.HEAD.values() if place)
     assert {row.table.split(".")[0] for row in source_docs.ROWS} <= set(ScenarioModel.model_fields)
-    assert all(f"`{source.__name__}`" in made for source in SOURCES)
+    assert all(f"`{source.__name__}`" in table for source in SOURCES)
 
 
 FORMS = {
@@ -265,10 +265,10 @@ FORMS = {
 def test_the_table_of_sources_names_every_key_of_an_error():
     """A new key needs a row in `docs/generate/source_docs.py`, or a place in `FORMS` if a row covers it."""
     texts = [text for row in source_docs.ROWS for text in (row.table, *row.example, *row.beside)]
-    named = set(re.findall(r"\w+", " ".join(texts)))
+    words = set(re.findall(r"\w+", " ".join(texts)))
     keys = [key for tables in CHECKED.values() for key in listed(tables)]
     errors = {key for key in keys if key.split(".")[0] in ("navigation", "thrusters", "timing", "faults")}
-    missing = {key for key in errors if key.split(".")[-1] not in named}
+    missing = {key for key in errors if key.split(".")[-1] not in words}
     assert missing == FORMS, sorted(missing ^ FORMS)
 
 
@@ -284,15 +284,15 @@ def test_forged_errors_are_refused(tmp_path):
     assert forger.judge({}).outcome == "VERIFIED"
     names, data = forger.honest["assumptions"], forger.tree(CERTIFICATE)
     system, feedback_bound = data["system"], data["feedback_bound"]
-    known = {"system": system | {"estimate_error": [(0.001).hex()] * 4}}
+    less_error = {"system": system | {"estimate_error": [(0.001).hex()] * 4}}
     words = [w.replace("[0.01, 0.01, 0.002, 0.002]", "[0.001, 0.001, 0.001, 0.001]") for w in names]
     smaller = [w.replace("within 0.05 m", "within 0.04 m") for w in names]
     ideal = {"system": {k: v for k, v in system.items() if k != "thrusters"}}
     for forged, claims in (
-        (known, {"assumptions"}),
+        (less_error, {"assumptions"}),
         ({"system": {k: v for k, v in system.items() if k != "estimate_error"}}, {"assumptions"}),
         ({"chaser_radius": (0.01).hex()}, {"assumptions"}),
-        (known | {"assumptions": words}, {"system"}),
+        (less_error | {"assumptions": words}, {"system"}),
         (ideal | {"assumptions": [w for w in names if not w.startswith("thrusters")]}, {"system"}),
         ({"chaser_radius": (0.04).hex(), "assumptions": smaller}, {"unsafe_sets"}),
         ({"feedback_bound": scaled(feedback_bound, 20)}, {"goal", "margins"}),

@@ -25,11 +25,11 @@ FIVE = (
 )
 
 
-def largest_by_mixes(directions, capacity, wanted):
+def largest_by_mixes(directions, capacity, widths):
     """Return how many times a box is made by a fixed mix for each input and sign, tops found with them."""
-    (N, m), corners = directions.shape, np.array(list(product((0, 1), repeat=len(wanted))))
+    (N, m), corners = directions.shape, np.array(list(product((0, 1), repeat=len(widths))))
     makes = np.kron(np.eye(2 * m), directions.T)
-    sides = np.array([sign * unit for sign in (1, -1) for unit in np.eye(m) * wanted])
+    sides = np.array([sign * unit for sign in (1, -1) for unit in np.eye(m) * widths])
     within = np.zeros((len(corners) * N, 2 * m * N))
     for i, signs in enumerate(corners):
         for a, sign in enumerate(signs):
@@ -51,21 +51,21 @@ def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
     m, count = int(rng.integers(1, 4)), int(rng.integers(9, 13))
     directions, limits = rng.normal(size=(count, m)), rng.uniform(0.5, 2, count)
     faults = [Fault("stuck_off", 0.0), Fault("loss", 0.4)][seed % 2 :]
-    made = Allocation.from_directions(directions, limits, wanted := rng.uniform(0.5, 1, m) * 5, faults)
+    allocation = Allocation.from_directions(directions, limits, widths := rng.uniform(0.5, 1, m) * 5, faults)
     share = 1.0  # of what is asked
     for _, capacity in cases(limits, faults):
         box = list(zip(np.zeros(count), capacity, strict=True))
         for _ in range(2):
-            u = made.u_max * rng.choice([-1, 1, rng.uniform(-1, 1)], m)
+            u = allocation.u_max * rng.choice([-1, 1, rng.uniform(-1, 1)], m)
             assert linprog(np.ones(count), A_eq=directions.T, b_eq=u * (1 - 1e-9), bounds=box).status == 0
-        share = min(share, largest_by_mixes(directions, capacity, wanted))
-    assert made.u_max == pytest.approx(share * wanted, rel=1e-6)
+        share = min(share, largest_by_mixes(directions, capacity, widths))
+    assert allocation.u_max == pytest.approx(share * widths, rel=1e-6)
 
 
 def test_a_loss_of_axis_pairs_takes_its_share_and_one_that_is_off_takes_all():
     limits = np.array([1.0, 2.0, 3.0])
-    made = Allocation.from_directions(*axis_pairs(limits), limits, [Fault("loss", 0.75)])
-    assert made.u_max == pytest.approx(0.75 * limits)
+    allocation = Allocation.from_directions(*axis_pairs(limits), limits, [Fault("loss", 0.75)])
+    assert allocation.u_max == pytest.approx(0.75 * limits)
     with pytest.raises(SynthesisInfeasible, match="thruster 0 under the fault stuck_off"):
         Allocation.from_directions(*axis_pairs(limits), limits, [Fault("stuck_off", 0.0)])
 
@@ -109,20 +109,20 @@ def drawn(seed, carried=False, faults=False):
     directions = rng.normal(size=(int(rng.integers(10, 17)), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     limits, faults = rng.uniform(0.02, 0.05, len(directions)), [Fault("stuck_off", 0.0)] * faults
-    made = Allocation.from_directions(directions, limits, np.full(3, 0.05), faults)
+    allocation = Allocation.from_directions(directions, limits, np.full(3, 0.05), faults)
     errors = rng.uniform(0, 0.1), np.deg2rad(rng.uniform(0, 5)), rng.uniform(0, 0.05)
-    return rng, Nozzles.from_errors(made, *errors, BIT, carried, True), errors
+    return rng, Nozzles.from_errors(allocation, *errors, BIT, carried, True), errors
 
 
 def flown(rng, layout, errors, f):
     """Return inputs (R, m) by thrusts f (R, N), every nozzle as far off one input as its errors allow."""
-    (magnitude, turned, lighter), d, runs = errors, layout.allocation.directions, len(f)
-    axis, way = np.eye(3)[rng.integers(0, 3, runs)], rng.choice([-1.0, 1.0], runs)
+    (magnitude, tilt, lighter), d, runs = errors, layout.allocation.directions, len(f)
+    axis, signs = np.eye(3)[rng.integers(0, 3, runs)], rng.choice([-1.0, 1.0], runs)
     along = axis @ d.T
     aside = axis[:, None] - along[..., None] * d  # across each nozzle, towards the input
     aside /= np.maximum(np.linalg.norm(aside, axis=2, keepdims=True), 1e-12)
-    strong = f * (1 + magnitude * way[:, None] * np.sign(along))
-    angle = turned * rng.choice([0.5, 1.0], runs)[:, None, None] * way[:, None, None]
+    strong = f * (1 + magnitude * signs[:, None] * np.sign(along))
+    angle = tilt * rng.choice([0.5, 1.0], runs)[:, None, None] * signs[:, None, None]
     force = np.einsum("rn,rnj->rj", strong, np.cos(angle) * d + np.sin(angle) * aside)
     return force / (1 + lighter * rng.choice([-1.0, 1.0], runs))[:, None]
 
@@ -131,14 +131,14 @@ def flown(rng, layout, errors, f):
 @pytest.mark.parametrize("faults", [False, True])
 def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_it(seed, faults):
     rng, layout, errors = drawn(seed, faults=faults)
-    bounds, made, reached = layout.errors(PERIOD), layout.allocation, 0.0
-    u = rng.uniform(-1, 1, (2000, 3)) * made.u_max * rng.choice([1.0, 0.0], (2000, 3), p=[0.7, 0.3])
-    for mixes in made.mixes:
+    bounds, allocation, reached = layout.errors(PERIOD), layout.allocation, 0.0
+    u = rng.uniform(-1, 1, (2000, 3)) * allocation.u_max * rng.choice([1.0, 0.0], (2000, 3), p=[0.7, 0.3])
+    for mixes in allocation.mixes:
         f = np.maximum(u, 0) @ mixes[0] + np.maximum(-u, 0) @ mixes[1]
-        np.testing.assert_allclose(f @ made.directions, u, atol=1e-12)
-        off, bound = np.abs(flown(rng, layout, errors, f) - u), bounds.part(u)
-        assert np.all(off <= bound + 1e-12)
-        reached = max(reached, float(np.max(off / np.maximum(bound, 1e-9))))
+        np.testing.assert_allclose(f @ allocation.directions, u, atol=1e-12)
+        deviation, bound = np.abs(flown(rng, layout, errors, f) - u), bounds.part(u)
+        assert np.all(deviation <= bound + 1e-12)
+        reached = max(reached, float(np.max(deviation / np.maximum(bound, 1e-9))))
         rounded = np.round(f * PERIOD / BIT) * BIT / PERIOD
         assert np.all(np.abs(flown(rng, layout, errors, rounded) - u) <= bounds.error(u) + 1e-12)
     assert reached > 0.75
@@ -147,22 +147,22 @@ def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_
 @pytest.mark.parametrize("seed", range(2))
 def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
     rng, layout, errors = drawn(seed, carried=True)
-    made, bounds, left, before = layout.allocation, layout.errors(PERIOD), 0.0, 0.0
-    largest, asked, spent = 0.0, 0.0, 0.0
-    held = rng.uniform(-1, 1, (60, 3)) * made.u_max
+    allocation, bounds, remainders, before = layout.allocation, layout.errors(PERIOD), 0.0, 0.0
+    largest, commanded, expended = 0.0, 0.0, 0.0
+    commands = rng.uniform(-1, 1, (60, 3)) * allocation.u_max
     for k in range(400):
-        u = held[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
-        f = thrusts_of(made, u)
-        due = f * PERIOD + left
-        whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, made.limits)
-        left = due - whole * PERIOD
-        now = left @ made.directions
-        largest = max(largest, float(np.abs(now).max()))
+        u = commands[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
+        f = thrusts_of(allocation, u)
+        due = f * PERIOD + remainders
+        whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, allocation.limits)
+        remainders = due - whole * PERIOD
+        carried = remainders @ allocation.directions
+        largest = max(largest, float(np.abs(carried).max()))
         applied = flown(rng, layout, errors, whole[None])[0]
-        off = np.abs(applied - (u + (before - now) / PERIOD))
-        assert np.all(off <= bounds.error(u) + 1e-12)
-        before, asked, spent = now, asked + np.abs(u), spent + whole @ made.lengths
-        assert spent <= asked @ layout.weights + 1e-9
+        deviation = np.abs(applied - (u + (before - carried) / PERIOD))
+        assert np.all(deviation <= bounds.error(u) + 1e-12)
+        before, commanded, expended = carried, commanded + np.abs(u), expended + whole @ allocation.lengths
+        assert expended <= commanded @ layout.weights + 1e-9
     assert largest <= layout.max_carried * (1 + 1e-9) and largest > 0.2 * layout.max_carried
 
 
@@ -175,8 +175,8 @@ def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(s
     on = f / made.limits
     for speed in np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f:
         one = np.maximum(speed, 0), np.maximum(-speed, 0)
-        moved = sum(abs(flown(rng, layout, errors, each)) for each in one)
-        assert np.all(moved <= fired / 8 * (1 + 1e-9))
+        shift = sum(abs(flown(rng, layout, errors, each)) for each in one)
+        assert np.all(shift <= fired / 8 * (1 + 1e-9))
 
 
 MADE = ["thrusters.magnitude_error=0.02", "thrusters.mass_error=0.01", "thrusters.impulse_bit_N_s=0.002"]
@@ -202,16 +202,16 @@ def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):
 
 @pytest.mark.parametrize("remainder", ["dropped", "carried"])
 def test_jitter_of_a_layout_is_proven_and_no_less_of_it_accepted(remainder, tmp_path):
-    given = [*FIVE, *MADE, f'thrusters.remainder="{remainder}"', "timing.jitter_s=0.005"]
-    scenario = load_scenario(TINY).with_assignments(given)
+    assignments = [*FIVE, *MADE, f'thrusters.remainder="{remainder}"', "timing.jitter_s=0.005"]
+    scenario = load_scenario(TINY).with_assignments(assignments)
     system, period = scenario.system(), scenario.problem().period
-    exact, more, share = system.on_time, system.thrusters, 0.01 / period
-    grown = (1 + share) * np.array(exact.shares) + share * np.eye(2)
-    assert np.allclose(more.shares, grown, rtol=1e-8)
-    left = 2 * share * system.timing.carried_impulse / period
-    assert np.allclose(more.bit, (1 + share) * np.array(exact.bit) + left, rtol=1e-8)
-    assert (left > 0) == (remainder == "carried")
-    forger = Forger(make([*given, COARSE], tmp_path), tmp_path)
+    exact, jittered, share = system.on_time, system.thrusters, 0.01 / period
+    expected = (1 + share) * np.array(exact.shares) + share * np.eye(2)
+    assert np.allclose(jittered.shares, expected, rtol=1e-8)
+    carried = 2 * share * system.timing.carried_impulse / period
+    assert np.allclose(jittered.bit, (1 + share) * np.array(exact.bit) + carried, rtol=1e-8)
+    assert (carried > 0) == (remainder == "carried")
+    forger = Forger(make([*assignments, COARSE], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     for less in (scaled(forger.honest["system"]["thrusters"]["bit"], 0.99), [x.hex() for x in exact.bit]):
         verdict = forger.forged(lambda data, less=less: data["system"]["thrusters"].update(bit=less))
@@ -238,8 +238,8 @@ def layout(seed):
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(i, marks=pytest.mark.slow) for i in (2, 3, 5, 6))])
 def test_random_layouts_are_verified(seed, tmp_path):
-    given = ["simulation.runs=2", "tracking.R=[60,60]", COARSE, *layout(seed)]
-    assert verify(run(TINY, tmp_path / "run", overrides=given).path).outcome == "VERIFIED"
+    assignments = ["simulation.runs=2", "tracking.R=[60,60]", COARSE, *layout(seed)]
+    assert verify(run(TINY, tmp_path / "run", overrides=assignments).path).outcome == "VERIFIED"
 
 
 SIXTEEN = [[float(np.cos(a)), float(np.sin(a))] for a in np.arange(16) * np.pi / 8]
@@ -302,8 +302,8 @@ def test_forged_nozzles_of_a_small_craft_are_refused(tmp_path):
 
 @pytest.mark.slow
 def test_cubesat_is_proved_flies_u_for_most_of_the_time_and_its_nozzles_cannot_be_forged(tmp_path):
-    made = run("cubesat", tmp_path / "run", overrides=["simulation.runs=2", "schedule.bound_programs=0"])
-    claim, synthesis = made.summary["guarantee"], made.summary["polaris"]
+    folder = run("cubesat", tmp_path / "run", overrides=["simulation.runs=2", "schedule.bound_programs=0"])
+    claim, synthesis = folder.summary["guarantee"], folder.summary["polaris"]
     assert (claim["kind"], claim["horizon"], claim["goal"]["reached"]) == ("proved", "infinite", True)
     assert synthesis["experimental_share"] >= 0.7
-    check_forgeries(made.path, tmp_path)
+    check_forgeries(folder.path, tmp_path)

@@ -39,39 +39,39 @@ def sensed(name, *assignments):
     return kept(f"sensed-{name}", lambda: synthesize(scene(*assignments)))
 
 
-def seen_from(p, off, turn, way):
-    """Positions that a sensor at p (R, 3) measures: range off by `off`, direction turned towards `way`."""
-    away = np.linalg.norm(p, axis=1, keepdims=True)
-    along = p / away
+def seen_from(p, shift, turn, way):
+    """Positions that a sensor at p (R, 3) measures: range off by `shift`, direction turned towards `way`."""
+    ranges = np.linalg.norm(p, axis=1, keepdims=True)
+    along = p / ranges
     aside = way - np.sum(way * along, axis=1, keepdims=True) * along
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-300)
-    return (away + off[:, None]) * (np.cos(turn)[:, None] * along + np.sin(turn)[:, None] * aside)
+    return (ranges + shift[:, None]) * (np.cos(turn)[:, None] * along + np.sin(turn)[:, None] * aside)
 
 
 @pytest.mark.parametrize("angle", [0.2, 45.0])
 def test_boxes_hold_errors_of_every_line_of_sight(angle):
-    half, off, rng = np.array([30.0, 130.0, 20.0]), 0.05, np.random.default_rng(0)
-    given = f"navigation={{range_error_m={off}, bearing_error_deg={angle}, within_m={half.tolist()}}}"
-    bound = scene(given).system().navigation[:3]
+    half, shift, rng = np.array([30.0, 130.0, 20.0]), 0.05, np.random.default_rng(0)
+    assignment = f"navigation={{range_error_m={shift}, bearing_error_deg={angle}, within_m={half.tolist()}}}"
+    bound = scene(assignment).system().navigation[:3]
     p = np.vstack([rng.uniform(-1, 1, (40000, 3)) * half, np.array(list(product(*[[-1, 1]] * 3))) * half])
     p = np.vstack([p, p[-8:], np.eye(3) * half])
     turn = np.deg2rad(angle) * np.where(rng.random(len(p)) < 0.5, 1, rng.random(len(p)))
-    error = np.abs(seen_from(p, off * np.sign(rng.normal(size=len(p))), turn, rng.normal(size=p.shape)) - p)
+    error = np.abs(seen_from(p, shift * np.sign(rng.normal(size=len(p))), turn, rng.normal(size=p.shape)) - p)
     assert np.all(error <= bound) and np.all(error.max(axis=0) > 0.85 * bound)
 
 
 def test_flights_measure_along_their_true_line_of_sight():
     schedule, rng = sensed("ranged", RANGED), np.random.default_rng(1)
     flight = Integrator(schedule, schedule.modes, 1)
-    for step, off, angle in ((3, 0.05, 0.2), (60, 0.02, 0.2)):
+    for step, shift, angle in ((3, 0.05, 0.2), (60, 0.02, 0.2)):
         bound = flight.estimate_bounds[step, 0]
         x = schedule.safety.reference.chi[step // 5] + rng.uniform(-1, 1, (2000, 6)) * [5, 5, 5, 0, 0, 0]
         error = flight.sensed(step, x, bound * rng.uniform(-1, 1, (2000, 6)), bound)
-        p, seen = x[:, :3], x[:, :3] + error[:, :3]
-        sizes = np.linalg.norm(p, axis=1), np.linalg.norm(seen, axis=1)
-        turned = np.arccos(np.clip(np.sum(p * seen, axis=1) / sizes[0] / sizes[1], -1, 1))
-        assert off * 0.99 < np.abs(sizes[1] - sizes[0]).max() <= off * (1 + 1e-9)
-        assert np.deg2rad(angle) * 0.99 < turned.max() <= np.deg2rad(angle) * (1 + 1e-3)
+        p, measured = x[:, :3], x[:, :3] + error[:, :3]
+        sizes = np.linalg.norm(p, axis=1), np.linalg.norm(measured, axis=1)
+        turns = np.arccos(np.clip(np.sum(p * measured, axis=1) / sizes[0] / sizes[1], -1, 1))
+        assert shift * 0.99 < np.abs(sizes[1] - sizes[0]).max() <= shift * (1 + 1e-9)
+        assert np.deg2rad(angle) * 0.99 < turns.max() <= np.deg2rad(angle) * (1 + 1e-3)
         assert np.all(np.abs(error) <= bound * (1 + 1e-9))
 
 
@@ -118,15 +118,15 @@ def test_adversaries_that_turn_measurements_violate_nothing(seed):
         x = theta.c + np.sign(adjoint[0] @ theta.G) @ theta.G.T
         for i in range(N):
             k, law = i // q, laws[i // q]
-            off, angle, speed = (0.05, 0.2, 0.002) if i < 40 else (0.02, 0.2, 0.001)
-            wanted = -adjoint[i + 1] @ gamma @ law.gain
-            along = np.sum(wanted[:, :3] * x[:, :3], axis=1)
+            shift, angle, speed = (0.05, 0.2, 0.002) if i < 40 else (0.02, 0.2, 0.001)
+            direction = -adjoint[i + 1] @ gamma @ law.gain
+            along = np.sum(direction[:, :3] * x[:, :3], axis=1)
             turn = np.full(R, np.deg2rad(angle))
-            known = np.hstack([seen_from(x[:, :3], off * np.sign(along), turn, wanted[:, :3]), x[:, 3:]])
-            known[:, 3:] += speed * np.sign(wanted[:, 3:])
-            u = np.clip(law.own.nu[k] + (path[k][k, i % q] - known) @ law.gain.T, -system.u_max, system.u_max)
-            pushed = adjoint[i + 1] @ delta
-            w = system.w_max * pushed / np.maximum(np.linalg.norm(pushed, axis=1, keepdims=True), 1e-300)
+            guess = np.hstack([seen_from(x[:, :3], shift * np.sign(along), turn, direction[:, :3]), x[:, 3:]])
+            guess[:, 3:] += speed * np.sign(direction[:, 3:])
+            u = np.clip(law.own.nu[k] + (path[k][k, i % q] - guess) @ law.gain.T, -system.u_max, system.u_max)
+            push = adjoint[i + 1] @ delta
+            w = system.w_max * push / np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-300)
             before, x = x, x @ phi.T + u @ gamma.T + w @ delta.T
             for p in (before[:, :3], (before[:, :3] + x[:, :3]) / 2, x[:, :3]):
                 assert np.all(np.max(np.abs(p - [3.0, 90.0, 0.0]), axis=1) > 4.0)
@@ -135,12 +135,12 @@ def test_adversaries_that_turn_measurements_violate_nothing(seed):
 
 
 def test_forged_lines_of_sight_are_refused(tmp_path):
-    made = run(APPROACH, tmp_path / "run", overrides=[RANGED])
-    assert verify(made.path).outcome == "VERIFIED"
-    forger = Forger(made.path, tmp_path)
+    folder = run(APPROACH, tmp_path / "run", overrides=[RANGED])
+    assert verify(folder.path).outcome == "VERIFIED"
+    forger = Forger(folder.path, tmp_path)
     system, scenario = forger.honest["system"], forger.tree("scenario.toml")
-    turned = lambda rows: [[row[1], row[0], *row[2:]] for row in rows]  # noqa: E731
-    for change in (lambda rows: scaled(rows, 0.99), turned):
+    swapped = lambda rows: [[row[1], row[0], *row[2:]] for row in rows]  # noqa: E731
+    for change in (lambda rows: scaled(rows, 0.99), swapped):
         (estimate,) = change([system["estimate_error"]])
         lie = {"estimate_error": estimate, "error_by_step": change(system["error_by_step"])}
         verdict = forger.forged(lambda data, lie=lie: data["system"].update(lie))

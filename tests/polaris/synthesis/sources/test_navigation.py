@@ -59,15 +59,15 @@ def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
     scenario = scene(*MEASURED) if name == "tiny" else load_scenario("static").with_assignments(hill)
     system, h, parts = scenario.system(), scenario.problem().period, 10
     observer, n = system.observer, system.n
-    left, reached = np.eye(n), np.zeros(n)
+    transition, reached = np.eye(n), np.zeros(n)
     step, small = expm(system.A * h), expm(system.A * h / parts)
     for _ in range(600):
-        back = left @ observer.rest @ expm(system.A * h / parts / 2)
-        for _ in range(parts if np.abs(left).max() > 1e-9 else 0):
+        back = transition @ observer.rest @ expm(system.A * h / parts / 2)
+        for _ in range(parts if np.abs(transition).max() > 1e-9 else 0):
             reached += np.linalg.norm(back @ system.D, axis=1) * system.w_max * h / parts
             back = back @ small
-        reached += np.abs(left @ observer.gain) @ observer.noise
-        left = left @ observer.rest @ step
+        reached += np.abs(transition @ observer.gain) @ observer.noise
+        transition = transition @ observer.rest @ step
     assert np.all(reached <= system.navigation * (1 + 1e-6))
     assert np.all(reached >= 0.98 * system.navigation)
 
@@ -93,11 +93,11 @@ def test_first_errors_of_an_observer_fade_as_its_loop_says():
     schedule, plain = observed("first", FIRST), scene(*MEASURED).system()
     system, h = schedule.safety.problem.system, 0.25
     loop, first = system.observer.rest @ expm(system.A * h), system.observer.initial
-    left = np.array([np.abs(np.linalg.matrix_power(loop, k)) @ first for k in range(200)])
-    expected = [left[4 * k : 4 * k + 4].max(axis=0) for k in range(12)] + [left[48:].max(axis=0)]
+    errors = np.array([np.abs(np.linalg.matrix_power(loop, k)) @ first for k in range(200)])
+    expected = [errors[4 * k : 4 * k + 4].max(axis=0) for k in range(12)] + [errors[48:].max(axis=0)]
     assert np.allclose(system.error_by_step, plain.navigation + expected, rtol=1e-6)
-    _, off = fly_delayed(schedule, 60, 1, 1)
-    assert np.all(off <= 1) and off.max() > 0.75
+    _, shares = fly_delayed(schedule, 60, 1, 1)
+    assert np.all(shares <= 1) and shares.max() > 0.75
     zero = scene(*MEASURED, FIRST.replace("0.03", "0").replace("0.01", "0")).system()
     assert zero.observer.initial is None and np.array_equal(zero.navigation, plain.navigation)
 
@@ -105,14 +105,14 @@ def test_first_errors_of_an_observer_fade_as_its_loop_says():
 def test_a_camera_knows_the_velocity_once_s_has_settled():
     """It measures the position within 10 cm: errors of thrusters count at what is commanded."""
     errors = ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2", "thrusters.mass_error=0.03")
-    given = ["feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1", "timing.delay_s=2"]
-    safety = get_safety(load_scenario("static").with_assignments([*given, *errors]).problem())
+    assignments = ["feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1", "timing.delay_s=2"]
+    safety = get_safety(load_scenario("static").with_assignments([*assignments, *errors]).problem())
     tracking = safety.tracking
-    known = tracking.settled_tightening(tracking.estimate_error_rows) + tracking.unremembered(
+    estimate_error = tracking.settled_tightening(tracking.estimate_error_rows) + tracking.unremembered(
         tracking.system.u_max
     )
-    assert known[:3].max() < 0.19 and 0.008 < known[3:].max() < 0.0086
-    assert tracking.system.navigation[3:].max() > 10 * known[3:].max()  # at full thrust
+    assert estimate_error[:3].max() < 0.19 and 0.008 < estimate_error[3:].max() < 0.0086
+    assert tracking.system.navigation[3:].max() > 10 * estimate_error[3:].max()  # at full thrust
 
 
 def test_an_observer_is_attacked_by_its_noise():
@@ -122,21 +122,21 @@ def test_an_observer_is_attacked_by_its_noise():
     rows, targets = rows[rng.integers(0, len(rows), runs)], rng.integers(5, flight.steps + 1, runs)
     w, _, _ = adjoint_worst_case(flight, rows, targets)
     x0 = np.repeat(schedule.safety.problem.initial_set.c[None], runs, axis=0)
-    flown = flight.run(x0, w)
+    attacked = flight.run(x0, w)
     assert np.all(flight.error_share <= 1 + 1e-9) and flight.error_share.max() > 0.5
     for _ in range(3):
         other = w.copy()
         noise = other[..., flight.columns[1]]
         other[..., flight.columns[1]] = noise * rng.choice([-1.0, 1.0], (*noise.shape[:2], 1))
-        moved = (flight.run(x0, other).states - flown.states)[np.arange(runs), targets]
-        further = np.sum(rows * moved, axis=1)
+        change = (flight.run(x0, other).states - attacked.states)[np.arange(runs), targets]
+        further = np.sum(rows * change, axis=1)
         assert further.max() < 0.02 and further.mean() < -0.005  # some commands clip, and some are early
 
 
 def test_bounds_hold_within_a_range_that_is_kept():
     schedule = kept("ranged", lambda: synthesize(scene(*RANGED)))
-    known = schedule.safety.problem.system.error_by_step
-    assert known[:, 0].tolist() == [0.01] + [0.004] * 8 + [0.002] * 4
+    errors = schedule.safety.problem.system.error_by_step
+    assert errors[:, 0].tolist() == [0.01] + [0.004] * 8 + [0.002] * 4
     runs = simulate(schedule, 60, 1)
     assert not runs.metrics().collided.any() and falsify(schedule, 100, 1).failure is None
     p, late = np.abs(runs.states[..., :2]), runs.times >= 8.0
@@ -160,17 +160,17 @@ def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them():
     scenario, rng, share = scene(*MEASURED, MISSED, FIRST), np.random.default_rng(1), 0.0
     system, h, parts = scenario.system(), 0.25, 40
     observer, bound = system.observer, np.array(system.timing.measured_error)
-    small, moved = expm(system.A * h / parts), expm(system.A * h / parts / 2) @ system.D
+    small, push_map = expm(system.A * h / parts), expm(system.A * h / parts / 2) @ system.D
     for likely in np.linspace(0, 1, 60):
-        left, reached, age = np.eye(system.n), np.zeros(system.n), rng.integers(0, 8)
+        transition, reached, age = np.eye(system.n), np.zeros(system.n), rng.integers(0, 8)
         while age > 0:
             j = 0 if rng.random() < likely else int(rng.integers(1, 3))
-            reached += np.abs(left @ (observer.gain, *observer.after)[j]) @ observer.noise
-            left, age = left @ observer.rests[j], age - j - 1
+            reached += np.abs(transition @ (observer.gain, *observer.after)[j]) @ observer.noise
+            transition, age = transition @ observer.rests[j], age - j - 1
             for _ in range(parts * (j + 1)):
-                reached += np.linalg.norm(left @ moved, axis=1) * system.w_max * h / parts
-                left = left @ small
-        reached += np.abs(left) @ observer.initial
+                reached += np.linalg.norm(transition @ push_map, axis=1) * system.w_max * h / parts
+                transition = transition @ small
+        reached += np.abs(transition) @ observer.initial
         share = np.maximum(share, reached / bound)
     assert np.all(share <= 1 + 1e-6) and share.max() > 0.9
 
@@ -192,8 +192,8 @@ BESIDE = [
 def test_observers_go_with_all_else(more):
     schedule = observed("-".join(["beside", *more]), *more)
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
-    off = fly_delayed(schedule, 60, 1, 1)[1]
-    assert np.all(off <= 1 + 1e-6) and off.max() > 0.3
+    shares = fly_delayed(schedule, 60, 1, 1)[1]
+    assert np.all(shares <= 1 + 1e-6) and shares.max() > 0.3
     assert falsify(schedule, 60, 1).failure is None
 
 
@@ -208,22 +208,22 @@ def test_forged_observers_are_refused(more, tmp_path):
     forger = Forger(make([*SAMPLED[:2], *MEASURED, *more], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.honest["system"]
-    seen = data["observer"]
-    known = [key for key in ("estimate_error", "error_by_step") if data.get(key)]
-    lies = [{"observer": seen | {"gain": scaled(seen["gain"], 0.5)}}]
-    lies += [{key: scaled(data[key], 0.999) for key in known}]
+    observer = data["observer"]
+    error_keys = [key for key in ("estimate_error", "error_by_step") if data.get(key)]
+    lies = [{"observer": observer | {"gain": scaled(observer["gain"], 0.5)}}]
+    lies += [{key: scaled(data[key], 0.999) for key in error_keys}]
     other = [{"noise": [(0.001).hex()] * 2}]  # what is refused by another claim, perhaps
     if MISSED in more:
-        lies += [{"observer": seen | {"after": scaled(seen["after"], 0.5)}}]
+        lies += [{"observer": observer | {"after": scaled(observer["after"], 0.5)}}]
         lies += [
             {"timing": data["timing"] | {"measured_error": scaled(data["timing"]["measured_error"], 0.99)}}
         ]
-        other += [{"after": seen["after"][:1]}]
-        ages, smaller = seen["by_age"], scaled(seen["by_age"], 0.99)
+        other += [{"after": observer["after"][:1]}]
+        ages, smaller = observer["by_age"], scaled(observer["by_age"], 0.99)
         other += [{"by_age": [smaller[0], *ages[1:]]}, {"by_age": [ages[0], *smaller[1:]]}, {"followed": 0}]
-        other += [{"ages": [age - 1 if age else 0 for age in seen["ages"]]}]
+        other += [{"ages": [age - 1 if age else 0 for age in observer["ages"]]}]
     elif more:
-        other += [{key: scaled(seen[key], 0.99)} for key in ("settled", "initial")]
+        other += [{key: scaled(observer[key], 0.99)} for key in ("settled", "initial")]
     for lie in lies:
         verdict = forger.forged(lambda honest, lie=lie: honest["system"].update(lie))
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system"), lie
@@ -234,9 +234,9 @@ def test_forged_observers_are_refused(more, tmp_path):
         lie = Lie(forger)
         lie.certificate["system"]["observer"]["settled"] = [(0.0).hex()] * 4
         lie.judge({"system"})
-    for when in ("settled", "experimental"):  # what the run says that they may be off by
+    for phase in ("settled", "experimental"):  # what the run says that they may be off by
         lie, changed = Lie(forger), forger.tree("schedule.json")["guarantee"]["estimate"]
-        changed |= {when: [0.9 * x for x in changed[when]]}
+        changed |= {phase: [0.9 * x for x in changed[phase]]}
         lie.schedule["guarantee"]["estimate"] = lie.summary["guarantee"]["estimate"] = changed
         lie.judge({"goal"})
     document, honest = Document(forger.honest), forger.tree("scenario.toml")

@@ -63,8 +63,8 @@ def static():
 
 def build(*names):
     """Build the problem of the static scene with some sources declared."""
-    given = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
-    return static().with_assignments(list(given.values())).problem()
+    assignments = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
+    return static().with_assignments(list(assignments.values())).problem()
 
 
 def same_table(names):

@@ -125,8 +125,8 @@ def test_flights_that_fire_keep_what_is_proven(name):
     if name == "carried":
         flight = Integrator(schedule, flown_modes(schedule, False), 1)
         flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
-        made = flight.forces * 0.25 / 0.02
-        assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.rest).max() <= 0.02
+        pulses = flight.forces * 0.25 / 0.02
+        assert np.allclose(pulses, np.rint(pulses), atol=1e-6) and 0 < np.abs(flight.rest).max() <= 0.02
 
 
 @pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
@@ -143,23 +143,23 @@ def test_pulses_are_followed_within_a_period(placed):
     firing.forces = firing.inputs = rng.uniform(-1, 1, (6, 3)) * system.u_max
     firing.parts = []
     firing.start(0)
-    other = held = before = rng.normal(size=(6, 6))
-    s, apart = ((np.arange(steps) + 0.5) / steps)[:, None, None], []
+    other = held_state = before = rng.normal(size=(6, 6))
+    s, states = ((np.arange(steps) + 0.5) / steps)[:, None, None], []
     carry, push = (part.T for part in discretize(system.A, system.B, h / steps))
     on = np.abs(firing.forces) / firing.fired
     begin = {"centred": (1 - on) / 2, "start": 0 * on, "staggered": np.cumsum(on, axis=1) - on}[placed]
-    for now in (s > begin) & (s < begin + on):
-        other = other @ carry + now * np.sign(firing.forces) * firing.fired @ push
-        held = held @ carry + firing.forces @ push
-        apart.append(other)
-    ends, places = held + firing.intersample(0), np.arange(1, 8) / 8
+    for active in (s > begin) & (s < begin + on):
+        other = other @ carry + active * np.sign(firing.forces) * firing.fired @ push
+        held_state = held_state @ carry + firing.forces @ push
+        states.append(other)
+    ends, places = held_state + firing.intersample(0), np.arange(1, 8) / 8
     assert np.allclose(ends, other, atol=2e-3 if placed == "centred" else 1e-2)
-    moved = pulse_offset(system, before[:, None], ends[:, None], h, places[:, None])
-    true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
+    shift = pulse_offset(system, before[:, None], ends[:, None], h, places[:, None])
+    true = np.array(states)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     true = true - period_path(system, h, before, other, places)
     for part in (slice(3), slice(3, 6)):
         size, largest = np.abs(true[..., part]).max(), np.array(system.timing.intersample_offset)[part]
-        assert np.abs(moved - true)[..., part].max() < 0.03 * size
+        assert np.abs(shift - true)[..., part].max() < 0.03 * size
         assert size > (0.3 if placed == "centred" else 0.1) * np.linalg.norm(largest)
 
 
@@ -192,14 +192,14 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     on = np.abs(flight.forces) / flight.fired
 
     def rate(u):
-        own, target, _ = relative_rate(env, y[:, 6:], y[:, :6], 0.0)
-        own = own + u @ flight.system.B.T
-        own[:, 3:] += push
-        return np.concatenate([own, target], axis=1)
+        relative, target, _ = relative_rate(env, y[:, 6:], y[:, :6], 0.0)
+        relative = relative + u @ flight.system.B.T
+        relative[:, 3:] += push
+        return np.concatenate([relative, target], axis=1)
 
     for step in range(fine):
-        gone = [np.clip(2 * i / fine - 1, -on, on) / 2 for i in (step, step + 1)]  # of each pulse
-        u = np.sign(flight.forces) * flight.fired * (gone[1] - gone[0]) * fine + thrust - flight.forces
+        shares = [np.clip(2 * i / fine - 1, -on, on) / 2 for i in (step, step + 1)]  # of each pulse
+        u = np.sign(flight.forces) * flight.fired * (shares[1] - shares[0]) * fine + thrust - flight.forces
         first = rate(u)
         y, before = y + h / fine * first, y
         y = before + h / fine / 2 * (first + rate(u))
@@ -221,17 +221,17 @@ def test_forged_pulses_are_refused(tmp_path):
     less = {"thrusters": system["thrusters"] | {"bit": timing["bit"]}}
     weaker = [x.replace("thrusts [1, 1]", "thrusts [0.5, 0.5]") for x in words]
     fewer = [x.replace("of 0.001 N s", "of 0.0005 N s") for x in words]
-    held = [x for x in words if not x.startswith("pulses")]
+    unpulsed = [x for x in words if not x.startswith("pulses")]
     for changed, lines, claim in (
         (less, words, "system"),
         ({"timing": timing | {"state_offset": scaled(timing["state_offset"], 0.99)}}, words, "system"),
         ({"timing": timing | {"pulse_thrust": half}}, words, "assumptions"),
         ({"timing": timing | {"pulse_thrust": half}}, weaker, "system"),
-        ({"timing": timing | {"pulse_thrust": []}}, held, "format"),
+        ({"timing": timing | {"pulse_thrust": []}}, unpulsed, "format"),
         ({"timing": timing | {"carried_impulse": fine}}, words, "assumptions"),
         ({"timing": timing | {"carried_impulse": fine}}, fewer, "system"),
         ({"timing": timing | {"intersample_offset": timing["state_offset"]}}, words, "system"),
-        (without, held, "system"),
+        (without, unpulsed, "system"),
     ):
         data = forger.honest | {"system": system | changed, "assumptions": lines}
         verdict = forger.judge({CERTIFICATE: json.dumps(data)})
@@ -246,8 +246,8 @@ def test_forged_pulses_are_refused(tmp_path):
 
 @pytest.mark.parametrize(("placed", "more"), [("start", ()), ("staggered", LAYOUT)], ids=str)
 def test_the_place_of_pulses_is_proven_and_no_other_passes_for_it(placed, more, tmp_path):
-    given = [*PULSED, f"thrusters.pulse={placed}", *ERRORS[:2], *more, "simulation.runs=2"]
-    forger = Forger(make(given, tmp_path), tmp_path)
+    assignments = [*PULSED, f"thrusters.pulse={placed}", *ERRORS[:2], *more, "simulation.runs=2"]
+    forger = Forger(make(assignments, tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     scenario, system = forger.tree("scenario.toml"), forger.honest["system"]
     timing, other = system["timing"], {"start": "staggered", "staggered": "start"}[placed]
@@ -280,9 +280,9 @@ def test_staggered_thrusters_of_a_layout_fire_one_after_another():
 
 @pytest.mark.parametrize("pulse", ["held", "centred"])
 def test_forged_jitter_is_refused(pulse, tmp_path):
-    given = [*PULSED, f"thrusters.pulse={pulse}", *ERRORS[:2], "timing.jitter_s=0.004"]
-    given += ["thrusters.rise_s=0.003", "thrusters.fall_s=0.005"] * (pulse != "held")
-    forger = Forger(make(given, tmp_path), tmp_path)
+    assignments = [*PULSED, f"thrusters.pulse={pulse}", *ERRORS[:2], "timing.jitter_s=0.004"]
+    assignments += ["thrusters.rise_s=0.003", "thrusters.fall_s=0.005"] * (pulse != "held")
+    forger = Forger(make(assignments, tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     system, words = forger.honest["system"], forger.honest["assumptions"]
     timing, thrusters = system["timing"], system["thrusters"]
@@ -312,9 +312,9 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
 @pytest.mark.parametrize("remainder", ["dropped", "carried"])
 def test_impulses_above_the_least_one_may_be_of_any_size(remainder):
     bit, h, rng, sizes, rest = 0.004, 0.25, np.random.default_rng(1), [], np.zeros((1, 2))
-    given = [*SAMPLED, f"thrusters.impulse_bit_N_s={bit}", f"thrusters.remainder={remainder}"]
-    system = load_scenario(TINY).with_assignments([*given, "thrusters.resolution=continuous"]).system()
-    same = load_scenario(TINY).with_assignments(given).system()
+    assignments = [*SAMPLED, f"thrusters.impulse_bit_N_s={bit}", f"thrusters.remainder={remainder}"]
+    system = load_scenario(TINY).with_assignments([*assignments, "thrusters.resolution=continuous"]).system()
+    same = load_scenario(TINY).with_assignments(assignments).system()
     assert system.thrusters == same.thrusters and system.timing.fine
     loop = SimpleNamespace(system=system, h=h, errors=system.on_time, bit=bit / h * (remainder == "dropped"))
     firing = Firing()
@@ -326,19 +326,19 @@ def test_impulses_above_the_least_one_may_be_of_any_size(remainder):
         assert np.all(np.abs(rest) <= bit) and np.all(np.abs(u - sent) * h <= bit * (0.5 if loop.bit else 2))
         assert remainder == "dropped" or np.allclose(firing.applied(sent, 0), u, atol=1e-12)
         sizes += (np.abs(u[u != 0]) * h / bit).tolist()
-    off = np.abs(np.array(sizes) - np.round(sizes))
-    assert min(sizes) >= 1 - 1e-9 and np.mean(off > 1e-6) > 0.3
+    fractions = np.abs(np.array(sizes) - np.round(sizes))
+    assert min(sizes) >= 1 - 1e-9 and np.mean(fractions > 1e-6) > 0.3
 
 
 @pytest.mark.parametrize(("fired", "carried", "ahead", "left"), [([], 0.0, 0, 0), ([1.0], 0.5, 0.5, 0.375)])
 def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fired, carried, ahead, left):
-    known = {
+    fields = {
         "pulse_thrust": fired,
         "carried_impulse": carried,
         "system_kind": "clohessy_wiltshire",
         "mean_motion": 0.001,
     }
-    document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
+    document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **fields)
     plant = SimpleNamespace(u_max=[arb(1)], h=arb(2), jitter=0.0, weights=(), shares=(), carried=carried)
     plant.B, plant.along, plant.across = SimpleNamespace(ncols=lambda: 1), 0.5, 0.0
     plant.spending, plant.weighted = lambda tops: arb(1), lambda sizes: sum(sizes, arb(0))
@@ -350,7 +350,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         node_at=lambda t: 0,
         max_commands=lambda node: [arb(0.5)],
         delta_v_until=lambda node: arb(7),
-        require_bound=lambda what, claimed, derived: claims.update({what: float(derived.mid())}),
+        require_bound=lambda quantity, claimed, derived: claims.update({quantity: float(derived.mid())}),
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s")
     claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
@@ -367,22 +367,22 @@ def test_what_is_carried_is_a_displacement_and_a_drift():
         h, bit, rng = 2.0, 0.01, np.random.default_rng(4)
         timing = Timing(carried_impulse=bit, period=h)
         Ad, Bd = discretize(system.A, system.B, h)
-        moved = np.array(predicting(system, Timing(carried_impulse=bit), h).timing.state_offset)
+        state_offset = np.array(predicting(system, Timing(carried_impulse=bit), h).timing.state_offset)
         drift = discretize(system.A, replace(system, timing=timing).impulse_rates[:, : system.m], h)[1] / bit
         x = other = rng.normal(size=system.n)
-        left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
-        seen = np.zeros(system.n)
+        remainder, fired, commanded = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
+        largest = np.zeros(system.n)
         for _ in range(300):
             u = rng.choice([-1, 1], system.m) * rng.choice([0.0, 0.2, 1.0]) * bit / h * 1.7
-            impulse = np.trunc((u * h + left) / bit) * bit
-            other = Ad @ other + Bd @ u - drift @ left
-            left = left + u * h - impulse
+            impulse = np.trunc((u * h + remainder) / bit) * bit
+            other = Ad @ other + Bd @ u - drift @ remainder
+            remainder = remainder + u * h - impulse
             x = Ad @ x + Bd @ impulse / h
-            assert np.all(np.abs(left) <= bit)
-            made, asked = made + np.abs(impulse), asked + np.abs(u) * h
-            seen = np.maximum(seen, np.abs(x - other))
-            assert np.all(made <= asked * (1 + 1e-12)), "no more is spent than is commanded"
-        assert np.all(seen <= moved) and np.all(seen >= 0.5 * moved)
+            assert np.all(np.abs(remainder) <= bit)
+            fired, commanded = fired + np.abs(impulse), commanded + np.abs(u) * h
+            largest = np.maximum(largest, np.abs(x - other))
+            assert np.all(fired <= commanded * (1 + 1e-12)), "no more is spent than is commanded"
+        assert np.all(largest <= state_offset) and np.all(largest >= 0.5 * state_offset)
 
 
 def test_every_method_flies_the_same_pulses_and_carries():
@@ -390,16 +390,16 @@ def test_every_method_flies_the_same_pulses_and_carries():
     schedule = kept("pulsed and carried", lambda: synthesize(load_scenario(TINY).with_assignments(more)))
     grid = DecisionGrid.from_schedule(schedule)
     conditions = Conditions.draw(grid, 9, 1)
-    flown = Integrator(grid.fine_schedule, schedule.modes, 1).run(conditions.x0, conditions.w).states
+    states = Integrator(grid.fine_schedule, schedule.modes, 1).run(conditions.x0, conditions.w).states
     proved = 0
-    for key, made in METHODS.items():
+    for key, factory in METHODS.items():
         try:
-            method = made.on(grid)
+            method = factory.on(grid)
         except PolarisError:
             continue
         flight = fly(method.grid, method, conditions)
         if key == "schedule":
-            assert np.allclose(flight.states, flown, atol=1e-9)
+            assert np.allclose(flight.states, states, atol=1e-9)
         if method.claim.kind == "proved":
             proved += 1
             assert not measure(method.grid, flight, conditions, key).collided.any(), key
@@ -408,10 +408,10 @@ def test_every_method_flies_the_same_pulses_and_carries():
 
 @pytest.mark.parametrize("seed", [101, 114])
 def test_nothing_that_flies_early_or_late_breaks_what_is_proven(seed):
-    given, judged = judge_scene(seed)
-    assert judged is not None, given
+    assignments, judged = judge_scene(seed)
+    assert judged is not None, assignments
     schedule, least, thrust = judged
-    assert schedule.guarantee == "proved" and least > 0 and 0 < thrust <= 1, given
+    assert schedule.guarantee == "proved" and least > 0 and 0 < thrust <= 1, assignments
 
 
 @pytest.mark.slow
@@ -424,13 +424,13 @@ def test_no_random_scene_is_broken_by_what_flies_early_or_late():
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.7])
 def test_staggered_pulses_of_a_weaker_thruster_fit_into_a_period(share):
-    lost = [f'faults=[{{kind="loss",share={share}}}]'] if share else []
-    scenario = load_scenario(TINY, [*LAYOUT, "thrusters.pulse=staggered", *lost])
-    made, strengths = scenario.allocation(), [1.0, 1 - share]
-    corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)]) * made.u_max
-    assert len(made.mixes) == 1 + len(made.limits) * (share > 0)
-    for case, mix in enumerate(made.mixes):
-        top = np.array(made.limits)
+    faults = [f'faults=[{{kind="loss",share={share}}}]'] if share else []
+    scenario = load_scenario(TINY, [*LAYOUT, "thrusters.pulse=staggered", *faults])
+    allocation, strengths = scenario.allocation(), [1.0, 1 - share]
+    corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)]) * allocation.u_max
+    assert len(allocation.mixes) == 1 + len(allocation.limits) * (share > 0)
+    for case, mix in enumerate(allocation.mixes):
+        top = np.array(allocation.limits)
         if case:
             top[case - 1] *= strengths[1]
         thrusts = np.maximum(corners, 0) @ mix[0] + np.maximum(-corners, 0) @ mix[1]
@@ -440,15 +440,15 @@ def test_staggered_pulses_of_a_weaker_thruster_fit_into_a_period(share):
 @pytest.mark.parametrize("weaker", [False, True], ids=["whole", "weaker"])
 @pytest.mark.parametrize("count", [4.0, 1.6, 2.4])
 def test_pulses_that_round_up_to_more_than_a_period_are_refused(weaker, count):
-    whole, lost = 0.25 * 2.0, ['faults=[{kind="loss",share=0.25}]'] * weaker
-    given = ["feedback.period_s=0.25", "system.input_max=2.0", "thrusters.pulse=staggered", *lost]
-    given.append(f"thrusters.impulse_bit_N_s={whole / count}")
-    assert load_scenario(TINY, [*given, "thrusters.remainder=carried"]).system().timing.pulse_thrust
+    whole, faults = 0.25 * 2.0, ['faults=[{kind="loss",share=0.25}]'] * weaker
+    assignments = ["feedback.period_s=0.25", "system.input_max=2.0", "thrusters.pulse=staggered", *faults]
+    assignments.append(f"thrusters.impulse_bit_N_s={whole / count}")
+    assert load_scenario(TINY, [*assignments, "thrusters.remainder=carried"]).system().timing.pulse_thrust
     impulses = [arb(whole) * x for x in strengths({"faults": [{"kind": "loss", "share": 0.25}] * weaker})]
     thrusters = {"impulse_bit_N_s": whole / count}
     fits = count == 4.0 or (count == 2.4 and not weaker)  # 3 of 3 bits; of 1.8 there are 2
     for error, check in (
-        (ScenarioError, lambda: load_scenario(TINY, given).system()),
+        (ScenarioError, lambda: load_scenario(TINY, assignments).system()),
         (Rejected, lambda: require_whole(thrusters, impulses)),
     ):
         with nullcontext() if fits else pytest.raises(error):

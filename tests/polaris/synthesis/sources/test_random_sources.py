@@ -15,8 +15,8 @@ from tests.sizes import fewer
 
 def in_balls(scenario, seed):
     """A fault that is isolated late, and balls of recoverable errors."""
-    given = pulsing(scenario, ("loss", "navigation_lost")[seed % 2])
-    return [*(x for x in given if not x.startswith("thrusters")), "recoverable.kind=ball"]
+    assignments = pulsing(scenario, ("loss", "navigation_lost")[seed % 2])
+    return [*(x for x in assignments if not x.startswith("thrusters")), "recoverable.kind=ball"]
 
 
 def observer(scenario, seed):
@@ -25,21 +25,21 @@ def observer(scenario, seed):
     n, widths, hill = problem.system.n, problem.initial_set.half_widths / 20, problem.system.mean_motion
     if not problem.period or n % 2:
         raise PolarisError("an observer needs a period and pairs of states")
-    seen = (widths[: n // 2] + 1e-9).tolist()
+    errors = (widths[: n // 2] + 1e-9).tolist()
     if hill is not None:
-        return [f"navigation.measurement.position_error_m={seen}"]
+        return [f"navigation.measurement.position_error_m={errors}"]
     rows = np.eye(n)[: n // 2].tolist()
     first = [f"navigation.measurement.initial.state_error={(3 * widths + 3e-9).tolist()}"] if seed % 3 else []
-    return [f"navigation.measurement={{matrix={rows},error={seen}}}", *first]
+    return [f"navigation.measurement={{matrix={rows},error={errors}}}", *first]
 
 
 def observed(scenario, seed):
     """An observer with delays, missed periods, and pulses or impulses that are carried."""
     period, least = scenario.problem().period, scenario.system().u_max.min()
-    given = [*observer(scenario, seed), f"timing.delay_s={period}", "thrusters.mass_error=0.01"]
-    given += [f"timing.missed_periods={seed % 3}"] if seed % 5 < 2 else []
-    bit = [f"thrusters.impulse_bit_N_s={0.01 * period * least}", "thrusters.remainder='carried'"]
-    return given + [["thrusters.pulse='centred'"], bit, []][seed % 3]
+    assignments = [*observer(scenario, seed), f"timing.delay_s={period}", "thrusters.mass_error=0.01"]
+    assignments += [f"timing.missed_periods={seed % 3}"] if seed % 5 < 2 else []
+    impulse = [f"thrusters.impulse_bit_N_s={0.01 * period * least}", "thrusters.remainder='carried'"]
+    return assignments + [["thrusters.pulse='centred'"], impulse, []][seed % 3]
 
 
 def observed_fault(scenario, seed):
@@ -66,20 +66,20 @@ def carrying(scenario, seed):
     period, least = scenario.problem().period, scenario.system().u_max.min()
     if period is None:
         raise PolarisError("pulses need a period")
-    bit = [f"thrusters.impulse_bit_N_s={float(period * least / 20)}", "thrusters.remainder=carried"]
-    return [*bit, "thrusters.pulse=centred", "thrusters.magnitude_error=0.01", f"timing.delay_s={period}"]
+    impulse = [f"thrusters.impulse_bit_N_s={float(period * least / 20)}", "thrusters.remainder=carried"]
+    return [*impulse, "thrusters.pulse=centred", "thrusters.magnitude_error=0.01", f"timing.delay_s={period}"]
 
 
 def sighted(scenario, seed):
     """Errors of range and bearing of a spacecraft."""
     if scenario.system().mean_motion is None:
         raise PolarisError("no spacecraft")
-    half, away = scenario.initial_set().half_widths, 3 * np.abs(scenario.initial_set().c[:3]).max()
-    seen = {"range_error_m": 0.03 * half[:3].min(), "within_m": away}
-    seen |= {"bearing_error_deg": np.rad2deg(0.02 * half[:3].min() / away)}
-    seen |= {"velocity_error_m_s": 0.03 * half[3:].min()}
-    given = [f"navigation.{key}={float(value)!r}" for key, value in seen.items()]
-    return [*given, "planner.time_limit_s=1e6"]
+    half, max_range = scenario.initial_set().half_widths, 3 * np.abs(scenario.initial_set().c[:3]).max()
+    errors = {"range_error_m": 0.03 * half[:3].min(), "within_m": max_range}
+    errors |= {"bearing_error_deg": np.rad2deg(0.02 * half[:3].min() / max_range)}
+    errors |= {"velocity_error_m_s": 0.03 * half[3:].min()}
+    assignments = [f"navigation.{key}={float(value)!r}" for key, value in errors.items()]
+    return [*assignments, "planner.time_limit_s=1e6"]
 
 
 def constants(scenario, seed):

@@ -32,8 +32,8 @@ def test_the_page_has_every_cell_and_each_is_confirmed():
 
 @pytest.mark.slow
 def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
-    asked = ["static", "--only", "magnitude", "--times", "10", "--attacks", "300"]
-    tenfold.main([*asked, "--out", str(tmp_path)])
+    arguments = ["static", "--only", "magnitude", "--times", "10", "--attacks", "300"]
+    tenfold.main([*arguments, "--out", str(tmp_path)])
     result = json.loads((tmp_path / "tenfold.json").read_text())["static, magnitude, 10"]
     assert result["outcome"] == "VERIFIED" and not result["attacks"]["violated"] and result["share"] > 0.5
 
@@ -44,12 +44,12 @@ def test_bundled_scenes_are_worth_flying_with_every_error_at_once(scene, tmp_pat
     """At most ten points of U less than without errors, at most half as much velocity change more."""
     tenfold.main([scene, "--together", "--attacks", "0", "--out", str(tmp_path)])
     results = json.loads((tmp_path / "tenfold.json").read_text())
-    ideal, real, asked = (results[f"{scene}, {kind}"] for kind in tenfold.TOGETHER)
+    ideal, real, with_faults = (results[f"{scene}, {kind}"] for kind in tenfold.TOGETHER)
     assert real["share"] >= ideal["share"] - 0.1 - 1e-9
     assert real["delta_v_m_s"] <= 1.5 * ideal["delta_v_m_s"]
-    assert ideal["goal"] is real["goal"] is asked["goal"] is True
-    assert not any(one["collided"] for one in (ideal, real, asked))
-    assert {one["outcome"] for one in (ideal, real, asked)} == {"VERIFIED"}
+    assert ideal["goal"] is real["goal"] is with_faults["goal"] is True
+    assert not any(one["collided"] for one in (ideal, real, with_faults))
+    assert {one["outcome"] for one in (ideal, real, with_faults)} == {"VERIFIED"}
     page = tenfold.COSTS.read_text(encoding="utf-8").split("<!-- table together -->")[1]
-    shown = [line for line in page.split("<!-- end -->")[0].splitlines() if f"`{scene}`" in line]
-    assert_shown("\n".join(shown), tenfold.together(results, [scene]), scene, numbers=True)
+    rows = [line for line in page.split("<!-- end -->")[0].splitlines() if f"`{scene}`" in line]
+    assert_shown("\n".join(rows), tenfold.together(results, [scene]), scene, numbers=True)

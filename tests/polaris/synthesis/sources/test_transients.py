@@ -52,9 +52,9 @@ def faults(scenario, seed):
 def made(seed, errors=False):
     """Schedule of a random scene with a fault that is isolated late, if it is proved."""
     scenario = exact(seed)
-    given = [x for x in tables(scenario, seed, 0.05) if "thrusters" not in x] if errors else []
+    assignments = [x for x in tables(scenario, seed, 0.05) if "thrusters" not in x] if errors else []
     with suppress(PolarisError):
-        return synthesize(scenario.with_assignments([*given, *faults(scenario, seed)]))
+        return synthesize(scenario.with_assignments([*assignments, *faults(scenario, seed)]))
 
 
 def checked(schedule):
@@ -80,10 +80,10 @@ def test_a_fault_across_everything_else_that_moves_is_confirmed():
 def pulsing(scenario, kind):
     """Assignments of pulses, of impulses whose rest is carried, and of a fault that is isolated late."""
     period, least = scenario.period(), scenario.system().u_max.min()
-    given = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
-    given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}"]
+    pulses = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
+    pulses += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}"]
     keys = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
-    return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{keys}={1.3 * period!r}}}]']
+    return [*pulses, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{keys}={1.3 * period!r}}}]']
 
 
 def test_late_faults_go_with_pulses_and_impulses_that_are_carried():
@@ -103,8 +103,8 @@ NETWORK = (
 )
 def test_networks_fly_where_a_fault_may_be_isolated_late(fault, precision):
     network = NETWORK.replace('name="hasty"', f'name="hasty",precision="{precision}"')
-    given = [*SOFT, network, fault, "recoverable.recourse=none"]
-    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    assignments = [*SOFT, network, fault, "recoverable.recourse=none"]
+    schedule = synthesize(load_scenario(TINY).with_assignments(assignments))
     law, (transient,) = schedule.controllers[1], schedule.safety.problem.system.transients
     assert schedule.share() > 0.1 and checked(schedule)
     assert fault == LATE or falsify(schedule, 300, 0).failure is None
@@ -147,20 +147,20 @@ def test_an_observer_goes_with_late_faults_and_needs_what_they_add(given, monkey
 @pytest.mark.parametrize("observed", [True, False])
 @pytest.mark.parametrize("answer", [1, -1])
 def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer):
-    given = [*SOFT[1:], "tracking.R=[200,200]", f"timing.delay_s={0.25 * late}", *[OBSERVED] * observed]
-    problem = load_scenario(TINY).with_assignments([*given, LATE.replace("0.3", "0.6")]).problem()
+    assignments = [*SOFT[1:], "tracking.R=[200,200]", f"timing.delay_s={0.25 * late}", *[OBSERVED] * observed]
+    problem = load_scenario(TINY).with_assignments([*assignments, LATE.replace("0.3", "0.6")]).problem()
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
     system, fault, parts, length = problem.system, problem.system.transients[0], 20, 3
     flow = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25 / parts)
     whole = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25)
-    push, held = flow.input_map(system.B), whole.input_map(system.B)
+    push, input_map = flow.input_map(system.B), whole.input_map(system.B)
     gain, measures = (system.observer.gain, system.observer.measures) if observed else (np.eye(4), np.eye(4))
     rows = np.vstack([np.eye(4), -np.eye(4)])
     states, commands = (
         tracking.transient_tightening(rows)[:, :4],
         tracking.transient_tightening(tracking.commands)[:, :2],
     )
-    x, seen, shown, sent = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
+    x, estimate, history, sent = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
     begin = length - fault.lasts / 0.25  # in periods; S flies from node `length` on
     for i in range(200):
         for j in range(parts):
@@ -168,13 +168,13 @@ def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer)
             x = flow.phi @ x + push @ (sent[i] + wrong)
             lag = max(i - length + 1, 0)
             assert np.all(np.abs(x) <= states[min(lag, len(states) - 1)])
-        shown.append(x)
+        history.append(x)
         if (node := i + 1 - late) > 0:  # the estimate of the state so many periods before
-            seen = whole.phi @ seen + held @ sent[node - 1]
-            seen = seen + gain @ measures @ (shown[node] - seen)
-        expected = seen
+            estimate = whole.phi @ estimate + input_map @ sent[node - 1]
+            estimate = estimate + gain @ measures @ (history[node] - estimate)
+        expected = estimate
         for u in sent[max(node, 0) :]:
-            expected = whole.phi @ expected + held @ u
+            expected = whole.phi @ expected + input_map @ u
         sent.append(-(answer if i + 1 < length else 1) * tracking.gain @ expected)
         assert np.all(
             np.abs(tracking.gain @ expected) <= commands[min(max(i - length, 0), len(commands) - 1)]
@@ -198,31 +198,31 @@ def test_a_fault_needs_what_a_flight_with_it_reaches(given):
 
 
 def test_an_outage_moves_a_flight_by_no_more_than_it_needs():
-    given = [*SOFT[1:], "tracking.R=[200,200]", OBSERVED, LOST, "timing.delay_s=0.25"]
-    problem = load_scenario(TINY).with_assignments([*given, "system.disturbance_max=0.0"]).problem()
+    assignments = [*SOFT[1:], "tracking.R=[200,200]", OBSERVED, LOST, "timing.delay_s=0.25"]
+    problem = load_scenario(TINY).with_assignments([*assignments, "system.disturbance_max=0.0"]).problem()
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
-    seen, first, nodes = problem.system.observer, 250, 300
+    observer, first, nodes = problem.system.observer, 250, 300
     whole = type(tracking.flow).continuous(problem.system.A, problem.system.D, 0.0, 0.25)
-    held, runs = whole.input_map(problem.system.B), 2 * first
+    input_map, runs = whole.input_map(problem.system.B), 2 * first
     noise = np.zeros((runs, nodes, 2))
     for i, axis in np.ndindex(first, 2):
-        noise[2 * i + axis, i, axis] = seen.noise[axis]
-    flown = []
+        noise[2 * i + axis, i, axis] = observer.noise[axis]
+    flights = []
     for outage in (0, 4):  # updates that are not made; S steers what is estimated
         x, estimate = np.zeros((runs, 4)), np.zeros((runs, 4))
-        shown, sent, rows = [x], [np.zeros((runs, 2))], []
+        history, sent, rows = [x], [np.zeros((runs, 2))], []
         for i in range(nodes):
-            x = x @ whole.phi.T + sent[i] @ held.T
-            shown.append(x)
+            x = x @ whole.phi.T + sent[i] @ input_map.T
+            history.append(x)
             if i:  # what was measured a period ago
-                estimate = estimate @ whole.phi.T + sent[i - 1] @ held.T
-                learned = (shown[i] - estimate) @ seen.measures.T + noise[:, i]
-                estimate = estimate + learned @ seen.gain.T * (not first <= i < first + outage)
-            expected = estimate @ whole.phi.T + sent[i] @ held.T
+                estimate = estimate @ whole.phi.T + sent[i - 1] @ input_map.T
+                learned = (history[i] - estimate) @ observer.measures.T + noise[:, i]
+                estimate = estimate + learned @ observer.gain.T * (not first <= i < first + outage)
+            expected = estimate @ whole.phi.T + sent[i] @ input_map.T
             sent.append(-expected @ tracking.gain.T)
             rows.append(np.hstack([x, -x, sent[-1], -sent[-1]]))
-        flown.append(np.array(rows))
-    reached = np.abs(flown[1] - flown[0]).sum(axis=1).max(axis=0)
+        flights.append(np.array(rows))
+    reached = np.abs(flights[1] - flights[0]).sum(axis=1).max(axis=0)
     tightening = np.concatenate(
         [
             tracking.transient_tightening(np.vstack([np.eye(4), -np.eye(4)]))[-1],
@@ -237,14 +237,14 @@ def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
     """Flights refute a schedule that was made without faults, and the case can be flown again."""
     ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2
     twos = [f"thrusters.directions={ways}", "thrusters.thrust_max_N=1.0"]
-    known = load_scenario(TINY).with_assignments([*SOFT, *twos, 'faults=[{kind="stuck_off"}]'])
-    late = known.with_assignments([f"faults=[{{{told}}}]"])
-    schedule, late = synthesize(known), late.problem().system.transients
+    scenario = load_scenario(TINY).with_assignments([*SOFT, *twos, 'faults=[{kind="stuck_off"}]'])
+    late = scenario.with_assignments([f"faults=[{{{told}}}]"])
+    schedule, late = synthesize(scenario), late.problem().system.transients
     object.__setattr__(schedule.safety.problem.system, "transients", late)
     search = falsify(schedule, 3000, 0)
     assert search.failure is not None and search.case[0].faults is not None
-    again, _ = replay(write_case(tmp_path / "case.json", known, search))
-    assert again == search.failure
+    replayed, _ = replay(write_case(tmp_path / "case.json", scenario, search))
+    assert replayed == search.failure
 
 
 @pytest.mark.parametrize(
@@ -252,9 +252,9 @@ def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
 )
 def test_what_nothing_bounds_is_refused_by_name(late):
     unstable = "system.A=[[0,0,1,0],[0,0,0,1],[0,0,0.2,0],[0,0,0,0.2]]"
-    given = [*SOFT, f"faults=[{{{late}}}]", unstable]
+    assignments = [*SOFT, f"faults=[{{{late}}}]", unstable]
     with pytest.raises(ScenarioError, match="must be isolated sooner"):
-        synthesize(load_scenario(TINY).with_assignments(given))
+        synthesize(load_scenario(TINY).with_assignments(assignments))
 
 
 def test_what_cannot_be_survived_is_named():
@@ -277,7 +277,7 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
     scenario = load_scenario(TINY).with_assignments([*SOFT, "recoverable.recourse=none"])
     faults = 'faults=[{kind="loss",share=0.1,isolation_s=0.3},{kind="navigation_lost",lasts_s=1.0}]'
     schedule = synthesize(scenario.with_assignments([faults]))
-    fault_attribution, named = guarantee(schedule)["fault_attribution"], set()
+    fault_attribution, fault_steps = guarantee(schedule)["fault_attribution"], set()
     safety, law, starts = schedule.safety, schedule.controllers[1], [schedule.safety.start]
     starts += [step.tube.end for step in schedule.steps]
     tubes = [law.propagate(start, k) for k, start in enumerate(starts[:-1])]
@@ -287,14 +287,14 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
         assert f"fault {fault['fault']} " in row
         for step in fault["steps"]:
             k, tube = step["step"], tubes[step["step"]]
-            named.add(k)
+            fault_steps.add(k)
             least = safety.recoverable_with((transient,)).margin(k, tube.nodes, tube.intersample)
             assert schedule.modes[k] == 0 and step["shortfall"] > 0 and not least.inside
             assert (step["limit"], step["tightening"]) == (least.limit, least.tightening)
     for k in np.flatnonzero(schedule.modes == 0).tolist():
-        held = [sets.holds(k, tubes[k].nodes, tubes[k].intersample) for sets in (safety.recoverable, free)]
-        assert (held == [False, True]) == (k in named)
-    assert named and "fault_attribution" not in guarantee(synthesize(scenario))
+        inside = [sets.holds(k, tubes[k].nodes, tubes[k].intersample) for sets in (safety.recoverable, free)]
+        assert (inside == [False, True]) == (k in fault_steps)
+    assert fault_steps and "fault_attribution" not in guarantee(synthesize(scenario))
 
 
 LIES = [{"lasts_s": 0.2}, {"fault": "stuck_off"}]

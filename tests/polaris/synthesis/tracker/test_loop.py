@@ -116,14 +116,14 @@ def unit_flights(soft, nav, periods):
 def test_bounds_from_rest_are_the_sum_of_absolute_responses(plant, nav, delay, carried):
     soft = software(plant, nav, delay, carried)
     lags, (n, m) = [1, 2, 10, 100], soft.B.shape
-    flown, pushes, q = unit_flights(soft, nav, 100)
-    vectors = flown[1:, :pushes].reshape(100, CELLS, -1, n + m)
+    responses, pushes, q = unit_flights(soft, nav, 100)
+    vectors = responses[1:, :pushes].reshape(100, CELLS, -1, n + m)
     forced = W * soft.h / CELLS * np.linalg.norm(vectors, axis=2).sum(axis=1)
-    other = np.abs(flown[1:, pushes:])
+    other = np.abs(responses[1:, pushes:])
     sampled = np.tensordot(other[:, :q], sizes(nav, n), (1, 0)) if q else 0.0
     sampled = sampled + BIT * other[:, q:].sum(axis=1)
-    limits, still = bounds(soft, nav), bounds(soft, nav, w=0.0)
-    answer, calm = limits.from_rest(rows_of(limits)), still.from_rest(rows_of(still))
+    limits, undisturbed = bounds(soft, nav), bounds(soft, nav, w=0.0)
+    answer, calm = limits.from_rest(rows_of(limits)), undisturbed.from_rest(rows_of(undisturbed))
     for L in lags:
         np.testing.assert_allclose(calm[L], np.broadcast_to(sampled, (100, n + m))[:L].sum(axis=0), rtol=1e-8)
         exact = (forced + sampled)[:L].sum(axis=0)
@@ -136,10 +136,10 @@ def test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_
     A, B, D = np.array([[-1, 0.3], [0, -0.5]]), np.array([[0.0], [1]]), np.array([[1.0, 0.2], [0, 0.5]])
     loop = Disturbance(D, W).extend(Loop.from_plant(A, B, 0.4))
     limits = Tightening(loop.close(np.array([[0.1, 0.2]])), np.ones(1), np.ones(2))
-    own, rows = W * np.linalg.norm(D, axis=1), np.eye(2)
+    push_rate, rows = W * np.linalg.norm(D, axis=1), np.eye(2)
     rate = limits.from_rest(limits.closed.rates).max(axis=0)
     curvature = 0.4**2 / 8 * np.abs(A)
-    assert np.all(limits.between(rows)[0] >= curvature @ (rate + own))
+    assert np.all(limits.between(rows)[0] >= curvature @ (rate + push_rate))
     box = replace(loop.channels[0], ball=False, size=np.full(2, W))
     boxed = replace(limits, closed=replace(loop, channels=(box,)).close(limits.closed.gain))
     assert np.all(boxed.response(box, rows, rows).between @ box.size >= boxed.between(rows)[0] * (1 - 1e-3))
@@ -151,12 +151,12 @@ def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
     A, B, *_ = hill()
     M = np.array([[1.0, 0, 0, -2, 0, 0], [0, 1, 0, 0, 0, 1]])
     loop = CarriedImpulse(BIT, 0.5).extend(Loop.from_plant(A, B, 2.0))
-    away = 0.5 * BIT * np.abs(B).sum(axis=1)
-    seen = Estimate(sizes("estimate", 6)).extend(loop).channels[-1]
-    np.testing.assert_allclose(seen.size, sizes("estimate", 6) + away)
-    seen = Observer(M, np.array([0.05, 0.04]), 0.1 * M.T)
-    measured = Filter(seen, np.zeros(6)).extend(loop).channels[-1]
-    np.testing.assert_allclose(measured.size, np.array([0.05, 0.04]) + np.abs(M) @ away)
+    offset = 0.5 * BIT * np.abs(B).sum(axis=1)
+    source = Estimate(sizes("estimate", 6)).extend(loop).channels[-1]
+    np.testing.assert_allclose(source.size, sizes("estimate", 6) + offset)
+    source = Observer(M, np.array([0.05, 0.04]), 0.1 * M.T)
+    measured = Filter(source, np.zeros(6)).extend(loop).channels[-1]
+    np.testing.assert_allclose(measured.size, np.array([0.05, 0.04]) + np.abs(M) @ offset)
 
 
 def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
@@ -166,9 +166,9 @@ def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
         Loop.from_plant(A, B, 0.5).close(np.array([[0, 0.02]])), np.ones(1), np.array([1.0, 0.02])
     )
     rows, N = np.array([[1.0, 0], [0, 1], [1, 1], [1, -1]]), limits.horizon
-    left = np.abs(rows @ powers(limits.closed.F, 3 * N)[N:]) @ limits.v
+    responses = np.abs(rows @ powers(limits.closed.F, 3 * N)[N:]) @ limits.v
     bound = limits.remainder(rows)
-    assert np.all(left.max(axis=0) <= bound) and np.all(bound <= 40 * left.max(axis=0))
+    assert np.all(responses.max(axis=0) <= bound) and np.all(bound <= 40 * responses.max(axis=0))
 
 
 def test_a_loop_that_hardly_settles_is_bounded_for_ever_or_refused():
@@ -190,8 +190,8 @@ def test_errors_that_feed_on_themselves_leave_no_thrust():
 
 def test_sources_are_refused_in_an_order_that_would_lose_errors():
     soft = software("chain")
-    seen = Estimate(np.zeros(2)).extend(Loop.from_plant(soft.A, soft.B, 1.0))
+    loop = Estimate(np.zeros(2)).extend(Loop.from_plant(soft.A, soft.B, 1.0))
     with pytest.raises(ValueError, match="before navigation"):
-        Delay(1.0).extend(seen)
+        Delay(1.0).extend(loop)
     with pytest.raises(ValueError, match="after the sources"):
-        CarriedImpulse(BIT, 0.1).extend(seen).close(soft.gain)
+        CarriedImpulse(BIT, 0.1).extend(loop).close(soft.gain)

@@ -11,7 +11,7 @@ from polaris.simulation.integration import Integrator
 from polaris.synthesis.safety import continuation
 from polaris.synthesis.safety.continuation import Continuation
 from polaris.synthesis.safety.get_safety import get_recover
-from polaris.synthesis.safety.recoverable import directed, missing, slack_share
+from polaris.synthesis.safety.recoverable import directed, quantity, slack_share
 from tests.polaris.conftest import small_safety
 from tests.polaris.random_scenarios import synthesised
 from tests.polaris.tiny import TINY
@@ -33,9 +33,9 @@ def worst_share(schedule, k, substeps):
     for last in (k, k + 1):
         modes = np.append(schedule.modes[:last], np.zeros(clearance.cells - last, dtype=int))
         flight = Integrator(schedule, modes, substeps)
-        ahead = np.unique(np.geomspace(1, clearance.cells * q, NODES).astype(int)) - 1
+        lags = np.unique(np.geomspace(1, clearance.cells * q, NODES).astype(int)) - 1
         bites = int(schedule.steps[k].margin.time / safety.tracking.flow.h + 0.5) + np.arange(q + 1)
-        nodes = np.unique(np.concatenate([last * q + ahead, bites]))
+        nodes = np.unique(np.concatenate([last * q + lags, bites]))
         nodes = nodes[(nodes >= max(last * q, 1)) & (nodes < clearance.cells * q)]
         if not len(nodes):
             continue
@@ -67,8 +67,8 @@ def rooms(safety, node):
 
 def looked_at(schedule):
     """Some steps under U."""
-    flown = np.flatnonzero(schedule.modes > 0)
-    return flown[np.unique(np.linspace(0, len(flown) - 1, STEPS).astype(int))] if len(flown) else flown
+    steps = np.flatnonzero(schedule.modes > 0)
+    return steps[np.unique(np.linspace(0, len(steps) - 1, STEPS).astype(int))] if len(steps) else steps
 
 
 def linear(schedule, k):
@@ -90,15 +90,15 @@ def examined(seeds, folder):
         if schedule.guarantee != "proved":
             continue
         for k in looked_at(schedule):
-            flown = worst_share(schedule, k, 2)
-            yield schedule.safety.recoverable.kind, schedule.margins[k], flown, linear(schedule, k)
+            share = worst_share(schedule, k, 2)
+            yield schedule.safety.recoverable.kind, schedule.margins[k], share, linear(schedule, k)
 
 
 def judge(found):
     """No margin above what is left; those of polytopes, where the worst case is known, not far below."""
-    over = [(printed, flown) for _, printed, flown, _ in found if not printed <= flown + 1e-12]
+    over = [(printed, share) for _, printed, share, _ in found if not printed <= share + 1e-12]
     assert not over
-    short = [flown - printed for kind, printed, flown, exact in found if exact and kind == "polytope"]
+    short = [share - printed for kind, printed, share, exact in found if exact and kind == "polytope"]
     assert np.median(short) < 0.1 and np.quantile(short, 0.9) < 0.5
 
 
@@ -171,8 +171,8 @@ def test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it(period
 
 
 def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for():
-    given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
-    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
+    assignments = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
+    safety = get_safety(load_scenario(TINY).with_assignments(assignments).problem())
     tracking, sets, m = safety.tracking, safety.recoverable, 2
     need = tracking.disturbance(tracking.commands)[:-1, :m] + tracking.noise
     rows, rng = tracking.gain @ tracking.transitions, np.random.default_rng(0)
@@ -196,12 +196,12 @@ def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path)
     lags = [np.linalg.matrix_power(tracking.flow.phi, steps * q) for steps in range(8)]
     worst, room = sum(np.abs(rows @ phi) for phi in lags), rooms(safety, 8 * q)
     for size in (1e-9, 1e-6, 1e-4):
-        off = size * np.abs(safety.reference.chi).max(axis=0)
+        rounding = size * np.abs(safety.reference.chi).max(axis=0)
         reference = replace(safety.reference)
-        vars(reference)["rounding"] = np.tile(off, (reference.cells, 1))
+        vars(reference)["rounding"] = np.tile(rounding, (reference.cells, 1))
         sets = get_recover(kind, replace(clearance, reference=reference), safety.bounds)
         printed = sets.margin_at(0, 0 * safety.start).value
-        assert 1 - 1e6 * size < printed <= np.min(1 - worst @ off / room)
+        assert 1 - 1e6 * size < printed <= np.min(1 - worst @ rounding / room)
 
 
 @pytest.mark.parametrize(
@@ -219,5 +219,5 @@ def test_proven_numbers_are_rounded_to_their_safe_side(value, form, down, up):
 
 def test_shares_are_below_one_and_what_is_missing_has_the_unit_of_its_limit():
     assert slack_share(np.array([1e-20]), np.array([1.0]))[0] < 1
-    texts = [missing(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
+    texts = [quantity(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
     assert texts == ["0.1235 m", "0.1235 N", "0.1235"]

@@ -55,16 +55,16 @@ def nowhere(s):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
 def test_no_flight_spends_more_whatever_it_is_meant_to_command(case):
     s = tracking(**case)
-    flown, rng, u = Flown(s), np.random.default_rng(0), middles(s.system.m)
+    flights, rng, u = Flown(s), np.random.default_rng(0), middles(s.system.m)
     whole = steps(s)
     weights = storage.weights(whole, nowhere(s))
     bound = storage.bound(whole, weights, nowhere(s))
-    spends, count, reached = whole[0].inputs[0].spends, flown.answers.shape[1], 0.0
+    spends, count, reached = whole[0].inputs[0].spends, flights.answers.shape[1], 0.0
     ways = rng.normal(size=(PERIODS, count))
     for _ in range(8):  # each time towards where it went
-        total = flown.fly(ways, u) + u
+        total = flights.fly(ways, u) + u
         reached = max(reached, float(np.sum(np.abs(total) @ spends)))
-        ways = flown.towards(np.sign(total))
+        ways = flights.towards(np.sign(total))
     assert np.sum(np.abs(u) @ spends) < reached <= bound
     assert reached > 0.55 * bound
 
@@ -78,8 +78,8 @@ def test_a_storage_is_bounded_over_a_set_by_little_more_than_it_reaches(seed):
     y = G @ corners
     reached = float((after.cost + np.einsum("ik,ij,jk->k", y, after.P, y) / 2 + after.p @ y).max())
     bound = storage.largest(after, Zonotope(np.zeros(4), G))
-    again = checked.Storage(matrix(after.P.tolist()), column(after.p.tolist()), arb(after.cost))
-    derived = again.largest(Enclosed(arb_mat(4, 1), matrix(G.tolist())))
+    checker_storage = checked.Storage(matrix(after.P.tolist()), column(after.p.tolist()), arb(after.cost))
+    derived = checker_storage.largest(Enclosed(arb_mat(4, 1), matrix(G.tolist())))
     assert reached <= bound <= 1.15 * reached and float(derived) == pytest.approx(bound, rel=1e-3)
     assert reached <= float(derived.upper())
 
@@ -111,11 +111,11 @@ def test_synthesis_and_checker_store_alike(case):
         ours, theirs = (each @ y + y @ M @ y / 2 for each, M in ((store.p, store.P), (p, P)))
         assert -0.4 * store.cost <= theirs - ours <= 1e-3 * store.cost  # its rests within periods are smaller
     jump = np.full(s.loop.N, 1e-3)
-    moved = after.jumped(column(jump.tolist()))
-    Q, q = numbers(moved.P), numbers(moved.p)[:, 0]
+    shifted = after.jumped(column(jump.tolist()))
+    Q, q = numbers(shifted.P), numbers(shifted.p)[:, 0]
     for _ in range(100):
-        y, off = rng.normal(size=s.loop.N), rng.choice([-1, 1], s.loop.N) * jump
-        z, bound = y + off, float(moved.cost) + y @ Q @ y / 2 + q @ y
+        y, offset = rng.normal(size=s.loop.N), rng.choice([-1, 1], s.loop.N) * jump
+        z, bound = y + offset, float(shifted.cost) + y @ Q @ y / 2 + q @ y
         assert float(after.cost) + z @ P @ z / 2 + p @ z <= bound * (1 + 1e-12)
     small = WeightedPeriod(loop, weights.r.tolist(), [x * 1e-3 for x in columns])
     with pytest.raises(Undecided, match="too small"):

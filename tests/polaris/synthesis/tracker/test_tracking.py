@@ -58,16 +58,16 @@ def test_without_a_period_there_are_four_per_fastest_time_constant():
 
 
 def test_periods_are_halved_until_the_loop_is_stable_at_its_nodes():
-    system, gain, left = spinning(100.0)
+    system, gain, radius = spinning(100.0)
     q = choose_feedback(system, [gain], 1.0, None).nodes_per_cell
-    assert left(4) > 1 and left(q // 2) >= 1 > left(q) and q in (8, 16, 32, 64, 128)
+    assert radius(4) > 1 and radius(q // 2) >= 1 > radius(q) and q in (8, 16, 32, 64, 128)
     Tracking(system, gain, Feedback(q), 1.0).flow  # noqa: B018
 
 
 def test_what_no_period_makes_stable_is_refused():
-    system, gain, left = spinning(128 * (2 * np.pi - 0.05))  # at 4, 8, ... 200 nodes it pushes along
+    system, gain, radius = spinning(128 * (2 * np.pi - 0.05))  # at 4, 8, ... 200 nodes it pushes along
     q = choose_feedback(system, [gain], 1.0, None)
-    assert q == Feedback(MOST_NODES) and left(MOST_NODES) > 1
+    assert q == Feedback(MOST_NODES) and radius(MOST_NODES) > 1
     with pytest.raises(ScenarioError, match="feedback.period_s.*must give a stable loop"):
         Tracking(system, gain, q, 1.0).flow  # noqa: B018
 
@@ -103,8 +103,8 @@ def test_the_riccati_equation_is_solved_as_the_control_library_solves_it():
         A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
         Q, R = np.diag(rng.uniform(0.1, 2, n)), np.diag(rng.uniform(0.1, 2, m))
         P, gain = solve_are(A, B, Q, R)
-        known, _, other = control.care(A, B, Q, R, method="scipy")
-        assert np.allclose(P, known, rtol=1e-12) and np.allclose(gain, other, rtol=1e-12)
+        expected, _, other = control.care(A, B, Q, R, method="scipy")
+        assert np.allclose(P, expected, rtol=1e-12) and np.allclose(gain, other, rtol=1e-12)
 
 
 def test_a_synthesis_loads_what_it_uses():
