@@ -13,7 +13,11 @@ ROOT = Path(__file__).resolve().parents[1]
 
 OPENERS = re.compile(r"\s*(What|Whether|Where|When|How|The same)\b")
 
-LOCALS = {"found", "most", "told"}
+LOCALS = re.compile(
+    "asked|begun|bent|booked|come|doubt|found|gained|gone|got|grown|handed|heard|how|lack|lasting|made|met|"
+    "mine|most|moved|noted|pushed|put|said|seen|taken|told|turned|wanted|what|when|who"
+)
+"""Names that do not say what a local holds."""
 
 FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
@@ -29,9 +33,14 @@ def unclear(source):
                 texts.add((node.body[0].lineno, text.strip().splitlines()[0]))
         if isinstance(node, FUNCTIONS) and (inside or getattr(node, "name", "_").startswith("_")):
             arguments = {each for each in ast.walk(node.args) if isinstance(each, ast.arg)}
-            texts |= {(each.lineno, each.arg) for each in arguments if each.arg in LOCALS}
+            texts |= {(each.lineno, each.arg) for each in arguments if LOCALS.fullmatch(each.arg)}
         inside = (inside or isinstance(node, FUNCTIONS)) and not isinstance(node, ast.ClassDef)
-        if inside and isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id in LOCALS:
+        if (
+            inside
+            and isinstance(node, ast.Name)
+            and isinstance(node.ctx, ast.Store)
+            and LOCALS.fullmatch(node.id)
+        ):
             texts.add((node.lineno, node.id))
         pending += [(child, inside) for child in ast.iter_child_nodes(node)]
     return sorted(texts)

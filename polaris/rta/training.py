@@ -16,7 +16,7 @@ from .methods.monitor import REENTRY, Monitor
 
 POOL = 32  # fewest flights whose conditions are drawn at a time
 FLAGS = ("collided", "ended", "intervened")
-TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
+FIELDS = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 """Values of every flight after a period, see `TrainingFlights.advance`."""
 
 
@@ -121,7 +121,7 @@ class TrainingFlights:
             ``distance_m`` (least at the nodes, by the farthest facet of a set); ``delta_v_m_s`` (spent).
         """
         moving = np.ones(self.runs, dtype=bool) if moving is None else moving
-        names = TOLD if self.monitor is None else (*TOLD, "margin")
+        names = FIELDS if self.monitor is None else (*FIELDS, "margin")
         out = {name: np.zeros(self.runs, dtype=bool if name in FLAGS else float) for name in names}
         for k in np.unique(self.k[moving]).tolist():
             chosen = np.flatnonzero(moving & (self.k == k))

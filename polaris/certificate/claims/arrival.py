@@ -28,7 +28,7 @@ from ..model.craft.tightening import Tightening
 from .continuation import Continuation, HandOver
 from .flights import ControllerModel, FlownStep, enclose_step
 from .goal_rows import WeightedRows
-from .recovery import TOLD_SLACK
+from .recovery import CLAIM_SLACK
 from .spending import spent
 
 SHARE, SOON = 0.05, 0.25
@@ -154,7 +154,7 @@ class Arrival:
 
     def _likely(self, rows: WeightedRows, tightenings: Tightening, claim: dict[str, Any]) -> list[int]:
         """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
-        limit, horizon = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
+        limit, horizon = arb(claim["delta_v_max_m_s"]) * (1 + CLAIM_SLACK), 1
         while horizon < self._last and not self.cost + self.correcting(horizon) > limit:
             horizon *= 2
         nodes = range(min(horizon, self._last) + 1)
@@ -168,7 +168,7 @@ class Arrival:
 
     def require_bound(self, quantity: str, claimed: float, derived: arb) -> None:
         """Refuse a stated bound below the derived one by more than figures are exact to."""
-        slack = arb(claimed) * (1 + TOLD_SLACK) - derived
+        slack = arb(claimed) * (1 + CLAIM_SLACK) - derived
         require("goal", slack, f"{quantity}: {claimed:.6g} claimed, {plain(derived)} derived")
 
     def fly_tail(self, nodes: int) -> list[FlownStep]:

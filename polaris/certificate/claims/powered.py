@@ -26,7 +26,7 @@ from .continuation import Continuation, HandOver, Tracker
 from .corrections import Corrections
 from .flights import FlownStep
 from .goal_rows import WeightedRows
-from .recovery import TOLD_SLACK
+from .recovery import CLAIM_SLACK
 
 CLAIM = "powered_abort"
 
@@ -125,7 +125,7 @@ class BranchMotion:
         limits = {"claimed": claim, "the budget of": budget, "the tank of": claims.tank}
         for limit, top in limits.items():
             if top is not None:
-                slack = arb(top) * (1 + TOLD_SLACK) if limit == "claimed" else arb(top)
+                slack = arb(top) * (1 + CLAIM_SLACK) if limit == "claimed" else arb(top)
                 slack -= delta_v + abort.before if limit == "the tank of" else delta_v
                 text = f"abort in step {abort.k}: {plain(delta_v)} m/s, {limit} {top:.6g} m/s"
                 require(CLAIM, slack, text)

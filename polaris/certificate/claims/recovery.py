@@ -17,8 +17,8 @@ from ..model.craft.feedforward import Feedforward
 from ..model.craft.tightening import SetIntersample, Tightening
 from ..model.limits import Limits, NodeLimit, levels_of
 
-TOLD_SLACK = 1e-2
-"""Exactness of told figures, as a share of the clearance or of themselves; demands have no such slack."""
+CLAIM_SLACK = 1e-2
+"""Exactness of claimed figures, as a share of the clearance or of themselves; demands have no such slack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class Recovery:
     def _leaves(self, share: float, target: NodeLimit, tightening: arb, context: str) -> None:
         """Check that a tightening, that of a jump included, leaves a share of the clearance as it is told."""
         clearance, whole = target.clearance, target.total
-        if not clearance - tightening >= (share - TOLD_SLACK) * whole:
+        if not clearance - tightening >= (share - CLAIM_SLACK) * whole:
             slack = float(((clearance - tightening) / whole).mid()) if clearance > 0 else 0.0
             text = f"share {slack:.6g} left, {share:.6g} claimed, for {context}"
             raise Rejected(

@@ -26,7 +26,7 @@ from .scene import plain
 from .timelines import page_data
 
 CAPTION = "From simulated runs, under random and worst-case disturbances"
-MOST_TOLD = 3  # most stretches under S that are listed one by one
+MOST_LISTED = 3  # most stretches under S that are listed one by one
 
 NOTE = (
     "Drawn paths keep at most 400 samples of a run; the tables use all of them. Bands cover all simulated "
@@ -124,7 +124,7 @@ def _time(t: float) -> str:
 def _spans(picture: PlotData) -> str:
     """Describe the times at which S flies."""
     delta, spans = picture.reference.delta, stretches(picture.modes == 0)
-    if len(spans) > MOST_TOLD:
+    if len(spans) > MOST_LISTED:
         return f"S in {len(spans)} stretches"
     return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in spans) or "never")
 

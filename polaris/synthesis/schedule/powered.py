@@ -38,7 +38,7 @@ ARRIVES = 1.0, 0.8
 """Shares of that time after which the plan of a branch ends: a shorter flight spends less on corrections, and
 the errors of its last commands fade before the orbit is due."""
 PROGRAMS = 300  # most linear programs that the plan of one branch takes
-TOLD = (
+STEP_KEYS = (
     "leaves_s",
     "by_s",
     "delta_v_m_s",
@@ -71,12 +71,12 @@ class PoweredSafety:
         """Return the claims that a run makes of it, as JSON."""
         steps, delta = list[dict[str, Any]](), self.delta
         for k, way in enumerate(self.ways):
-            values: tuple[float | None, ...] = (None,) * len(TOLD)
+            values: tuple[float | None, ...] = (None,) * len(STEP_KEYS)
             if way.branch is not None:
                 branch = self.branches[way.branch]
                 ends = until if np.isfinite(until := branch.safety.end.until) else None
                 values = branch.step * delta, way.cell * delta, way.delta_v, ends
-            steps.append({"step": k, **dict(zip(TOLD, values, strict=True)), "why": way.why or None})
+            steps.append({"step": k, **dict(zip(STEP_KEYS, values, strict=True)), "why": way.why or None})
         return {"within_s": self.abort.within, "delta_v_max_m_s": self.abort.budget, "steps": steps}
 
 

@@ -137,7 +137,7 @@ def minkowski_sum(X: Any, Y: Any) -> Any:
 
 
 CONTAINS: dict[type, Callable[..., Answer]] = {
-    Interval: lambda outer, *asked: inside.in_polytope(outer.to_polytope(), *asked),
+    Interval: lambda outer, *others: inside.in_polytope(outer.to_polytope(), *others),
     HPolytope: inside.in_polytope,
     Zonotope: inside.in_zonotope,
     Ellipsoid: inside.in_ellipsoid,

@@ -8,7 +8,7 @@ import pytest
 from polaris.certificate.checker import verify
 from polaris.certificate.claims.arrival import Arrival
 from polaris.certificate.claims.powered import BranchMotion
-from polaris.certificate.claims.recovery import TOLD_SLACK
+from polaris.certificate.claims.recovery import CLAIM_SLACK
 from tests.polaris.corruptions import hexed
 from tests.polaris.forging import COARSE, Forger, Lie, make
 
@@ -17,8 +17,8 @@ ASKED = (
     *("schedule.delta_v_max_m_s=20.0", "thrusters.magnitude_error=0.02"),
     'abort={orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5},within_s=10.0,delta_v_max_m_s=20.0}',
 )
-TOLD = 1 - 0.9 * TOLD_SLACK  # share of what is derived that a forged run tells
-BETWEEN, BEYOND = 1 - 0.5 * TOLD_SLACK, 1 + 1e-6  # shares of it that a demand allows
+CLAIMED = 1 - 0.9 * CLAIM_SLACK  # share of the derived value that a forged run claims
+BETWEEN, BEYOND = 1 - 0.5 * CLAIM_SLACK, 1 + 1e-6  # shares of it that a demand allows
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +60,14 @@ def derived(forger):
 def _distance(lie, figures, share, declared=False):
     """A tolerance that the scenario does not give is told, and proven as such."""
     value, goal = figures["distance from the goal"], lie.schedule["guarantee"]["goal"]
-    goal |= {"distance_m": TOLD * value, "tolerance_m": share * value}
+    goal |= {"distance_m": CLAIMED * value, "tolerance_m": share * value}
     if declared:
         lie.scenario["goal"]["tolerance_m"] = share * value
 
 
 def _budget(lie, figures, share):
     value = figures["velocity change"]
-    lie.schedule["guarantee"]["goal"]["delta_v_max_m_s"] = TOLD * value
+    lie.schedule["guarantee"]["goal"]["delta_v_max_m_s"] = CLAIMED * value
     allowed = lie.schedule["rules"]["delta_v_max"] = share * value
     lie.scenario["schedule"]["delta_v_max_m_s"] = allowed
 
@@ -76,7 +76,7 @@ def _lasts(lie, figures, share):
     upkeep = lie.schedule["guarantee"]["upkeep"]
     until, rate = figures["velocity change until it is settled"], figures["velocity change per second"]
     value = until + (upkeep["lasts_s"] - upkeep["settled_s"]) * rate
-    upkeep |= {"until_settled_m_s": TOLD * until, "rate_m_s2": TOLD * rate, "tank_m_s": share * value}
+    upkeep |= {"until_settled_m_s": CLAIMED * until, "rate_m_s2": CLAIMED * rate, "tank_m_s": share * value}
     lie.scenario["tank"]["delta_v_m_s"] = share * value
 
 
@@ -97,7 +97,7 @@ def _abort(lie, figures, share):
 
 def _tell_aborts(lie, figures):
     for k, value in figures["abort"]:
-        lie.schedule["guarantee"]["powered_abort"]["steps"][k]["delta_v_m_s"] = TOLD * value
+        lie.schedule["guarantee"]["powered_abort"]["steps"][k]["delta_v_m_s"] = CLAIMED * value
 
 
 def _orbit(lie, figures, share):
@@ -139,6 +139,6 @@ def test_a_demand_beyond_what_is_derived_is_kept_if_figures_have_their_slack(for
     assert lie.verdict().outcome == "VERIFIED", lie.verdict().text()
     if name == "the scenario's tolerance":
         lie.schedule["guarantee"]["goal"]["distance_m"] = derived["distance from the goal"] * (
-            1 - 1.1 * TOLD_SLACK
+            1 - 1.1 * CLAIM_SLACK
         )
         lie.judge({"goal"})

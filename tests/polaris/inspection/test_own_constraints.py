@@ -161,11 +161,13 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("name", "made"), [(name, made) for name, every in WRONG.items() for made in every])
-def test_what_is_no_constraint_is_refused_by_name(name, made):
+@pytest.mark.parametrize(
+    ("name", "wrong"), [(name, wrong) for name, every in WRONG.items() for wrong in every]
+)
+def test_what_is_no_constraint_is_refused_by_name(name, wrong):
     """Some ended in a TypeError of a later call, some took the name of one of the paper's."""
     with pytest.raises(ScenarioError, match=r"^constraints.*; must "):
-        with_(name, made)
+        with_(name, wrong)
 
 
 SHARED = ("centralized", "consensus", "half")

@@ -150,12 +150,12 @@ def test_a_gentle_implicit_filter_is_as_safe_and_bends_inputs_earlier():
 @pytest.mark.parametrize("buffer", [0.0, 0.5])
 def test_the_implicit_filter_is_bound_by_a_tight_limit_at_its_own_time_alone(buffer, monkeypatch):
     """Limits beyond the near ones, bounded quickly by the tightest of all times, decide as if worked out."""
-    made = scene("corridor", feedback=0.1, period=0.5)  # with a buffer of 0.5 m it is closed at the crate
-    conditions, reasons = Conditions.draw(made, 6, 4), []
+    grid = scene("corridor", feedback=0.1, period=0.5)  # with a buffer of 0.5 m it is closed at the crate
+    conditions, reasons = Conditions.draw(grid, 6, 4), []
     for near in (10**9, 1):
         monkeypatch.setattr("polaris.rta.recovery.NEAR", near)
-        method = ImplicitASIF(made, buffer=buffer)
-        reasons.append(fly(made, method, conditions).why)
+        method = ImplicitASIF(grid, buffer=buffer)
+        reasons.append(fly(grid, method, conditions).why)
     assert method.prospect.demand.near < len(method.prospect.demand.tall)
     assert np.array_equal(*reasons) and (reasons[0] != 2).any()
 

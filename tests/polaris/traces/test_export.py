@@ -152,13 +152,13 @@ def test_a_set_is_exported_with_the_time_in_which_it_holds(tmp_path):
         KeepInPolytope("first", sides, [210.0] * 6, ends=150.0),
         KeepInPolytope("later", sides, [198.0] * 6, begins=150.0),
     ]
-    made = to_trace(T, STATES, MODES, sets, SYSTEM)
-    read = read_trace(write_trace(tmp_path / "a.json", made.trace))
-    assert read.same_as(made.trace) and not read.ignored
+    exported = to_trace(T, STATES, MODES, sets, SYSTEM)
+    read = read_trace(write_trace(tmp_path / "a.json", exported.trace))
+    assert read.same_as(exported.trace) and not read.ignored
     spans = {key: item.span for key, item in read.unsafe.items()}
     assert spans["first[2]"] == (-np.inf, 150.0) and spans["later[5]"] == (150.0, np.inf)
     assert all(np.allclose(item.b, item.b[0]) for item in read.unsafe.values()), "at rest"
-    data = trace_data(made.trace)["unsafe"]
+    data = trace_data(exported.trace)["unsafe"]
     assert data["first[0]"]["until_s"] == 150.0 and "from_s" not in data["first[0]"]
     evaluated = evaluate_trace(read, system=SYSTEM)
     metrics = evaluated.agents["chaser"].unsafe
@@ -177,9 +177,9 @@ def test_a_set_is_exported_with_the_time_in_which_it_holds(tmp_path):
     legacy = evaluate_legacy(read)["chaser"]["compute_dists"]
     assert np.isfinite(legacy[1]), "RTAEval knows no times of sets"
     for wrong in ({"from_s": None}, {"until_s": "x"}, {"from_s": 2.0, "until_s": 1.0}):
-        data["first[0]"] = trace_data(made.trace)["unsafe"]["first[0]"] | wrong
+        data["first[0]"] = trace_data(exported.trace)["unsafe"]["first[0]"] | wrong
         with pytest.raises(ScenarioError, match=r"unsafe\.first\[0\]\.(from|until)_s"):
-            parse_trace({"agents": trace_data(made.trace)["agents"], "unsafe": data})
+            parse_trace({"agents": trace_data(exported.trace)["agents"], "unsafe": data})
 
 
 def test_satellite_is_covered_known_or_nominal():

@@ -132,11 +132,11 @@ def test_natural_motions(seed):
     spec = dict(zip(names, map(float, (b, psi, c, zeta)), strict=True))
     start, inputs = elliptical_nmt(eta, b, psi, c, zeta), np.zeros((STEPS, 3))
 
-    def check(moved=0.0, push=0.0, **other):
-        path = Reference.propagate(system, delta, start + moved * np.eye(6)[4], inputs + push)
+    def check(shift=0.0, push=0.0, **other):
+        path = Reference.propagate(system, delta, start + shift * np.eye(6)[4], inputs + push)
         return judged(system, delta, np.zeros((3, 6)), "nmt", path.chi, path.nu, **(spec | other))
 
     assert check() == "holds"
     wrong = {"semi_minor_m": b * 1.001}, {"phase_rad": psi + 1e-3}, {"cross_track_m": c + 0.01}
-    for lie in (*wrong, {"push": 1e-6}, {"moved": 1e-5}):
+    for lie in (*wrong, {"push": 1e-6}, {"shift": 1e-5}):
         assert check(**lie) == "Rejected", lie

@@ -19,7 +19,7 @@ from polaris.certificate.claims import arrival as checked
 from polaris.certificate.claims import goal_rows
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.continuation import Continuation, Tracker
-from polaris.certificate.claims.recovery import TOLD_SLACK
+from polaris.certificate.claims.recovery import CLAIM_SLACK
 from polaris.certificate.claims.spending import spent
 from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import matrix
@@ -232,7 +232,7 @@ def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
     arrival, goal, spec = judged("reached")
     later = {"by_s": goal["by_s"] + arrival.document.delta, "distance_m": goal["tolerance_m"]}
     exact = arrival.cost, arrival.delta_v_until(arrival.node_at(later["by_s"]))
-    without, until = (float(x.upper()) * (1 + 1e-5) / (1 + TOLD_SLACK) for x in exact)
+    without, until = (float(x.upper()) * (1 + 1e-5) / (1 + CLAIM_SLACK) for x in exact)
     arrival.check(goal | later | {"delta_v_max_m_s": until}, spec)
     with pytest.raises(Rejected, match="velocity change"):
         arrival.check(goal | later | {"delta_v_max_m_s": without}, spec)

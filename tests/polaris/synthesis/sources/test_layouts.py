@@ -170,10 +170,10 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
 def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(seed):
     """A double integrator: within a period from where held inputs have it, velocity and position."""
     rng, layout, errors = drawn(seed)
-    made, fired = layout.allocation, np.array(layout.fired)
-    f, s = thrusts_of(made, rng.uniform(-1, 1, (300, 3)) * made.u_max), np.linspace(0, 1, 201)[:, None, None]
-    on = f / made.limits
-    for speed in np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f:
+    allocation, fired, s = layout.allocation, np.array(layout.fired), np.linspace(0, 1, 201)[:, None, None]
+    f = thrusts_of(allocation, rng.uniform(-1, 1, (300, 3)) * allocation.u_max)
+    on = f / allocation.limits
+    for speed in np.clip(s - (1 - on) / 2, 0.0, on) * allocation.limits - s * f:
         one = np.maximum(speed, 0), np.maximum(-speed, 0)
         shift = sum(abs(flown(rng, layout, errors, each)) for each in one)
         assert np.all(shift <= fired / 8 * (1 + 1e-9))
