@@ -101,14 +101,18 @@ def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
 
 
 @pytest.mark.slow
-def test_the_parts_of_what_is_booked_are_those_of_the_page():
+def test_the_deviation_by_error_source_is_that_of_the_page():
     """Deviation at the tightest place with all errors at once: the figures of docs/tightness.md."""
-    from benchmarks import booked
+    from benchmarks import error_sources
 
-    page = booked.PLACE.read_text(encoding="utf-8").split(booked.BEGIN)[1].split(booked.END)[0]
+    page = (
+        error_sources.PLACE.read_text(encoding="utf-8")
+        .split(error_sources.BEGIN)[1]
+        .split(error_sources.END)[0]
+    )
     printed, table = (
         [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows]
-        for rows in (page.splitlines(), booked.table(booked.SCENES))
+        for rows in (page.splitlines(), error_sources.table(error_sources.SCENES))
     )
     assert [cells[0] for cells in table] == [cells[0] for cells in printed] and table[:2] == printed[:2]
     *sizes, whole = np.array([[float(cell) for cell in cells[1::2]] for cells in table[2:]])
